@@ -25,6 +25,8 @@ from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.refine import Refined
 from gva_mi.splat import Camera
 
+ALIGNED = ("body_aligned", "hands_aligned", "feet_aligned", "fingers")  # without the pelvis's place
+ABSOLUTE = ("body", "hands", "feet")  # with the depth, which one camera hardly shows
 # Keys in JSON of the errors of gva_mi.pose.errors; the value of stage 1 has "_stage1" appended.
 ERRORS = {
     "body": "vertex_mm",
@@ -45,8 +47,8 @@ ERRORS = {
 }
 KEYS = (
     *(name for key in ERRORS.values() for name in (f"{key}_stage1", key)),
-    "points", "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth",
-    "iou_true_masks", "focal_error_stage1", "focal_error", "seconds_per_frame",
+    "points", "frames_worse", "frames_worse_aligned", "frames_worse_hands", "iou_stage1", "iou",
+    "iou_truth", "iou_true_masks", "focal_error_stage1", "focal_error", "seconds_per_frame",
 )  # fmt: skip
 
 
@@ -55,7 +57,8 @@ class PoseFigures:
     """Figures by the keys of ``refinement.json``; a missing one is None.
 
     ``*_mm`` are errors of :mod:`gva_mi.pose.errors`, taken on ``points`` ("vertices" or "joints");
-    ``frames_worse`` is the share of frames whose error increased; ``iou`` compares the bare body
+    ``frames_worse`` is the share of frames whose error increased, also pelvis-aligned and of the
+    hands; ``iou`` compares the bare body
     with the masks, ``iou_truth`` the ground-truth body, ``iou_true_masks`` the refined body with
     the true masks; ``focal_error`` is relative.
     """
@@ -78,17 +81,18 @@ class PoseFigures:
 
     def lines(self) -> Iterator[str]:
         """Yield the main figures, a line each, for the console."""
-        titles = {"body": self["points"] or "vertices", "body_aligned": "aligned"}
-        for name in ("body", "hands", "feet", "body_aligned", "fingers", "surface"):
-            if both := self.change(name):
-                yield f"{titles.get(name, name):<11} {both[0]:.1f} → {both[1]:.1f} mm"
+        for title, names in (("aligned", ALIGNED), ("absolute", ABSOLUTE)):
+            if line := changes({name: self.change(name) for name in names}):
+                yield f"{title:<11} {line}"
         depths = {limb: self.change(f"{limb}_depth") for limb in ("ankles", "wrists")}
         if all(depths.values()):
             texts = (f"{limb} {a:+.0f} → {b:+.0f} mm" for limb, (a, b) in depths.items())
             yield f"depth       {', '.join(texts)}"
         if self["frames_worse"] is not None:
-            body, hands = self["frames_worse"], self["frames_worse_hands"]
-            yield f"increased   error in {body:.0%} of the frames, of the hands in {hands:.0%}"
+            kinds = {"_aligned": "aligned", "": "absolute", "_hands": "of the hands"}
+            known = {kind: self[f"frames_worse{name}"] for name, kind in kinds.items()}
+            shares = (f"{kind} in {x:.0%}" for kind, x in known.items() if x is not None)
+            yield f"increased   error: {', '.join(shares)} of the frames"
         focal, iou, limit = self.change("focal_error"), self.change("iou"), self["iou_truth"]
         if focal and focal[0]:
             yield f"focal       {focal[0]:+.1%} → {focal[1]:+.1%} off"
@@ -113,6 +117,16 @@ class PoseFigures:
             if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
                 raise ValueError(f"'{key}' is {value!r:.40}")
         return PoseFigures(values)
+
+
+def changes(both: Mapping[str, tuple[float, float] | None]) -> str:
+    """Format errors before and after by the names of ERRORS, such as "hands 76.1 → 20.3", in mm."""
+    known = (
+        f"{name.removesuffix('_aligned')} {pair[0]:.1f} → {pair[1]:.1f}"
+        for name, pair in both.items()
+        if pair is not None
+    )
+    return f"{text} mm" if (text := ", ".join(known)) else ""
 
 
 @dataclass(frozen=True)
@@ -187,8 +201,9 @@ def measure(
         return FrameFigures(frames, seconds)
     for suffix, some in (("_stage1", before), ("", after)):
         frames |= {f"{ERRORS[k]}{suffix}": x for k, x in pose_errors(body, some, truth).items()}
-    for name, key in (("frames_worse", "vertex_mm"), ("frames_worse_hands", "hand_vertex_mm")):
-        frames[name] = (frames[key] > frames[f"{key}_stage1"]).float()
+    grown = {"": "vertex_mm", "_aligned": "aligned_vertex_mm", "_hands": "hand_vertex_mm"}
+    for name, key in grown.items():
+        frames[f"frames_worse{name}"] = (frames[key] > frames[f"{key}_stage1"]).float()
     true = truth.pose, truth.shape, truth.cameras
     frames |= {
         "iou_truth": silhouette_iou(video, truth.body, *true),

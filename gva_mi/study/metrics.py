@@ -42,7 +42,8 @@ from gva_mi.study.evaluate import (
     views_of,
     with_trained_poses,
 )
-from gva_mi.study.measure import PoseFigures
+from gva_mi.study.measure import ABSOLUTE, PoseFigures, changes
+from gva_mi.study.measure import ALIGNED as POSE_ALIGNED
 from gva_mi.study.refinement import load_refinement
 from gva_mi.study.scores import Scorer
 from gva_mi.study.similarity import Similarity, in_avatars_world, similarity_to_truth
@@ -149,12 +150,12 @@ class Metrics:
         """Yield the main figures, a line each, for the console."""
         yield from self.refinement.lines()
         before, after = (self.poses_mm.get(which, {}) for which in (GIVEN, TRAINED))
-        keys = [key for key in ("body", "body_aligned") if key in before and key in after]
-        if keys:
-            errors = (f"{before[key]:.1f} → {after[key]:.1f} mm" for key in keys)
-            yield f"{TRAINED:<11} {', aligned '.join(errors)}"
+        for title, names in (("aligned", POSE_ALIGNED), ("absolute", ABSOLUTE)):
+            shared = [name for name in names if name in before and name in after]
+            if line := changes({name: (before[name], after[name]) for name in shared}):
+                yield f"{TRAINED}, {title}: {line}"
         for row in self.rows:
-            if row.region in ("white", "hands", "face"):
+            if row.region in ("white", "person", "hands", "face"):
                 split = row.split.replace("_", " ")
                 of = [row.name] if row.name != self.rows[0].name else []
                 of += [f"{row.region} alone"] if row.region != "white" else []

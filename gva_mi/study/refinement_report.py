@@ -19,12 +19,12 @@ SHOWN = 6  # frames of a strip
 BEFORE, AFTER, TRUTH = "#b3261e", "#2f6f5e", "#667085"  # colours of curves
 
 LENGTHS = {  # titles of errors in tables
-    "body": "{points}",
-    "hands": "hands",
-    "feet": "feet",
     "body_aligned": "{points}, pelvis-aligned",
     "hands_aligned": "hands, pelvis-aligned",
     "feet_aligned": "feet, pelvis-aligned",
+    "body": "{points}, absolute",
+    "hands": "hands, absolute",
+    "feet": "feet, absolute",
     "fingers": "fingers, wrist-aligned",
     "joints": "joints of the body",
     "surface": "distance of the surfaces",
@@ -92,7 +92,11 @@ def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = Non
 
 
 def _headlines(means: PoseFigures, refined: Refined) -> list[Headline]:
-    lengths = (("mean vertex error", "body"), ("error of the hands", "hands"))
+    lengths = (
+        ("pelvis-aligned error", "body_aligned"),
+        ("aligned error of the hands", "hands_aligned"),
+        ("absolute error, with the depth", "body"),
+    )
     headlines = [
         Headline(f"{change[0]:.0f} → {change[1]:.0f} mm", f"{label}, stage 1 → refined")
         for label, name in lengths
@@ -112,11 +116,14 @@ def _means(means: PoseFigures) -> Section:
     if means["frames_worse"] is None:
         text = "Means over all frames. Without ground truth, only the masks can tell."
     else:
-        body, hands = (100 * means[key] for key in ("frames_worse", "frames_worse_hands"))
+        aligned, body, hands = (
+            100 * (means[f"frames_worse{part}"] or 0) for part in ("_aligned", "", "_hands")
+        )
         text = (
             f"Means over all frames. Errors are distances of {means['points']} from the ground "
             "truth. Depths are signed: above zero is too far away. The error increased against "
-            f"stage 1 in {body:.0f} % of all frames, that of the hands in {hands:.0f} %."
+            f"stage 1 in {body:.0f} % of all frames, without the place of the pelvis in "
+            f"{aligned:.0f} %, that of the hands in {hands:.0f} %."
         )
     return Section("Figures", text, tables=[errors_table(means)])
 

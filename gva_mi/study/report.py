@@ -101,7 +101,11 @@ _LAPS = (
 def _headlines(metrics: Metrics) -> list[Headline]:
     training, first = metrics.training, metrics.rows[0].name
     minutes, seconds = divmod(round(training.seconds), 60)
-    changes = (("body", "mean vertex error", ".0f", " mm"), ("iou", "silhouette IoU", ".3f", ""))
+    changes = (
+        ("body_aligned", "pelvis-aligned error", ".0f", " mm"),
+        ("hands_aligned", "of the hands", ".0f", " mm"),
+        ("iou", "silhouette IoU", ".3f", ""),
+    )
     return [
         *(
             Headline(f"{row.psnr:.1f} dB", f"PSNR, {row.split.replace('_', ' ')}")

@@ -125,7 +125,7 @@ def test_names_that_no_case_has_are_refused(done, tmp_path, cli):
     code, _, err = cli(*refine, "--subjects", "bruno", "--error-models", "focal")
     assert code == 2 and "no case has both" in err
     code, _, err = cli("study", "avatar", "--out", tmp_path, "--rows", "best")
-    assert code == 2 and "no 'best'; there are: full, " in err
+    assert code == 2 and "no 'best'; there are: as printed, " in err
 
 
 def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli, monkeypatch):

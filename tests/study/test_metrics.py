@@ -78,7 +78,8 @@ def test_the_keys_of_the_file_do_not_change(metrics):
     assert set(record["refinement"]) >= {
         "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",
         "foot_vertex_mm_stage1", "foot_vertex_mm", "aligned_vertex_mm_stage1", "aligned_vertex_mm",
-        "frames_worse", "frames_worse_hands", "iou_stage1", "iou", "iou_truth", "seconds_per_frame",
+        "frames_worse", "frames_worse_aligned", "frames_worse_hands", "iou_stage1", "iou",
+        "iou_truth", "seconds_per_frame",
     }  # fmt: skip
     assert list(record["training"]) == ["steps", "seconds", "gaussians", "size"]
     assert json.loads(json.dumps(record))["training"]["size"] == [48, 32]
@@ -88,11 +89,12 @@ def test_the_keys_of_the_file_do_not_change(metrics):
 
 def test_trained_poses_have_a_line_of_their_own(metrics):
     errors = {
-        "given": {"body": 54.25, "body_aligned": 15.0},
-        "trained": {"body": 61.0, "body_aligned": 13.5},
+        "given": {"body": 54.25, "body_aligned": 15.0, "feet": 70.0},
+        "trained": {"body": 61.0, "body_aligned": 13.5, "feet": 74.0},
     }
     lines = list(replace(metrics, poses_mm=errors).lines())
-    assert "trained     54.2 → 61.0 mm, aligned 15.0 → 13.5 mm" in lines
+    assert "trained, aligned: body 15.0 → 13.5 mm" in lines
+    assert "trained, absolute: body 54.2 → 61.0, feet 70.0 → 74.0 mm" in lines
     assert not any(line.startswith("trained") for line in metrics.lines())
 
 
@@ -106,12 +108,13 @@ def test_a_file_of_an_older_version_lacks_some_figures(metrics):
         del row["region"], row["count"]
     found = Metrics.from_json(record)
     assert found.refinement["finger_mm"] is None and found.refinement["iou"] == 0.75
-    assert not any(line.startswith(("increased", "fingers", "depth")) for line in found.lines())
+    assert not any(line.startswith(("increased", "aligned", "depth")) for line in found.lines())
 
 
 def test_the_lines_say_the_main_figures(metrics):
     lines = list(metrics.lines())
-    assert lines[0] == "vertices    0.2 → 1.2 mm"
+    assert lines[0] == "aligned     fingers 8.2 → 9.2 mm"
+    assert lines[1] == "absolute    body 0.2 → 1.2, hands 2.2 → 3.2 mm"
     assert "depth       ankles -2 → +3 mm, wrists +4 → -5 mm" in lines
     assert lines[-2] == "test        PSNR 30.12 dB, SSIM 0.9800"
     assert lines[-1] == "test        PSNR 29.50 dB, SSIM 0.9700 (poses as refined)"

@@ -1,8 +1,9 @@
 """``Landmarks``: named points of a person, found in every frame by a network.
 
 The body has 33 points (:data:`BODY`), each hand 21 (:func:`hand_names`), named as MediaPipe's
-networks define them. A program that finds other points writes other names; readers ignore names
-that they do not know.
+networks define them. The face has 51 (:data:`FACE`): the numbers 17 to 67 of the 68 points that
+iBUG marked in photographs, which SMPL-X's marks of the face and COCO-WholeBody share. A program
+that finds other points writes other names; readers ignore names that they do not know.
 
 ``landmarks.npz`` in a subject's folder holds the fields of :class:`Landmarks` as arrays.
 """
@@ -28,6 +29,8 @@ BODY = (
     "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_heel", "right_heel",
     "left_foot_index", "right_foot_index",
 )  # fmt: skip
+# Brows (17-26), nose (27-35), eyes (36-47), lips (48-67); each begins on the person's right.
+FACE = tuple(f"face_{number}" for number in range(17, 68))
 
 
 def hand_names(side: str) -> tuple[str, ...]:
@@ -45,7 +48,7 @@ class Landmarks:
 
     names: Sequence[str]  # P
     pixels: np.ndarray  # (T, P, 2) x, y; the centre of the first pixel is (0.5, 0.5)
-    confidence: np.ndarray  # (T, P) in [0, 1]: the network's own; of a hand: that it is one
+    confidence: np.ndarray  # (T, P) in [0, 1]: the network's own; of hand and face: that it is one
     spread: np.ndarray  # (T, P) pixels: standard deviation between passes of the network, or 0
     # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera, relative to
     # the middle of the hips, or for a hand to its own middle; NaN if the network gives none.

@@ -25,6 +25,7 @@ from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import POSES, Video, load_video, save_cameras
+from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.solver import solve_film
 from gva_mi.splat import Camera
 
@@ -58,6 +59,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         solved = solve_film(
             landmarks, body, video.size, FPS, height_of(truth), camera.fx, (camera.cx, camera.cy)
         )
+        solved, _ = with_face(solved, landmarks, body, FPS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)
         save_cameras(folder / "cameras.npz", truth.cameras)

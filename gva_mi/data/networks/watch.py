@@ -12,13 +12,14 @@ import numpy as np
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, require_ranges
-from gva_mi.data.landmarks import BODY, Landmarks, hand_names
+from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.body_landmarks import BodyNetwork, BodyNetworkName, SeenBody
+from gva_mi.data.networks.face_landmarks import FaceNetwork, SeenFace
 from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork, SeenHand
 from gva_mi.data.networks.person_detector import PersonDetector
 from gva_mi.data.networks.person_tracker import PersonTracker
 
-NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class WatchOptions:
     model: BodyNetworkName = "full"  # of the body; heavy is a file of your own
     passes: Annotated[int, Within(1, 4)] = 2  # of the body: plain, mirrored, wider, wider mirrored
     hand_passes: Annotated[int, Within(0, 2)] = 2  # 0: no hands
+    face_passes: Annotated[int, Within(0, 2)] = 2  # 0: no face
     weights: Path | None = None  # folder of the networks' files; else GVA_MI_WEIGHTS or the cache
 
 
@@ -36,7 +38,7 @@ class WatchOptions:
 class WatchedFilm:
     """What the networks see in T pictures of a film."""
 
-    landmarks: Landmarks  # NaN where the person, or a hand, is not found
+    landmarks: Landmarks  # NaN where the person, a hand or the face is not found
     notes: Sequence[str]  # sentences on what went wrong
     crowded: Sequence[int] = ()  # pictures with several people
 
@@ -64,18 +66,21 @@ def watch_film(
     detector = PersonDetector(options.weights)
     body_network = BodyNetwork(options.model, options.weights)
     hand_network = HandNetwork(options.weights) if options.hand_passes else None
+    face_network = FaceNetwork(options.weights) if options.face_passes else None
     tracker = PersonTracker(detector, body_network, options.person)
-    rows, body, hands = [], None, {}
+    rows, body, hands, face = [], None, {}, None
     for k in range(len(pictures)):
         image = pictures[k]
-        before, hands_before = body, hands
+        before, hands_before, face_before = body, hands, face
         body = tracker.follow(image)
         if body is not None:
             body = body_network.see_again(image, body, options.passes, before)
-        hands = {}
+        hands, face = {}, None
         if body is not None and hand_network is not None:
             hands = hand_network.find(image, body, hands_before, options.hand_passes)
-        rows.append(_row(body, hands))
+        if body is not None and face_network is not None:
+            face = face_network.find(image, body, face_before, options.face_passes)
+        rows.append(_row(body, hands, face))
         if on_silhouette is not None:
             nobody = np.zeros(image.shape[:2], np.float32)
             on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
@@ -91,7 +96,9 @@ def watch_film(
     return WatchedFilm(landmarks, _notes(tracker, landmarks), tuple(tracker.crowded))
 
 
-def _row(body: SeenBody | None, hands: dict[str, SeenHand]) -> tuple[np.ndarray, ...]:
+def _row(
+    body: SeenBody | None, hands: dict[str, SeenHand], face: SeenFace | None
+) -> tuple[np.ndarray, ...]:
     """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
     pixels, metric = np.full((len(NAMES), 2), np.nan), np.full((len(NAMES), 3), np.nan)
     confidence, spread = np.zeros(len(NAMES)), np.zeros(len(NAMES))
@@ -104,6 +111,9 @@ def _row(body: SeenBody | None, hands: dict[str, SeenHand]) -> tuple[np.ndarray,
         at = slice(first, first + len(hand.points))
         pixels[at], metric[at] = hand.points, hand.metric
         confidence[at], spread[at] = hand.presence, hand.spread
+    if face is not None:
+        at = slice(NAMES.index(FACE[0]), len(NAMES))
+        pixels[at], confidence[at], spread[at] = face.points, face.presence, face.spread
     return pixels, confidence, spread, metric
 
 

@@ -47,6 +47,10 @@ _IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
         "mediapipe/modules/hand_landmark",
         "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
     ),
+    "face_landmark.tflite": (
+        "mediapipe/modules/face_landmark",
+        "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
+    ),
 }
 _BY_HAND = {  # files that pip does not reach
     "pose_landmark_heavy.tflite": (

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +34,7 @@ from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import POSES, save_cameras
+from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.solver import SolvedFilm, solve_film
 from gva_mi.pose.stature import PEOPLE
 
@@ -235,4 +236,6 @@ def motion_of_film(
         focal=focal,
         progress=within(progress, 4, 1, 5),
     )
+    solved, of_face = with_face(solved, watched.landmarks, body, pictures.fps)
+    watched = replace(watched, notes=[*watched.notes, *of_face])
     return SolvedMotion(pictures, watched, solved, focal is not None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.landmarks import BODY
+from gva_mi.data.landmarks import BODY, FACE
 from gva_mi.data.networks.body_landmarks import SeenBody, mean_of_passes
 from gva_mi.data.networks.watch import NAMES, WatchOptions, watch_film
 
@@ -12,6 +12,13 @@ pytest.importorskip("ai_edge_litert")
 JOINTS = ("shoulder", "elbow", "wrist", "knee", "ankle")
 SWAP = {"left": "right", "right": "left"}
 OTHER = [NAMES.index("_".join(SWAP.get(word, word) for word in name.split("_"))) for name in NAMES]
+_FACE = NAMES.index(FACE[0])
+for one, other in (  # iBUG's numbers of points on the right and on the left
+    *((17 + k, 26 - k) for k in range(5)), (31, 35), (32, 34), (36, 45), (37, 44), (38, 43),
+    (39, 42), (40, 47), (41, 46), (48, 54), (49, 53), (50, 52), (59, 55), (58, 56), (60, 64),
+    (61, 63), (67, 65),
+):  # fmt: skip
+    OTHER[_FACE + one - 17], OTHER[_FACE + other - 17] = _FACE + other - 17, _FACE + one - 17
 _LEG = ("knee", "ankle", "heel", "foot_index")
 LEGS = [BODY.index(f"{side}_{part}") for part in _LEG for side in SWAP]
 GREY = np.full((600, 1000, 3), 180, np.uint8)
@@ -39,9 +46,25 @@ def test_landmarks_are_near_the_joints_and_hands_hang_on_their_wrists(watched, r
         for point, joint in (("wrist", "wrist"), ("index_mcp", "index1"), ("pinky_mcp", "pinky1")):
             error = at(film, f"{side}_hand_{point}") - rendered_person.joints[f"{side}_{joint}"]
             assert np.linalg.norm(error) < 0.025 * height, (side, point)
-    assert np.isfinite(film.landmarks.metric).all() and not film.notes
+    assert np.isfinite(film.landmarks.metric[:, :_FACE]).all() and not film.notes
     assert (film.landmarks.confidence > 0.5).mean() > 0.95
     assert (film.landmarks.spread > 0).all() and film.landmarks.spread.mean() < 0.02 * height
+
+
+def test_the_face_is_found_where_it_is_and_nowhere_else(watched, rendered_person):
+    """Eyes and mouth are at those of the body; there is none on the back of the head."""
+    film, _ = watched
+    of = lambda *numbers: np.mean([at(film, f"face_{n}") for n in numbers], axis=0)
+    wide = np.linalg.norm(at(film, "left_eye") - at(film, "right_eye"))
+    for side, corners in (("left", (42, 45)), ("right", (36, 39))):
+        seen = rendered_person.joints[f"{side}_eye_smplhf"]
+        assert np.linalg.norm(of(*corners) - seen) < 0.25 * wide
+    assert of(51)[1] < of(62)[1] <= of(66)[1] < of(57)[1]
+    head = rendered_person.joints["head"]
+    hidden = rendered_person.picture.copy()
+    hidden[: int(head[1]) + 10] = 120, 80, 60
+    gone = watch_film([hidden] * 2, options=WatchOptions(passes=1, hand_passes=0)).landmarks
+    assert np.isnan(gone.pixels[:, _FACE:]).all() and not gone.confidence[:, _FACE:].any()
 
 
 def test_metric_landmarks_have_the_camera_s_axes(watched):
@@ -68,7 +91,7 @@ def test_a_mirrored_picture_has_mirrored_landmarks(watched, rendered_person):
     moved = mirrored.pixels[1][OTHER] * (-1, 1) + (width, 0) - plain.pixels[1]
     assert np.median(np.abs(moved)) < 2 and np.linalg.norm(moved, axis=-1).max() < 12
     metric = mirrored.metric[1][OTHER] * (-1, 1, 1) - plain.metric[1]
-    assert np.median(np.abs(metric)) < 0.02
+    assert np.median(np.abs(metric[:_FACE])) < 0.02
 
 
 def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_person):

@@ -123,6 +123,16 @@ class Chumpy(Shell):
         return whole.ravel()[places].reshape(state.get("preferred_shape") or places.shape)
 
 
+class Setting(Shell):
+    """A node of OmegaConf's settings, which becomes its plain value, without its types."""
+
+    def __setstate__(self, state: dict) -> None:
+        self.state = state.get("_content", state.get("_val"))
+
+    def value(self, budget: Budget, state: Any, *_: object) -> Any:  # noqa: ANN401
+        return state
+
+
 def _new(kind: type[Shell], base: Call, _: object = None) -> Shell:
     """Return an empty object, as ``copyreg._reconstructor`` does for protocols 0 and 1."""
     if not isinstance(kind, type) or base.text != "builtins.object":
@@ -137,7 +147,8 @@ def _encode(text: str, codec: str = "latin1") -> bytes:
 
 
 ALLOWED: dict[str, Any] = {
-    **{f"builtins.{name}": None for name in ("object", "int", "float", "list", "dict")},
+    **{f"builtins.{name}": None
+       for name in ("object", "int", "float", "list", "dict", "long", "str", "bool")},
     "builtins.set": lambda items=(): set(items), "builtins.bytes": lambda: b"",
     "builtins.complex": complex,
     "collections.OrderedDict": lambda pairs=(): dict(pairs),
@@ -150,5 +161,10 @@ ALLOWED: dict[str, Any] = {
     "joblib.numpy_pickle.NumpyArrayWrapper": JoblibArray,
     "scipy.sparse.csc.csc_matrix": Csc, "scipy.sparse._csc.csc_matrix": Csc,
     "scipy.sparse.csr.csr_matrix": Csr, "scipy.sparse._csr.csr_matrix": Csr,
+    "typing.Any": None,
+    **{f"omegaconf.{name}": Setting for name in (
+        "base.Metadata", "base.ContainerMetadata", "dictconfig.DictConfig",
+        "listconfig.ListConfig",
+        *(f"nodes.{of}Node" for of in ("Any", "Boolean", "Float", "Integer", "String")))},
     "chumpy.ch.Ch": Chumpy, "chumpy.reordering.Select": Chumpy,
 }  # fmt: skip

@@ -31,6 +31,7 @@ from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
 from gva_mi.data.importers.fields import find_betas
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.joint_motion import RATE, joints_in
+from gva_mi.data.importers.mosh import from_mosh
 from gva_mi.data.importers.people import choose
 from gva_mi.data.importers.skeleton_tracks import bvh_track, joints_track
 from gva_mi.data.importers.target import TargetBody
@@ -159,7 +160,7 @@ def _read(
     if path.suffix.lower() == ".bvh":
         track, fps, notes = bvh_track(path, body)
         return track, _rate(where, {"fps": fps}, options), np.zeros(10), notes
-    found = read_source(path, EXPECTED)
+    found = from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
         track, notes = joints_track(places, rate, body)

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from gva_mi.core.errors import InputError
 from gva_mi.splat import Gaussians, look_at, rasterization
+from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.scene import Scene, random_scene
 
@@ -200,7 +201,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.out is not None:
         p = {name: value.detach() for name, value in params.items()}
         scales, opacities = p["scales"].exp(), p["opacities"].sigmoid()
-        save_ply(given.out, Gaussians(p["means"], p["quats"], scales, opacities, sh=p["sh0"]))
+        found = Gaussians(p["means"], p["quats"], scales, opacities, sh=p["sh0"])
+        save_ply(given.out, half_turned(found))  # from the world, y up, to a .ply, y down
 
 
 if __name__ == "__main__":

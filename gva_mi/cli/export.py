@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -34,11 +34,15 @@ from gva_mi.data.pictures import (
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import load_avatar
+from gva_mi.splat import Gaussians
+from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz
+from gva_mi.splat.formats.stored import finite_ones, with_degree
+from gva_mi.splat.gaussians import MAX_DEGREE
 
 MARKER = "export.json"  # every folder of exports holds it
 COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
@@ -60,6 +64,8 @@ class ExportOptions:
     # Kind of the files in a folder; .png are transparent outside the avatar.
     each: Literal["ply", "compressed.ply", "splat", "spz", "png"] = "ply"
     fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
+    # Of the harmonics of Gaussians: cut or filled up with zeros; 3 makes 248 bytes each in a .ply.
+    sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
     background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
     no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
 
@@ -100,8 +106,8 @@ class _Export:
 
     @torch.no_grad()
     def save_gaussians(self, path: Path, pose: Pose) -> None:
-        """Write the avatar's Gaussians in one pose."""
-        SAVE[_suffix(path)](path, self.avatar(pose))
+        """Write the avatar's Gaussians in one pose, in the axes of files."""
+        _save(path, half_turned(self.avatar(pose)), path, self.options)
 
 
 def export(
@@ -132,7 +138,7 @@ def export(
     """
     suffix = "" if out.is_dir() else _suffix(out)
     _require_meant(suffix, options, view)
-    if run.suffix in LOAD and not run.is_dir():
+    if run.suffix.lower() in LOAD and not run.is_dir():
         work = _converted(run, options, suffix, out)
     else:
         avatar = load_avatar(run, body)
@@ -171,13 +177,26 @@ def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> Non
 
 def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
     """Prepare to write a file of Gaussians as another one."""
-    if suffix not in SAVE or options != ExportOptions():
+    if suffix not in SAVE or replace(options, sh_degree=None) != ExportOptions():
         raise InputError(
             f"{source}: holds Gaussians alone, which become {', '.join(SAVE)} as they are; "
-            f"expected such a name without other options, got {out}"
+            f"expected such a name and no other option than --sh-degree, got {out}"
         )
-    gaussians = LOAD[source.suffix](source)
-    return lambda: SAVE[suffix](out, gaussians)
+    gaussians = LOAD[source.suffix.lower()](source)
+    return lambda: _save(out, gaussians, source, options)
+
+
+def _save(path: Path, gaussians: Gaussians, source: Path, options: ExportOptions) -> None:
+    """Write Gaussians in the axes of files; say what of ``source`` is left out."""
+    kept = finite_ones(source, gaussians)
+    if len(kept) < len(gaussians):
+        lost = len(gaussians) - len(kept)
+        say(f"{path}: {lost} of {len(gaussians)} Gaussians hold NaN or infinite numbers: left out")
+    if gaussians.antialiased and path.suffix.lower() != ".spz":
+        say(f"{path}: {source} is to be drawn antialiased (Mip-Splatting), as only a .spz can say")
+    if options.sh_degree is not None:
+        kept = with_degree(kept, options.sh_degree)
+    SAVE[_suffix(path)](path, kept)
 
 
 def _gaussians(job: _Export) -> Work:
@@ -228,7 +247,8 @@ def _folder(job: _Export) -> Work:
     pictures = job.shots(motion) if options.each == "png" else []
     frames = range(0, len(pictures or motion), options.every)
     frame_of = {f"{k:06d}.{options.each}": k for k in frames}
-    made_of = hash_of(job.avatar, motion, pictures, (options.each, options.every))
+    form = options.each, options.every, str(options.sh_degree)
+    made_of = hash_of(job.avatar, motion, pictures, form)
     about = {"avatar": str(job.run), "poses": options.poses, HASH: made_of}
 
     def work() -> None:
@@ -255,11 +275,13 @@ class OutputFormat(NamedTuple):
     options: tuple[str, ...]  # names of the options that have an effect
 
 
-_ONE_POSE = _gaussians, ("poses", "frame")
+_ONE_POSE = _gaussians, ("poses", "frame", "sh_degree")
 FORMATS = {
     ".ply": OutputFormat("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
     COMPRESSED: OutputFormat("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
-    ".splat": OutputFormat("the same in 32 bytes each, for viewers in a browser", *_ONE_POSE),
+    ".splat": OutputFormat(
+        "the same in 32 bytes each, for viewers in a browser", _gaussians, ("poses", "frame")
+    ),
     ".spz": OutputFormat("Niantic's, a quarter of a .ply, with spherical harmonics", *_ONE_POSE),
     ".glb": OutputFormat(
         "the surface with skeleton, skin, colours, and a motion", _surface, ("poses", "fps")
@@ -270,5 +292,6 @@ FORMATS = {
     ),
     ".mp4": OutputFormat("a film", _film, ("poses", "frame", "fps", "background")),
     SEE_THROUGH: OutputFormat("a transparent film", _film, ("poses", "frame", "fps")),
-    "": OutputFormat("a folder with one file a frame", _folder, ("poses", "every", "each")),
+    "": OutputFormat("a folder with one file a frame", _folder,
+                     ("poses", "every", "each", "sh_degree")),
 }  # fmt: skip

@@ -24,10 +24,9 @@ import numpy as np
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.splat.formats.compressed_ply import CHUNK, PACKED, REST
-from gva_mi.splat.formats.ply import harmonics_of
+from gva_mi.splat.formats.compressed_ply import CHUNK, PACKED
+from gva_mi.splat.formats.stored import Stored
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0
 
 _MAX_LOG_SCALE = 20.0  # of either sign; SuperSplat's own bounds
@@ -44,31 +43,23 @@ def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
     Raises:
         InputError: harmonics of degree 4, which the format lacks, or numbers that are not finite.
     """
-    gaussians = with_axes(gaussians)
-    array = lambda tensor: tensor.detach().double().numpy()
-    sh, means = harmonics_of(gaussians), array(gaussians.means)
-    if 3 * (sh.shape[1] - 1) not in (0, *REST):
+    stored = Stored.of(path, gaussians)
+    if stored.degree > 3:
         raise InputError(f"{path}: a compressed .ply holds harmonics up to degree 3")
-    scales = np.clip(
-        np.log(np.maximum(array(gaussians.scales), 1e-12)), -_MAX_LOG_SCALE, _MAX_LOG_SCALE
-    )
-    quats, opacities = array(gaussians.quats), array(gaussians.opacities)
-    if not all(np.isfinite(x).all() for x in (means, scales, quats, opacities, sh)):
-        raise InputError(f"{path}: a compressed .ply holds finite numbers alone; some are not")
-    order = _morton(means)
-    means, scales, quats, sh = (x[order] for x in (means, scales, quats, sh))
-    colors = sh[:, 0] * C0 + 0.5
-    bounds, shares = zip(*(_in_chunks(x) for x in (means, scales, colors)), strict=True)
-    rgba = np.column_stack([shares[2], np.clip(opacities[order], 0, 1)])
+    scales = np.clip(stored.log_scales, -_MAX_LOG_SCALE, _MAX_LOG_SCALE)
+    order = _morton(stored.means)
+    columns = (stored.means, scales, stored.sh[:, 0] * C0 + 0.5)
+    bounds, shares = zip(*(_in_chunks(x[order]) for x in columns), strict=True)
+    rgba = np.column_stack([shares[2], np.clip(stored.opacities[order], 0, 1)])
     vertex = np.column_stack(
         [
             _packed(shares[0], (11, 10, 11)),
-            _rotations(quats),
+            _rotations(stored.unit_quats[order]),
             _packed(shares[1], (11, 10, 11)),
             _packed(rgba, (8, 8, 8, 8)),
         ]
     )
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), 3 * (sh.shape[1] - 1))
+    rest = stored.rest[order]
     tables = [
         ("chunk", "float", _bounds_named(), np.concatenate(bounds, axis=1).astype("<f4")),
         ("vertex", "uint", PACKED, vertex.astype("<u4")),
@@ -128,8 +119,7 @@ def _packed(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _rotations(quats: np.ndarray) -> np.ndarray:
-    """Pack quaternions wxyz (N, 4) of any positive length, (N,)."""
-    quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    """Pack unit quaternions wxyz (N, 4), (N,)."""
     largest = np.abs(quats).argmax(axis=1)
     rows = np.arange(len(quats))
     quats = quats * np.where(quats[rows, largest] < 0, -1, 1)[:, None]

@@ -1,13 +1,18 @@
-"""Reader of any binary .ply: a header that names tables, and the tables.
+"""Reader of any .ply: a header that names tables, and the tables.
 
-    ply · format binary_little_endian 1.0 · element NAME COUNT · property TYPE NAME · … · end_header
+    ply · format FORMAT 1.0 · element NAME COUNT · property TYPE NAME · … · end_header
 
-Tables ("elements") follow the header one after the other, row by row, without any padding.
+Tables ("elements") follow the header one after the other, row by row: as bytes without any padding,
+or as text. Lines end as the first one does. A property may be a list, ``property list TYPE TYPE
+NAME``: its length, then its numbers. Elements that have one, such as faces, are left out.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,20 +21,42 @@ from gva_mi.core.errors import InputError
 TYPES = {  # each has two names
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "<i2"),
-    **dict.fromkeys(("ushort", "uint16"), "<u2"),
-    **dict.fromkeys(("int", "int32"), "<i4"),
-    **dict.fromkeys(("uint", "uint32"), "<u4"),
-    **dict.fromkeys(("float", "float32"), "<f4"),
-    **dict.fromkeys(("double", "float64"), "<f8"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
 }
+ASCII = "ascii"
+ORDERS = {ASCII: "<", "binary_little_endian": "<", "binary_big_endian": ">"}  # of bytes
+
+
+class _Property(NamedTuple):
+    """A column of an element."""
+
+    name: str
+    dtype: np.dtype
+    count: np.dtype | None  # of the length of a list; None: a plain number
+
+
+class _Element(NamedTuple):
+    """A table that the header announces."""
+
+    name: str
+    rows: int
+    properties: list[_Property]
+
+    @property
+    def has_lists(self) -> bool:
+        return any(column.count is not None for column in self.properties)
 
 
 def read_elements(path: Path) -> dict[str, np.ndarray]:
-    """Read the tables of a .ply by name: structured arrays with a field per property.
+    """Read the tables of a .ply by name: little-endian structured arrays, a field per property.
 
     Raises:
-        InputError: no such file, not a binary little-endian .ply of plain numbers, or truncated.
+        InputError: no such file, not a .ply, or truncated.
     """
     path = Path(path)
     try:
@@ -38,39 +65,119 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: no such file; expected a .ply of Gaussians") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .ply") from None
-    head, end, body = data.partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii", errors="replace").split("\n")]
-    if lines[0] != ["ply"] or not end:
+    first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
+    newline = rb"\r" if first and first[1] == b"\r" else rb"\r?\n"
+    end = re.search(newline + rb"end_header[ \t]*" + newline, data)
+    if first is None or end is None:
         raise InputError(f"{path}: not a .ply file")
-    if ["format", "binary_little_endian", "1.0"] not in lines:
-        raise InputError(f"{path}: expected the format binary_little_endian 1.0")
+    head = data[: end.start()].decode("ascii", errors="replace")
+    lines = [line.split() for line in head.splitlines()]
+    kinds = [line[1] for line in lines if line[0:1] == ["format"] and line[2:] == ["1.0"]]
+    if len(kinds) != 1 or kinds[0] not in ORDERS:
+        raise InputError(f"{path}: expected one format, {', '.join(ORDERS)} 1.0")
+    elements = _announced(path, lines, ORDERS[kinds[0]])
+    body, text = data[end.end() :], kinds[0] == ASCII
+    values = body.split() if text else body
+    table, past = (_text_table, _past_text) if text else (_table, _past_lists)
+    return _tables(path, elements, values, table, past)
+
+
+def _tables(
+    path: Path,
+    elements: list[_Element],
+    values: bytes | list[bytes],
+    table: Callable[[_Element, bytes | list[bytes], int], tuple[np.ndarray, int]],
+    past: Callable[[_Element, bytes | list[bytes], int], int],
+) -> dict[str, np.ndarray]:
+    """Cut the elements out of a body, one after the other.
+
+    Args:
+        path: of the file, for errors.
+        elements: in order.
+        values: bytes, or words of text.
+        table: reads an element of plain numbers from a place on, and returns where it ends.
+        past: returns where an element with lists ends.
+    """
     tables, start = {}, 0
-    for name, (count, properties) in _announced(path, lines).items():
+    plain = [k for k, element in enumerate(elements) if not element.has_lists]
+    for element in elements[: max(plain, default=-1) + 1]:
         try:
-            row = np.dtype(properties)
-        except ValueError:
-            raise InputError(f"{path}: a property of '{name}' is named twice") from None
-        size = count * row.itemsize
-        if len(body) < start + size:
-            raise InputError(f"{path}: cut short, {count} rows of '{name}' were announced")
-        tables[name] = np.frombuffer(body[start : start + size], row) if size else np.empty(0, row)
-        start += size
+            if element.has_lists:
+                start = past(element, values, start)
+            else:
+                tables[element.name], start = table(element, values, start)
+        except (IndexError, OverflowError):
+            found = f"{element.rows} rows of '{element.name}' were announced"
+            raise InputError(f"{path}: cut short, {found}") from None
+        except ValueError as error:
+            raise InputError(f"{path}: '{element.name}' cannot be read ({error})") from None
     return tables
 
 
-def _announced(path: Path, lines: list[list[str]]) -> dict[str, tuple[int, list[tuple[str, str]]]]:
-    """Parse a header: rows of each element, and names and types of its properties."""
-    found: dict[str, tuple[int, list[tuple[str, str]]]] = {}
+def _table(element: _Element, body: bytes, start: int) -> tuple[np.ndarray, int]:
+    row = np.dtype([(column.name, column.dtype) for column in element.properties])
+    end = start + element.rows * row.itemsize
+    if end > len(body):
+        raise IndexError
+    found = np.frombuffer(body[start:end], row) if end > start else np.empty(0, row)
+    return found.astype(row.newbyteorder("<"), copy=False), end
+
+
+def _past_lists(element: _Element, body: bytes, start: int) -> int:
+    for _ in range(element.rows):
+        for _, dtype, count in element.properties:
+            length = 1
+            if count is not None:
+                if (end := start + count.itemsize) > len(body):
+                    raise IndexError
+                length, start = int(np.frombuffer(body[start:end], count)[0]), end
+            start += max(length, 0) * dtype.itemsize
+    return start
+
+
+def _text_table(element: _Element, words: list[bytes], start: int) -> tuple[np.ndarray, int]:
+    row = np.dtype([(column.name, column.dtype) for column in element.properties])
+    width = len(element.properties)
+    end = start + element.rows * width
+    if end > len(words):
+        raise IndexError
+    found = np.empty(element.rows if width else 0, row)
+    numbers = np.array(words[start:end], dtype=bytes).astype(np.float64).reshape(-1, max(width, 1))
+    for name, column in zip(row.names, numbers.T, strict=False):
+        with np.errstate(over="ignore", invalid="ignore"):
+            found[name] = column
+        if row[name].kind != "f" and not np.array_equal(found[name], column):
+            raise ValueError(f"property '{name}' holds numbers that are no {row[name]}")
+    return found, end
+
+
+def _past_text(element: _Element, words: list[bytes], start: int) -> int:
+    for _ in range(element.rows):
+        for column in element.properties:
+            start += 1 if column.count is None else 1 + max(int(words[start]), 0)
+    return start
+
+
+def _announced(path: Path, lines: Sequence[list[str]], order: str) -> list[_Element]:
+    """Parse a header: elements, their rows and properties."""
+    found: list[_Element] = []
     for line in lines:
         if line[:1] == ["element"]:
-            if len(line) != 3 or not line[2].isdecimal() or line[1] in found:
+            known = {element.name for element in found}
+            if len(line) != 3 or not line[2].isdecimal() or line[1] in known:
                 wrong = f"'{' '.join(line)}'; expected each element once, with its number of rows"
                 raise InputError(f"{path}: the header says {wrong}")
-            properties: list[tuple[str, str]] = []
-            found[line[1]] = (int(line[2]), properties)
+            found.append(_Element(line[1], int(line[2]), []))
         elif line[:1] == ["property"]:
-            if len(line) != 3 or line[1] not in TYPES or not found:
-                wrong = f"'{' '.join(line)}'; expected an element's property, of plain numbers"
+            is_list = line[1:2] == ["list"]
+            types = line[1 + is_list : -1]
+            if len(types) != 1 + is_list or not found or any(x not in TYPES for x in types):
+                wrong = f"'{' '.join(line)}'; expected an element's property, with its type"
                 raise InputError(f"{path}: the header says {wrong}")
-            properties.append((line[2], TYPES[line[1]]))
+            if line[-1] in {column.name for column in found[-1].properties}:
+                name = found[-1].name
+                raise InputError(f"{path}: the property '{line[-1]}' of '{name}' is named twice")
+            dtypes = [np.dtype(order + TYPES[x]) for x in types]
+            count = dtypes[0] if is_list else None
+            found[-1].properties.append(_Property(line[-1], dtypes[-1], count))
     return found

@@ -18,8 +18,8 @@ import torch
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
+from gva_mi.splat.formats.stored import Stored
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.geometry import with_axes
 from gva_mi.splat.kernels.sh import C0
 
 ROW = np.dtype(
@@ -33,18 +33,16 @@ def save_splat(path: Path, gaussians: Gaussians) -> None:
     Args:
         path: of the .splat; an older one is replaced once the new one is whole.
         gaussians: torch tensors.
+
+    Raises:
+        InputError: numbers that are not finite.
     """
-    gaussians = with_axes(gaussians)
-    array = lambda tensor: tensor.detach().double().numpy()
-    scales, opacities, quats = (
-        array(x) for x in (gaussians.scales, gaussians.opacities, gaussians.quats)
-    )
+    stored = Stored.of(path, gaussians)
     rows = np.zeros(len(gaussians), ROW)
-    rows["means"], rows["scales"] = array(gaussians.means), scales
-    rows["rgba"] = _byte(255 * np.column_stack([plain_colors(gaussians), opacities]))
-    unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
-    rows["quats"] = _byte(128 * unit + 128)
-    order = np.argsort(-scales.prod(1) * opacities, kind="stable")
+    rows["means"], rows["scales"] = stored.means, stored.scales
+    rows["rgba"] = _byte(255 * np.column_stack([plain_colors(gaussians), stored.opacities]))
+    rows["quats"] = _byte(128 * stored.unit_quats + 128)
+    order = np.argsort(-stored.scales.prod(1) * stored.opacities, kind="stable")
     with atomic_write(path) as unfinished:
         unfinished.write_bytes(rows[order].tobytes())
 

@@ -20,8 +20,8 @@ harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5
 ============  ==============================  ===========================  ======================
 
 Version 2 stores quaternions xyz in 3 × 8 bits. Harmonics keep all 8 bits here; Niantic's own
-program drops three or four. Its y is up and its z points to the viewer, as in this program: no axis
-is flipped.
+program drops three or four. In a file y is up and z points to the viewer. Readers of this package
+return, and its writers take, the axes of the .ply of 3DGS (:mod:`gva_mi.splat.axes`).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +37,9 @@ import torch
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError
-from gva_mi.splat.formats.ply import harmonics_of
-from gva_mi.splat.gaussians import Gaussians, degree_of
-from gva_mi.splat.geometry import with_axes
+from gva_mi.splat.axes import half_turned
+from gva_mi.splat.formats.stored import Stored
+from gva_mi.splat.gaussians import Gaussians
 
 MAGIC = 0x5053474E  # NGSP
 MAX_FRACTION_BITS = 16  # of means: rounding error 8 µm within ±128 m
@@ -46,6 +47,7 @@ _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, fla
 _HEADER_4 = struct.Struct(
     "<IIIBBBBI12x"
 )  # the last two: number of streams, and offset of their sizes
+_ANTIALIASED = 1  # the flag of opacities fitted with Mip-Splatting's filter
 _MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
 _HALF = np.sqrt(0.5)  # bound of all components but the largest
@@ -61,30 +63,28 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
         gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
 
     Raises:
-        InputError: harmonics of degree 4, which version 3 lacks, or means beyond 8,388 km.
+        InputError: harmonics of degree 4, which version 3 lacks, means beyond 8,388 km, or numbers
+            that are not finite.
     """
-    gaussians = with_axes(gaussians)
-    array = lambda tensor: tensor.detach().double().numpy()
-    sh = harmonics_of(gaussians)
-    degree = degree_of(sh.shape[1])
-    if degree > 3:
-        raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {degree}")
-    means = array(gaussians.means)
+    stored = Stored.of(path, half_turned(gaussians))
+    if stored.degree > 3:
+        raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {stored.degree}")
+    means = stored.means
     farthest = float(np.abs(means).max(initial=0))
     if not farthest < _MAX_24_BIT:
         raise InputError(f"{path}: a .spz holds means up to {_MAX_24_BIT} m, got {farthest:.4g}")
     bits = int(np.clip(np.floor(np.log2(_MAX_24_BIT / max(farthest, 1e-9))), 0, MAX_FRACTION_BITS))
     fixed = np.round(means * 2**bits).astype("<i4")
-    log_scales = np.log(np.maximum(array(gaussians.scales), 1e-12))
     streams = [
         np.ascontiguousarray(fixed).view("u1").reshape(len(means), 3, 4)[..., :3],
-        _byte(255 * array(gaussians.opacities)),
-        _byte(255 * (_COLOR * sh[:, 0] + 0.5)),
-        _byte(16 * (log_scales + 10)),
-        _smallest_three(array(gaussians.quats)),
-        _byte(128 * sh[:, 1:] + 128),
+        _byte(255 * stored.opacities),
+        _byte(255 * (_COLOR * stored.sh[:, 0] + 0.5)),
+        _byte(16 * (stored.log_scales + 10)),
+        _smallest_three(stored.unit_quats),
+        _byte(128 * stored.sh[:, 1:] + 128),
     ]
-    header = _HEADER.pack(MAGIC, 3, len(means), degree, bits, 0, 0)
+    flags = _ANTIALIASED if gaussians.antialiased else 0
+    header = _HEADER.pack(MAGIC, 3, len(means), stored.degree, bits, flags, 0)
     content = header + b"".join(stream.tobytes() for stream in streams)
     with atomic_write(path) as unfinished:
         unfinished.write_bytes(gzip.compress(content, mtime=0))  # the same bytes every time
@@ -105,7 +105,7 @@ def load_spz(path: Path) -> Gaussians:
     head = _unzipped(path, content, _HEADER.size) if packed else content[: _HEADER_4.size]
     if len(head) < (_HEADER.size if packed else _HEADER_4.size):
         raise InputError(f"{path}: {len(content)} bytes; expected a .spz")
-    magic, version, count, degree, bits, *_ = (_HEADER if packed else _HEADER_4).unpack(head)
+    magic, version, count, degree, bits, flags, *_ = (_HEADER if packed else _HEADER_4).unpack(head)
     if magic != MAGIC or version not in ((2, 3) if packed else (4,)):
         found = f"version {version}" if magic == MAGIC else "something else"
         raise InputError(f"{path}: holds {found}; expected a .spz of version 2, 3 or 4")
@@ -128,7 +128,8 @@ def load_spz(path: Path) -> Gaussians:
         np.frombuffer(stream, "u1").reshape(count, width)
         for stream, width in zip(streams, widths, strict=True)
     ]
-    return _gaussians(rows, bits, version)
+    found = half_turned(_gaussians(rows, bits, version))
+    return replace(found, antialiased=bool(flags & _ANTIALIASED))
 
 
 def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
@@ -149,9 +150,8 @@ def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
-    """Pack quaternions wxyz (N, 4) into 32 bits each, without the largest of x, y, z, w."""
-    unit = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
-    unit = unit[:, [1, 2, 3, 0]]
+    """Pack unit quaternions wxyz (N, 4) into 32 bits each, without the largest of x, y, z, w."""
+    unit = quats[:, [1, 2, 3, 0]]
     largest = np.abs(unit).argmax(1)
     unit = unit * np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
     packed = largest.astype(np.uint32)

@@ -1,13 +1,18 @@
-"""Laws of all formats alike: plain colours, no Gaussians, and Gaussians given by covariances."""
+"""Laws of all formats alike: plain colours, covariances, no Gaussians, axes, NaN and infinity."""
+
+from dataclasses import replace
 
 import pytest
 import torch
 
+from gva_mi import InputError
 from gva_mi.splat import Gaussians
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz
+from gva_mi.splat.formats.stored import finite_ones, with_degree
+from gva_mi.splat.geometry import matrices
 from gva_mi.splat.kernels.sh import C0
 
 FORMATS = {
@@ -42,3 +47,54 @@ def test_plain_colours_and_covariances_come_back(tmp_path, name, count):
     exact = given.covars[:, [0, 3, 5]].sqrt().sort(dim=1).values
     scales = found.scales[nearest].sort(dim=1).values
     assert (scales / exact).log().abs().max() < 0.04
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_axes_are_the_same_in_all_formats(tmp_path, name):
+    """Places and directions of one flat Gaussian, oblique to all axes."""
+    root = torch.tensor([[0.2, 0, 0], [0.1, 0.05, 0], [-0.06, 0.03, 0.01]])
+    covars = (root @ root.T)[*torch.triu_indices(3, 3)][None]
+    means = torch.tensor([[0.25, -0.5, 0.75]])
+    save, load = FORMATS[name]
+    save(
+        tmp_path / "a", Gaussians(means, None, None, torch.ones(1), torch.ones(1, 3), covars=covars)
+    )
+    found = load(tmp_path / "a")
+    assert torch.allclose(found.means, means, atol=1e-5)
+    w, x, y, z = torch.nn.functional.normalize(found.quats, dim=1)[0].tolist()
+    R = torch.tensor([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    covariance = R @ torch.diag(found.scales[0].square()) @ R.T
+    exact = matrices(covars)[0]
+    assert (covariance - exact).abs().max() < 0.08 * exact.abs().max()  # spz: scales to 3.2 %
+    assert (covariance - exact).abs().max() < 0.4 * exact[0, 1].abs()  # so that signs are seen
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_numbers_that_are_not_finite_are_refused_or_left_out(tmp_path, name):
+    """No writer makes a number of NaN; the file that was there stays."""
+    save, load = FORMATS[name]
+    good = load_given(4)
+    for field, value in (("means", torch.nan), ("quats", torch.inf), ("scales", -torch.inf),
+                         ("opacities", torch.nan), ("sh", torch.nan), ("means", 1e39)):  # fmt: skip
+        array = getattr(good, field).double().clone()
+        array[2].view(-1)[-1] = value
+        bad = replace(good, **{field: array})
+        (tmp_path / "a").write_text("older")
+        with pytest.raises(InputError, match="a: 1 of 4 Gaussians hold NaN .* number 2; expected"):
+            save(tmp_path / "a", bad)
+        assert (tmp_path / "a").read_text() == "older"
+        save(tmp_path / "a", finite_ones(tmp_path, bad))
+        assert len(load(tmp_path / "a")) == 3
+    with pytest.raises(InputError, match="all 4 Gaussians hold NaN"):
+        finite_ones(tmp_path, replace(good, opacities=torch.full((4,), torch.nan)))
+    assert finite_ones(tmp_path, good) is good
+
+
+def load_given(count):
+    g = with_degree(diagonal(count), 1)
+    unit = torch.tensor([1.0, 0, 0, 0]).repeat(count, 1)
+    return replace(g, quats=unit, scales=g.covars[:, [0, 3, 5]].sqrt(), covars=None)

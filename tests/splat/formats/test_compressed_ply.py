@@ -112,7 +112,7 @@ def test_damaged_files_are_explained(tmp_path):
         (lambda x: x.replace(b"element vertex 1", b"element vertex -1"), "'element vertex -1'"),
         (
             lambda x: x.replace(b"uint packed_color", b"list uchar int packed_color"),
-            "plain numbers",
+            "'vertex' of plain numbers is missing",
         ),
     ):
         path.write_bytes(change(whole))

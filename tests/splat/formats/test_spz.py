@@ -2,6 +2,7 @@
 
 import gzip
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -49,8 +50,10 @@ def test_what_is_read_is_what_was_written_within_the_bounds(degree, tmp_path):
 
 
 def test_written_again_it_is_the_same_file(tmp_path):
-    save_spz(tmp_path / "a.spz", some_gaussians())
+    """Also the flag of Gaussians that are to be drawn antialiased."""
+    save_spz(tmp_path / "a.spz", replace(some_gaussians(), antialiased=True))
     save_spz(tmp_path / "b.spz", load_spz(tmp_path / "a.spz"))
+    assert gzip.decompress((tmp_path / "a.spz").read_bytes())[14] == 1
     a, b = ((tmp_path / name).read_bytes() for name in ("a.spz", "b.spz"))
     assert gzip.decompress(a) == gzip.decompress(b) and a == b
 
@@ -67,7 +70,7 @@ def test_numbers_beyond_the_ranges_are_clipped(tmp_path):
         read.scales[0], torch.tensor([np.exp(-10.0), np.exp(5.9375), 1.0]).float()
     )
     assert torch.allclose(read.sh[0, 0, :2], torch.tensor([1, -1]) * 0.5 / 0.15)
-    assert torch.allclose(read.sh[0, 1], torch.tensor([127 / 128, -1.0, 0.0]))
+    assert torch.allclose(read.sh[0, 1], torch.tensor([1.0, -127 / 128, 0.0]))
 
 
 def bytes_of(version, pack, quats):
@@ -97,17 +100,18 @@ def version_4(version, streams):
 @pytest.mark.parametrize("version, pack, quats, wanted", [
     (2, zipped, bytes([255, 127, 127]), (0.0, 1.0, 0.0, 0.0)),
     (3, zipped, struct.pack("<I", 3 << 30 | 511 << 20 | (512 | 255) << 10),
-     (0.6128, 0.7071, -0.3529, 0.0)),
+     (0.6128, 0.7071, 0.3529, 0.0)),
     (4, version_4, struct.pack("<I", 0 << 30 | 511), (0.7071, 0.7071, 0.0, 0.0)),
 ])  # fmt: skip
 def test_each_version_byte_by_byte(version, pack, quats, wanted, tmp_path):
+    """What is stored with y up and z backward is read with y down and z forward."""
     (tmp_path / "a.spz").write_bytes(bytes_of(version, pack, quats))
     g = load_spz(tmp_path / "a.spz")
-    assert torch.equal(g.means[0], torch.tensor([1.0, -1.0, 1 / 4096]))
+    assert torch.equal(g.means[0], torch.tensor([1.0, 1.0, -1 / 4096]))
     assert torch.allclose(g.opacities, torch.tensor([0.2]))
     assert torch.allclose(g.scales[0], torch.tensor([1.0, np.exp(-1.0), np.exp(-4.0)]).float())
     assert torch.allclose(g.sh[0, 0], torch.tensor([3.3333, 0.01307, -3.3333]), atol=1e-4)
-    assert torch.equal(g.sh[0, 1], torch.tensor([-1.0, 0.0, 127 / 128]))
+    assert torch.equal(g.sh[0, 1], torch.tensor([1.0, 0.0, -127 / 128]))
     unit = np.array(wanted) / np.linalg.norm(wanted)
     assert np.abs(g.quats[0].numpy() - unit).max() < 0.005
 

@@ -43,6 +43,7 @@ from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
+from gva_mi.splat.geometry import with_axes
 
 MARKER = "export.json"  # every folder of exports holds it
 COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
@@ -107,7 +108,7 @@ class _Export:
     @torch.no_grad()
     def save_gaussians(self, path: Path, pose: Pose) -> None:
         """Write the avatar's Gaussians in one pose, in the axes of files."""
-        _save(path, half_turned(self.avatar(pose)), path, self.options)
+        _save(path, self.avatar(pose), path, self.options, in_world=True)
 
 
 def export(
@@ -186,14 +187,18 @@ def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> 
     return lambda: _save(out, gaussians, source, options)
 
 
-def _save(path: Path, gaussians: Gaussians, source: Path, options: ExportOptions) -> None:
-    """Write Gaussians in the axes of files; say what of ``source`` is left out."""
+def _save(
+    path: Path, gaussians: Gaussians, source: Path, options: ExportOptions, in_world: bool = False
+) -> None:
+    """Write Gaussians, in the axes of files or of the world; say what of ``source`` is left out."""
     kept = finite_ones(source, gaussians)
     if len(kept) < len(gaussians):
         lost = len(gaussians) - len(kept)
         say(f"{path}: {lost} of {len(gaussians)} Gaussians hold NaN or infinite numbers: left out")
     if gaussians.antialiased and path.suffix.lower() != ".spz":
         say(f"{path}: {source} is to be drawn antialiased (Mip-Splatting), as only a .spz can say")
+    if in_world:
+        kept = half_turned(with_axes(kept))
     if options.sh_degree is not None:
         kept = with_degree(kept, options.sh_degree)
     SAVE[_suffix(path)](path, kept)

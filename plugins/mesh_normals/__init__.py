@@ -3,6 +3,7 @@
 The files, in the order in which they build on one another:
 
 * ``segment_sums.py``: sums in a fixed order;
+* ``flat_faces.py``, ``file_normals.py``: what faces without area and the normals of a file mean;
 * ``topology.py``: corners, points, normals and edges, which do not change as vertices move;
 * ``surface.py``: shading normals and depths from positions;
 * ``projection.py``: projection of a sensor, from the world to pixels and back;

@@ -24,10 +24,12 @@
 
 Every shape must be a mesh, except ``ellipsoids`` and ``ellipsoidsmesh``, which are ignored: a scene
 that has them for ``gaussian_splat`` works here, too. A mesh with ``face_normals`` is faceted; any
-other is smooth, with normals averaged from its faces by area (those in a file are ignored, because
-they would not move with the vertices). Vertices of one mesh at one place are one point of its
-surface, and an edge between them is no border. Sensors are ``perspective`` or ``orthographic``,
-films of any kind, with any reconstruction filter and any crop window.
+other is smooth, with normals averaged from its faces by area; those in a file would not move with
+the vertices, and only decide which way they point, and where an edge is hard (``file_normals.py``).
+``flip_normals`` turns them. Vertices of one mesh at one place are one point of its surface, an edge
+between them is no border, and faces without area change nothing (``flat_faces.py``). Sensors are
+``perspective`` or ``orthographic``, films of any kind, with any reconstruction filter and any crop
+window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
 of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains how.
@@ -41,9 +43,11 @@ Note:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 from gva_mi_plugins.mesh_normals.channels import Channels
 from gva_mi_plugins.mesh_normals.mesh_view import MeshView
 from gva_mi_plugins.mesh_normals.multi_crop import MultiCrop, Tile
@@ -92,7 +96,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             meshes = meshes_of(scene)
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
-            surface = MeshSurface.of(self._topology_of(meshes), positions)
+            surface = self._surface(meshes, positions)
             projection = SensorProjection.of(sensor, self.pixel_aspect)
             film = sensor.film()
             filter = MultiCrop.of(tiles, film) if tiles else PixelFilter.of(film, spp)
@@ -180,13 +184,18 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             f"pixel_aspect={self.pixel_aspect}]"
         )
 
-    def _topology_of(self, meshes: list[mi.Mesh]) -> Topology:
-        """Return the topology; it is built again only when the faces changed."""
+    def _surface(self, meshes: list[mi.Mesh], positions: mi.Vector3f) -> MeshSurface:
+        """Return the meshes at a place; the topology is built again only when faces changed."""
         faces = [mesh.faces_buffer() for mesh in meshes]
         known = None if self._topology is None else [x.index for x in self._topology[0]]
         if known != [x.index for x in faces]:
             self._topology = (faces, Topology.of(meshes))
-        return self._topology[1]
+        surface = MeshSurface.of(self._topology[1], positions)
+        flat = surface.flat_faces()
+        if not np.array_equal(flat, surface.topology.flat):
+            self._topology = (faces, Topology.of(meshes, flat, np.array(positions, np.float64).T))
+            surface = replace(surface, topology=self._topology[1])
+        return surface
 
 
 def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.Sensor, int]:

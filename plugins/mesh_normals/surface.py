@@ -3,7 +3,7 @@
 With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal ``v``:
 
 1. face normal      ``c_f = (p_1 - p_0) x (p_2 - p_0)``, as long as twice the area,
-2. shading normal   ``n_v = Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
+2. shading normal   ``n_v = ± Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
 3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
    the point hit, ``o + t d = Σ_k b_k p_k``.
 
@@ -17,6 +17,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from gva_mi_plugins.mesh_normals.flat_faces import ROUNDING
 from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
 from gva_mi_plugins.mesh_normals.topology import Topology
 
@@ -29,7 +31,7 @@ class MeshSurface:
     positions: mi.Vector3f  # (V,) world
     face_normals: mi.Vector3f  # (F,) c_f, not normalised
     normals: mi.Vector3f  # (N,) n_v
-    inverse_length: mi.Float  # (N,) 1 / |Σ c_f|
+    inverse_length: mi.Float  # (N,) ± 1 / |Σ c_f|
 
     @staticmethod
     def of(topology: Topology, positions: mi.Vector3f) -> MeshSurface:
@@ -39,9 +41,19 @@ class MeshSurface:
         dr.eval(face_normals)
         total = topology.faces_of_normal.sum(face_normals)
         inverse_length = dr.rcp(dr.maximum(dr.norm(total), 1e-30))
+        inverse_length = dr.select(topology.flips, -inverse_length, inverse_length)
         normals = total * inverse_length
         dr.eval(normals, inverse_length)
         return MeshSurface(topology, positions, face_normals, normals, inverse_length)
+
+    def flat_faces(self) -> np.ndarray:
+        """Return the numbers of the faces without area, most often none."""
+        p = self._corners(self.positions)
+        side = dr.maximum(dr.norm(p[1] - p[0]), dr.norm(p[2] - p[0]))
+        side = dr.maximum(side, dr.norm(p[2] - p[1]))
+        reach = [dr.max(dr.abs(corner)) for corner in p]
+        least = ROUNDING * side * dr.maximum(dr.maximum(reach[0], reach[1]), reach[2])
+        return np.array(dr.compress(dr.norm(self.face_normals) <= least)).astype(np.int64)
 
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
         """Eq. 1 and 2 forward: how the shading normals (N,) move with the positions (V,)."""
@@ -124,7 +136,7 @@ class MeshSurface:
         return tuple(by_corner)
 
     def _tangential(self, x: mi.Vector3f) -> mi.Vector3f:
-        """Derivative of eq. 2's normalisation, its own transpose: ``(I - n nᵀ) x / |Σ c_f|``."""
+        """Derivative of eq. 2's normalisation, its own transpose: ``± (I - n nᵀ) x / |Σ c_f|``."""
         return (x - self.normals * dr.dot(self.normals, x)) * self.inverse_length
 
     def _corners(self, values: mi.Vector3f) -> list[mi.Vector3f]:

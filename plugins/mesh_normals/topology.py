@@ -9,8 +9,8 @@ Three numberings of a corner:
 * *vertex*: the entry in the vertex buffer, which carries position and gradient;
 * *point*: vertices of one mesh at the same place are one point. Files split vertices along texture
   seams; an edge between split vertices is no border, and must not count as one;
-* *normal*: corners that share a shading normal. A smooth mesh has one for each vertex, a faceted
-  one for each face.
+* *normal*: corners that share a shading normal. A smooth mesh has one for each point, except where
+  a file says that an edge is hard (``file_normals.py``), a faceted one for each face.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gva_mi_plugins.mesh_normals.file_normals import points_inward, shared_normals
+from gva_mi_plugins.mesh_normals.flat_faces import live_sides
 from gva_mi_plugins.mesh_normals.segment_sums import Segments
+
+NONE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,8 @@ class Topology:
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
     mesh_of_face: mi.UInt32  # (F,) number of the mesh that a face belongs to, from 0
     normal_count: int  # N
+    flips: mi.Bool  # (N,) the normal points against the winding of its faces
+    flat: np.ndarray  # (n,) faces without area, which are left out of the edges
     vertices: tuple[mi.UInt32, ...]  # three (F,): vertex of each corner
     points: tuple[mi.UInt32, ...]  # three (F,): point of each corner
     normals: tuple[mi.UInt32, ...]  # three (F,): normal of each corner
@@ -40,7 +46,7 @@ class Topology:
     edge_faces: tuple[mi.UInt32, ...]  # K of (E,): faces at an edge, the first repeated to fill up
     # K of (E,): whether that face runs from the edge's first end to its second
     edge_runs: tuple[mi.Bool, ...]
-    is_closed: bool  # every edge has two faces
+    is_closed: bool  # every edge has two faces, and these are wound outward
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
     corners_of_point: Segments  # V segments over the 3F corners
@@ -65,11 +71,19 @@ class Topology:
         return dr.select(active, first + primitive, 0)
 
     @staticmethod
-    def of(meshes: Sequence[mi.Mesh]) -> Topology:
-        """Read the faces of the meshes and find the edges between them."""
+    def of(
+        meshes: Sequence[mi.Mesh], flat: np.ndarray = NONE, places: np.ndarray = NONE
+    ) -> Topology:
+        """Read the faces of the meshes and find the edges between them.
+
+        Args:
+            meshes: of a scene.
+            flat: (n,) faces without area.
+            places: (V, 3) where their vertices are; not needed if there are none.
+        """
         corners = _Corners.of(meshes)
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
-        edges = _Edges.of(corners)
+        edges = _Edges.of(corners, *live_sides(corners.points, flat, places))
         counts = [mesh.face_count() for mesh in meshes]
         mesh_of_face = np.repeat(np.arange(len(meshes)), counts).astype(np.uint32)
         corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
@@ -79,6 +93,8 @@ class Topology:
             first_face=_first_faces(meshes),
             mesh_of_face=mi.UInt32(mesh_of_face),
             normal_count=N,
+            flips=mi.Bool(corners.flips),
+            flat=flat,
             vertices=columns(vertices),
             points=columns(corners.points),
             normals=columns(normals),
@@ -86,7 +102,7 @@ class Topology:
             end_points=columns(edges.points),
             edge_faces=columns(edges.faces),
             edge_runs=tuple(mi.Bool(np.ascontiguousarray(column)) for column in edges.runs.T),
-            is_closed=edges.is_closed,
+            is_closed=edges.is_closed and corners.outward,
             crease=mi.Bool(edges.crease),
             corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
             corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
@@ -142,27 +158,40 @@ class _Corners:
     vertices: np.ndarray  # (F, 3)
     points: np.ndarray  # (F, 3)
     normals: np.ndarray  # (F, 3)
+    flips: np.ndarray  # (N,) bool
     V: int
     N: int
+    outward: bool  # each mesh has a volume that is not negative
 
     @staticmethod
     def of(meshes: Sequence[mi.Mesh]) -> _Corners:
-        vertices, points, normals = [], [], []
-        V = N = 0
+        vertices, points, normals, flips = [], [], [], []
+        V, N, outward = 0, 0, True
         for mesh in meshes:
             positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
             faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
             _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
+            first = first[inverse.reshape(-1)]
             vertices.append(faces + V)
-            points.append(first[inverse.reshape(-1)][faces] + V)
+            points.append(first[faces] + V)
+            outward &= _volume(positions, faces) >= 0
+            before = N
             if mesh.has_face_normals():
                 normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
                 N += len(faces)
             else:
-                normals.append(faces + N)
+                normals.append(shared_normals(mesh, faces, first)[faces] + N)
                 N += len(positions)
             V += len(positions)
-        return _Corners(*(np.concatenate(x) for x in (vertices, points, normals)), V, N)
+            flips.append(np.full(N - before, points_inward(mesh, faces)))
+        joined = (np.concatenate(x) for x in (vertices, points, normals, flips))
+        return _Corners(*joined, V, N, outward)
+
+
+def _volume(positions: np.ndarray, faces: np.ndarray) -> float:
+    """Return six times the volume inside a closed mesh, negative if it is wound inside out."""
+    a, b, c = (positions.astype(np.float64) - positions.mean(0))[faces].swapaxes(0, 1)
+    return float((a * np.cross(b, c)).sum())
 
 
 @dataclass(frozen=True)
@@ -177,13 +206,14 @@ class _Edges:
     is_closed: bool  # all edges have two faces
 
     @staticmethod
-    def of(corners: _Corners) -> _Edges:
+    def of(corners: _Corners, ends: np.ndarray, live: np.ndarray, owner: np.ndarray) -> _Edges:
+        """Gather the sides of faces by their points, as :func:`live_sides` finds them."""
         tail, head = np.arange(3), np.array([1, 2, 0])
         points = corners.points
         sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
         forward = sides[:, 0] < sides[:, 1]
         # A face with two corners at one place has a side of no length.
-        has_length = sides[:, 0] != sides[:, 1]
+        has_length = live & (sides[:, 0] != sides[:, 1])
         key = sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1)
         key = np.where(has_length, key, -1)
         order = np.argsort(key, kind="stable")
@@ -203,10 +233,10 @@ class _Edges:
         for k in range(counts.max(initial=1)):
             side = order[begins + np.minimum(k, counts - 1)]
             side = np.where(k < counts, side, first)
-            faces.append(side // 3)
-            runs.append(forward[side])
+            faces.append(owner[side])
+            runs.append(ends[side, 0] < ends[side, 1])
             differs = at_ends(corners.normals, side) != at_ends(corners.normals, first)
-            crease |= differs.any(axis=1)
+            crease |= differs.any(axis=1) | (owner[side] != side // 3)
         return _Edges(
             vertices=at_ends(corners.vertices, first),
             points=at_ends(points, first),

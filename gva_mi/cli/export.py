@@ -18,6 +18,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.cli.driving import motion_of
+from gva_mi.cli.gaussian_files import COMPRESSED, SAVE, save_gaussians
 from gva_mi.cli.series import HASH, hash_of, series
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
@@ -34,22 +35,10 @@ from gva_mi.data.pictures import (
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import load_avatar
-from gva_mi.splat import Gaussians
-from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
-from gva_mi.splat.formats.ply import save_ply
-from gva_mi.splat.formats.splat import save_splat
-from gva_mi.splat.formats.spz import save_spz
-from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
-from gva_mi.splat.geometry import with_axes
 
 MARKER = "export.json"  # every folder of exports holds it
-COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
-SAVE = {
-    ".ply": save_ply, COMPRESSED: save_compressed_ply, ".splat": save_splat, ".spz": save_spz,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -108,7 +97,8 @@ class _Export:
     @torch.no_grad()
     def save_gaussians(self, path: Path, pose: Pose) -> None:
         """Write the avatar's Gaussians in one pose, in the axes of files."""
-        _save(path, self.avatar(pose), path, self.options, in_world=True)
+        gaussians, degree = self.avatar(pose), self.options.sh_degree
+        save_gaussians(path, _suffix(path), gaussians, path, degree, in_world=True)
 
 
 def export(
@@ -184,24 +174,7 @@ def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> 
             f"expected such a name and no other option than --sh-degree, got {out}"
         )
     gaussians = LOAD[source.suffix.lower()](source)
-    return lambda: _save(out, gaussians, source, options)
-
-
-def _save(
-    path: Path, gaussians: Gaussians, source: Path, options: ExportOptions, in_world: bool = False
-) -> None:
-    """Write Gaussians, in the axes of files or of the world; say what of ``source`` is left out."""
-    kept = finite_ones(source, gaussians)
-    if len(kept) < len(gaussians):
-        lost = len(gaussians) - len(kept)
-        say(f"{path}: {lost} of {len(gaussians)} Gaussians hold NaN or infinite numbers: left out")
-    if gaussians.antialiased and path.suffix.lower() != ".spz":
-        say(f"{path}: {source} is to be drawn antialiased (Mip-Splatting), as only a .spz can say")
-    if in_world:
-        kept = half_turned(with_axes(kept))
-    if options.sh_degree is not None:
-        kept = with_degree(kept, options.sh_degree)
-    SAVE[_suffix(path)](path, kept)
+    return lambda: save_gaussians(out, suffix, gaussians, source, options.sh_degree)
 
 
 def _gaussians(job: _Export) -> Work:

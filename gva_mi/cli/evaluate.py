@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import torch
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.avatar.formats.without_body import require_body_of
+from gva_mi.body.smplx import BodyModel, body_name, load_body
 from gva_mi.cli.arguments import Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.core.console import bar, say
-from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
@@ -45,8 +44,7 @@ def evaluate(
     body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
     model = load_body(body)
     require_same_body(subject, model)
-    if not torch.equal(avatar.rig.weights, model.weights):
-        raise InputError(f"{run}: its avatar was fitted with another body; give that one's --body")
+    require_body_of(avatar, model, body_name(body))
     poses = poses_of(subject, poses or run_folder.source_of(run, "poses", subject))
     video = load_video(subject, poses)
     video.require_train_frames()

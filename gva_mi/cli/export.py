@@ -34,7 +34,7 @@ from gva_mi.data.pictures import (
 )
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
-from gva_mi.fit.run_folder import load_avatar
+from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import MAX_DEGREE
 
@@ -132,6 +132,7 @@ def export(
     if run.suffix.lower() in LOAD and not run.is_dir():
         work = _converted(run, options, suffix, out)
     else:
+        body = body_of_run(run, body)
         avatar = load_avatar(run, body)
         job = _Export(run, avatar, options, view, out, body, overwrite)
         work = FORMATS[suffix].prepare(job)

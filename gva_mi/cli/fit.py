@@ -45,8 +45,11 @@ def fit(
         body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
             the built-in body.
         overwrite: replace a run that is there.
-        resume: continue a run that was stopped.
+        resume: continue a run that was stopped, with its poses and its body.
     """
+    if resume:
+        body = body or run_folder.source_of(out, "body", subject)
+        poses = poses or run_folder.source_of(out, "poses", subject)
     body = body_of(subject, body)
     model = load_body(body)
     require_same_body(subject, model)

@@ -16,6 +16,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 from gva_mi.cli.presets import with_preset
@@ -45,6 +46,7 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     of_study = dict(OF_STUDY.values()) if [verb, *arguments[:1]] == ["study", "avatar"] else {}
 
     def call(*values: object, **options: object) -> Callable[[], None]:
+        _require_inputs_to_stay(inspect.signature(command).bind(*values, **options).arguments)
         return functools.partial(command, *values, **options)
 
     told, refusals = io.StringIO(), Refusals()
@@ -66,6 +68,30 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
             raise InputError(sentence) from None
         sys.stderr.write(told.getvalue())  # missing or unknown arguments, or no such choice
         raise
+
+
+def _require_inputs_to_stay(given: Mapping[str, object]) -> None:
+    """Raise an InputError for an input in the folder that ``--overwrite`` is about to remove."""
+    out = given.get("out")
+    if not (given.get("overwrite") and isinstance(out, Path) and out.is_dir()):
+        return
+    for path in _paths([value for name, value in given.items() if name != "out"]):
+        if path.exists() and path.resolve().is_relative_to(out.resolve()):
+            raise InputError(
+                f"{path}: lies in {out}, which --overwrite would remove; move it, or choose "
+                "another --out"
+            )
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """Yield all paths in arguments, lists of them and option dataclasses."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _paths(one)
+    elif dataclasses.is_dataclass(value):
+        yield from _paths(list(vars(value).values()))
 
 
 @contextmanager

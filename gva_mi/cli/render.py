@@ -27,7 +27,7 @@ from gva_mi.data.pictures import (
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
-from gva_mi.fit.run_folder import load_avatar
+from gva_mi.fit.run_folder import body_of_run, load_avatar
 
 MARKER = "render.json"  # every folder of renders holds it
 MOVIE = "video.mp4"
@@ -61,11 +61,12 @@ def render(
         background: a colour, such as white or #ff8800, or a picture file.
         alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
         video: also write video.mp4 there; with --alpha video.webm.
-        body: the body file of an avatar that was exported without its body; without it the puppet.
+        body: the body file of an avatar without its body; without it the run's, or the puppet.
         overwrite: replace existing renders.
     """
     if cameras is not None and view != CameraPath():
         raise InputError("render: give --cameras, or say where cameras stand; not both")
+    body = body_of_run(run, body)
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)
     if cameras is None:

@@ -25,7 +25,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video, load_video
-from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts
+from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_parts
 from gva_mi.viewer.cameras import start
 from gva_mi.viewer.controls import FPS, Choices, Controls
 from gva_mi.viewer.drawing import Drawing
@@ -51,10 +51,11 @@ def view(
             the poses trained with the avatar.
         subject: the folder of the video that these poses belong to, shown beside the avatar.
         out: folder for snapshots and cameras; what is there is never replaced.
-        body: the body file of an avatar that was exported without its body; without it the puppet.
+        body: the body file of an avatar without its body; without it the run's, or the puppet.
         host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
         port: port of the page; 0 picks a free one.
     """
+    body = body_of_run(run, body)
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)
     video = None if subject is None else _video_of(run, subject, poses)

@@ -133,14 +133,15 @@ def load_options(out: Path) -> dict[str, Any]:
 def sources_of(poses: Path, body: Path | None, subject: Path) -> dict[str, str | None]:
     """Return the files of a run's poses and body as ``options.json`` names them.
 
-    Poses of the subject's own folder have a name only, so that the folder may be moved.
+    Files in the subject's own folder are named from there, so that the folder may be moved.
     """
-    own = poses.resolve().parent == subject.resolve()
+
+    def name(path: Path) -> str:
+        whole, home = path.resolve(), subject.resolve()
+        return str(whole.relative_to(home) if whole.is_relative_to(home) else whole)
+
     built_in = body is None or str(body) == BUILT_IN_NAME
-    return {
-        "poses": poses.name if own else str(poses.resolve()),
-        "body": None if built_in else str(Path(body).resolve()),
-    }
+    return {"poses": name(poses), "body": None if built_in else name(body)}
 
 
 def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path | None:
@@ -149,13 +150,26 @@ def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
     Raises:
         InputError: the file is gone.
     """
-    known = load_options(run)["sources"] if (run / OPTIONS).exists() else {}
-    if (name := known.get(what)) is None:
-        return None
-    path = subject / name  # an absolute name stays as it is
-    if not path.exists():
+    path = _recorded(run, what, subject)
+    if path is not None and not path.exists():
         raise InputError(f"{run}: was fitted with {path}, which is gone; give it with --{what}")
     return path
+
+
+def body_of_run(run: Path, given: Path | None) -> Path | None:
+    """Return the body file that ``--body`` names; without it that of a run, if it is still there.
+
+    Few of the commands that drive an avatar need it, so it may be gone.
+    """
+    found = given or _recorded(run, "body", run)
+    return found if given is not None or (found is not None and found.exists()) else None
+
+
+def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path | None:
+    """Return a file as a run's record names it; None without a record, or for the usual file."""
+    known = load_options(run)["sources"] if (run / OPTIONS).exists() else {}
+    name = known.get(what)
+    return None if name is None else subject / str(name)  # an absolute name stays as it is
 
 
 def save_state(out: Path, state: dict[str, Any]) -> None:

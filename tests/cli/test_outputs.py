@@ -127,6 +127,17 @@ def test_a_folder_that_another_process_writes_is_left_alone(tmp_path, cli, subje
         assert not (tmp_path / "new").exists()
 
 
+def test_overwriting_a_folder_does_not_cost_an_input_that_lies_in_it(tmp_path, cli, subject):
+    out = shutil.copytree(subject, tmp_path / "out")
+    for words in (
+        f"fit {subject} --out {out} --poses {out}/poses.npz",
+        f"prepare film {out} {out}",
+    ):
+        code, _, err = cli(*words.split(), "--overwrite")
+        assert code == 2 and f"lies in {out}, which --overwrite would remove" in err
+    assert (out / "poses.npz").read_bytes() == (subject / "poses.npz").read_bytes()
+
+
 @pytest.mark.parametrize("verb, told", [("fit", "--resume goes on with it"), ("synth", "is whole")])
 def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     def stopped():

@@ -77,6 +77,12 @@ def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
         run_folder.source_of(run, "body", video.folder)
     assert run_folder.sources_of(body, None, video.folder) == {"poses": str(body), "body": None}
     assert run_folder.source_of(tmp_path, "poses", video.folder) is None  # an older run
+    inside = run_folder.sources_of(video.folder / "b/p.npz", video.folder / "b.npz", video.folder)
+    assert inside == {"poses": "b/p.npz", "body": "b.npz"}
+    assert run_folder.body_of_run(run, None) is None  # it is gone
+    body.touch()
+    assert run_folder.body_of_run(run, None) == body
+    assert run_folder.body_of_run(run, video.folder) == video.folder
 
 
 def test_a_state_comes_back_to_the_bit(tmp_path):

@@ -31,12 +31,21 @@ from torch.nn.functional import pad
 
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.skin_weights import Skin
+from gva_mi.core.errors import InputError
 from gva_mi.core.options import InnerShare, Within, require_ranges
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
+FEWEST = 100  # Gaussians that can cover a person
+Count = Annotated[int, Within(0, 100_000)]  # of more, distances of all pairs would take hours
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 BINDING = ("weights", "slopes", "directions")  # taken from the outer skin, not learned
+
+
+def require_count(where: str, count: int) -> None:
+    """Raise an InputError for a number of Gaussians that are too few to have neighbours."""
+    if 0 < count < FEWEST:
+        raise InputError(f"{where}: count must be 0, or at least {FEWEST}, got {count}")
 
 
 class CanonicalGaussians(nn.Module):
@@ -156,7 +165,7 @@ class SeedOptions:
     """Options of the first Gaussians, which cover the rest body."""
 
     # Gaussians; 0: one on each vertex, as in the paper.
-    count: Annotated[int, Within(0, 1_000_000)] = 0
+    count: Count = 0
     # 0: the same colour in any light; 1: linear in the light's direction.
     sh_degree: Annotated[int, Within(0, 1)] = 1
     opacity: InnerShare = 0.9  # opacity of every new Gaussian
@@ -167,6 +176,7 @@ class SeedOptions:
 
     def __post_init__(self) -> None:
         require_ranges("SeedOptions", self)
+        require_count("SeedOptions", self.count)
 
 
 def seed_on_surface(

@@ -34,7 +34,14 @@ from torch import Tensor
 
 from gva_mi.avatar.alpha_shape import alpha_shape
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.canonical import CanonicalGaussians, disc_log_scales, disc_quats
+from gva_mi.avatar.canonical import (
+    FEWEST,
+    CanonicalGaussians,
+    Count,
+    disc_log_scales,
+    disc_quats,
+    require_count,
+)
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 from gva_mi.avatar.rig import Rig
 from gva_mi.avatar.skin_weights import Skin, diffused
@@ -45,7 +52,6 @@ from gva_mi.mesh.surface import vertex_normals
 
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
-FEWEST_OPAQUE = 100  # Gaussians, of which more are needed
 
 Neighbours = Annotated[int, Within(1, 1000)]
 
@@ -55,7 +61,7 @@ class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
     # Gaussians afterwards, within a few percent; 0: as many as before.
-    count: Annotated[int, Within(0, 1_000_000)] = 0
+    count: Count = 0
     # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
     surface: Literal["offset", "alpha"] = "offset"
     opaque: Share = 0.5  # only Gaussians above this opacity carry the surface
@@ -78,6 +84,7 @@ class ReinitOptions:
 
     def __post_init__(self) -> None:
         require_ranges("ReinitOptions", self)
+        require_count("ReinitOptions", self.count)
 
 
 @dataclass(frozen=True)
@@ -134,7 +141,7 @@ def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
     So it is in a fit that has diverged, or that has only just begun.
     """
     solid = torch.nonzero(avatar.canonical.opacities.detach() > options.opaque).flatten()
-    return solid if len(solid) > max(options.floater_neighbours, FEWEST_OPAQUE) else None
+    return solid if len(solid) > max(options.floater_neighbours, FEWEST) else None
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:

@@ -72,10 +72,12 @@ def reason_of(error: BaseException) -> str:
     """
     if is_memory(error):
         raise error
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
     for kind, words in _PLAIN_WORDS:
         if isinstance(error, kind):
             return words.format(*error.args[:1] or ("",))
-    line = " ".join(str(error).split())[:160]
+    line = " ".join(str(error).split()).split(". ")[0][:160]  # torch goes on with advice
     if isinstance(error, ValueError | RuntimeError) and _LENGTHS.search(line):
         return "a list or an array in it is of another length"
     return line or type(error).__name__

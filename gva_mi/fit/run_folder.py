@@ -157,12 +157,9 @@ def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
 
 
 def body_of_run(run: Path, given: Path | None) -> Path | None:
-    """Return the body file that ``--body`` names; without it that of a run, if it is still there.
-
-    Few of the commands that drive an avatar need it, so it may be gone.
-    """
-    found = given or _recorded(run, "body", run)
-    return found if given is not None or (found is not None and found.exists()) else None
+    """Return the body file that ``--body`` names; without it that of a run, if it is not gone."""
+    own = _recorded(run, "body", run)
+    return own if given is None and own is not None and own.exists() else given
 
 
 def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path | None:

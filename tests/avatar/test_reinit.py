@@ -9,12 +9,13 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar import AvatarOptions, seed_avatar
-from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions
 from gva_mi.avatar.densify import replace_gaussians
 from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample, wanted_density
 from gva_mi.avatar.rig import Rig
 from gva_mi.body import Shape, load_body
 from gva_mi.body.pose import JOINTS
+from gva_mi.core.errors import InputError
 from gva_mi.splat.kernels.sh import C0
 
 # For 8,000 points, not 20,000, on a large body without a face.
@@ -208,10 +209,13 @@ def test_a_face_gets_more_points_and_the_rest_of_the_head_does_not():
 def test_too_few_opaque_gaussians_are_refused(plain_body):
     points, colors = noisy_cloud(plain_body, 100)
     avatar = avatar_of(plain_body, points, colors, np.full(100, 0.1))
-    with pytest.raises(ValueError, match="only 0 of 100 Gaussians"):
+    with pytest.raises(ValueError, match="too few opaque Gaussians"):
         reinitialise(avatar)
     with pytest.raises(ValueError, match="alpha must be from 0.004 to 1"):
         ReinitOptions(alpha=0.001)
+    for options in (ReinitOptions, SeedOptions):  # one Gaussian has no neighbours, and no size
+        with pytest.raises(InputError, match="count must be 0, or at least 100, got 1$"):
+            options(count=1)
 
 
 @pytest.mark.slow

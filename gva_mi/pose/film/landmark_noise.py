@@ -5,12 +5,15 @@ to one size. The spread between passes adds to it, and a low confidence widens i
 
 1. ``σ² = ((share · S)² + spread²) / confidence``,   ``S``: pixels of a person of 1.7 m
 
-Depths are guesses. A network that is trained to be right on average mixes what it sees with the
-average photograph, of somebody who faces the camera. Along a bone from ``i`` to ``j``, and with the
-scale ``s`` of :meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
+Depths are guesses. A network that is trained to be right on average gives the mean of the depths
+that a picture leaves possible. So its answers vary less than the true depths do, and the true depth
+of a limb is spread around the answer. Along a bone from ``i`` to ``j``, and with the scale ``s`` of
+:meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
 
 2. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e``: of standard deviation ``σ_z``
 
+with a ``gain`` of 1 for limbs and trunk. To divide by the smaller slope of answers against true
+depths would count what networks know of usual poses as if it were seen in the picture.
 ``gain``, ``bias`` and ``σ_z`` (:data:`BONES`) are rounded from the answers of BlazePose and of the
 hand network on rendered people who turn, walk and sit.
 """
@@ -46,12 +49,12 @@ class BoneDepth(NamedTuple):
 
 # From and to; both of one side unless the names say otherwise.
 BONES = {
-    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.08),
-    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.14),
-    ("hip", "knee"): BoneDepth(0.6, 0.02, 0.08),
-    ("knee", "ankle"): BoneDepth(0.4, 0.05, 0.07),
+    ("shoulder", "elbow"): BoneDepth(1.0, -0.01, 0.065),
+    ("elbow", "wrist"): BoneDepth(1.0, -0.03, 0.1),
+    ("hip", "knee"): BoneDepth(1.0, 0.02, 0.06),
+    ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.055),
     ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.06),
-    ("shoulder", "hip"): BoneDepth(0.7, 0.02, 0.08),
+    ("shoulder", "hip"): BoneDepth(1.0, 0.0, 0.06),
     ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.08),
     ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.08),
     ("nose", "ear"): BoneDepth(1.0, 0.0, 0.06),

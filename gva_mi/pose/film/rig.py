@@ -24,10 +24,18 @@ from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 
 # Landmarks that are joints, and how far off, metres (1σ). A name of two sides lacks its side.
 _JOINTS = {
-    "shoulder": ("shoulder", 0.030), "elbow": ("elbow", 0.025), "wrist": ("wrist", 0.020),
-    "hip": ("hip", 0.040), "knee": ("knee", 0.025), "ankle": ("ankle", 0.020),
-    "pinky": ("pinky1", 0.020), "index": ("index1", 0.020), "thumb": ("thumb2", 0.020),
+    "shoulder": ("shoulder", 0.020), "elbow": ("elbow", 0.015), "wrist": ("wrist", 0.012),
+    "hip": ("hip", 0.020), "knee": ("knee", 0.015), "ankle": ("ankle", 0.012),
+    "pinky": ("pinky1", 0.012), "index": ("index1", 0.012), "thumb": ("thumb2", 0.012),
     "hand_wrist": ("wrist", 0.015),
+}  # fmt: skip
+# What labels mark, relative to those joints and to the points of feet below: metres
+# outward from the body's middle, upward and forward in the T-pose. Means of BlazePose's answers.
+_MARKED = {
+    "shoulder": (-0.022, 0.025, 0.0), "elbow": (-0.006, 0.0, 0.010), "hip": (0.018, -0.003, 0.0),
+    "knee": (0.0, 0.007, 0.0), "ankle": (-0.005, 0.011, 0.0), "pinky": (0.0, -0.008, 0.028),
+    "index": (-0.004, -0.018, -0.013), "thumb": (0.007, 0.0, -0.027),
+    "heel": (-0.005, -0.004, 0.014), "foot_index": (0.017, 0.006, -0.011),
 }  # fmt: skip
 # Points of the face: x toward the person's left and y upward, from the middle of the eyes, in
 # distances between the eyes.
@@ -35,7 +43,7 @@ _FACE = {
     "nose": (0.0, -0.65), "eye_inner": (0.28, 0.0), "eye": (0.5, 0.0), "eye_outer": (0.75, 0.0),
     "mouth": (0.4, -1.15),
 }  # fmt: skip
-_FACE_LOOSE, _EAR_LOOSE, _FOOT_LOOSE = 0.010, 0.015, 0.025  # metres
+_FACE_LOOSE, _EAR_LOOSE, _FOOT_LOOSE = 0.015, 0.030, 0.015  # metres
 _KNUCKLE_LOOSE, _TIP_LOOSE = 0.006, 0.005
 _SIDES = ("left", "right")
 _FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -73,11 +81,12 @@ class LandmarkRig:
         count, betas = len(body.v_template), body.num_betas
         moves = columns_of(body.shape_directions, at, count)[:, : 3 * len(known)]
         moves = moves.view(betas, 3, -1).mT
+        marked = body.v_template.new_tensor([_marked(name) for name in known]).view(-1, 3)
         joint_moves = body.shape_joints.view(betas, -1, 3)[:, joints]
         return LandmarkRig(
             known,
             joints,
-            torch.where(of_surface, body.v_template[at], body.j_template[joints]),
+            torch.where(of_surface, body.v_template[at], body.j_template[joints]) + marked,
             torch.where(of_surface, moves, joint_moves),
             torch.tensor(loose).to(body.v_template),
         )
@@ -119,6 +128,16 @@ class LandmarkRig:
         return float(found.median()) if len(found) else 1.0
 
 
+def _marked(name: str) -> tuple[float, float, float]:
+    """Return what a label marks relative to its joint or vertex, metres in the T-pose."""
+    aside, up, ahead = _MARKED.get(_without_side(name), (0.0, 0.0, 0.0))
+    return -aside if "right" in name else aside, up, ahead
+
+
+def _without_side(name: str) -> str:
+    return "_".join(word for word in name.split("_") if word not in _SIDES)
+
+
 def _points(body: BodyModel) -> Iterator[tuple[str, tuple[int, int, float]]]:
     """Yield names with the joint, the vertex or -1 for the joint itself, and ``loose``."""
     for name, (vertex, loose) in _face(body).items():
@@ -153,7 +172,7 @@ def _face(body: BodyModel) -> dict[str, tuple[int, float]]:
             near = (own > 0.5) & (beside[:, 1:].abs() < 0.8 * wide).all(1)
             found[name] = _farthest(near, sign * v[:, 0]), _EAR_LOOSE
             continue
-        x, y = _FACE["_".join(word for word in name.split("_") if word not in _SIDES)]
+        x, y = _FACE[_without_side(name)]
         goal = middle[:2] + wide * v.new_tensor([sign * x, y])
         apart = (v[:, :2] - goal).norm(dim=1)
         # Of the points in front, the nearest; of equally near ones, the one farther in front.

@@ -52,6 +52,6 @@ def test_landmarks_that_are_joints_follow_pose_and_shape(built_in_body, rig):
     shape = Shape(torch.tensor([1.0, -1, 0.5]))
     posed = built_in_body(pose, shape)
     places = rig.places(posed.T_world_rest, shape.betas)
-    for name, joint in (("left_elbow", "left_elbow"), ("right_hand_ring_pip", "right_ring2")):
+    for name, joint in (("left_wrist", "left_wrist"), ("right_hand_ring_pip", "right_ring2")):
         apart = places[:, rig.names.index(name)] - posed.joints[:, JOINTS.index(joint)]
         assert apart.norm(dim=1).max() < 1e-5

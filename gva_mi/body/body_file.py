@@ -12,6 +12,8 @@ weights             (V, J)                               skinning weights
 kintree_table       (2, J)                               parents; joints
 hands_meanl, -r     (45,)                                mean hand relative to flat, axis-angle
 hands_componentsl…  (K, 45)                              PCA of hand poses; optional
+lmk_faces_idx       (51,)                                triangles with landmarks of the face, and
+lmk_bary_coords     (51, 3)                              where on them; optional
 ==================  ===================================  ======================================
 
 J is 55, 52 or 24; SMPL has no hands. Mean hands and their components are checked but not used,
@@ -45,7 +47,8 @@ _SKIN = (
 )  # fmt: skip
 _HANDS = ("hands_meanl", "hands_meanr")
 _WHOLE = ("f", "kintree_table")
-_OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names")
+_MARKS = ("lmk_faces_idx", "lmk_bary_coords")
+_OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names", *_MARKS)
 
 
 def read_body(path: Path) -> dict[str, np.ndarray]:
@@ -63,6 +66,8 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     arrays = _read(path)
     form = _check(path, arrays)
     betas, expressions = _split(arrays["shapedirs"].shape[2], form)
+    if not _has_marks(arrays):
+        arrays = {key: array for key, array in arrays.items() if key not in _MARKS}
     counts = {"num_betas": np.array(betas), "num_expressions": np.array(expressions)}
     return lift(arrays, form) | counts
 
@@ -84,6 +89,13 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
     _require(path, found, _SKIN)
     return {key: np.asarray(found[key]) for key in keys if key in found}
+
+
+def _has_marks(arrays: dict[str, np.ndarray]) -> bool:
+    """Whether a file marks the 51 landmarks of the face; other marks are ignored."""
+    where, shares = (np.asarray(arrays.get(key, ())) for key in _MARKS)
+    usual = where.shape == (51,) and shares.shape == (51, 3) and where.dtype.kind in "iu"
+    return usual and bool((where < len(arrays["f"])).all() and np.isfinite(shares).all())
 
 
 def _require(path: Path, found: Collection[str], keys: Collection[str]) -> None:

@@ -66,6 +66,8 @@ class BodyModel(nn.Module):
         weights: (V, 55) skinning weights.
         parents: 55 indices, -1 for the root.
         num_betas, num_expressions: of the file; missing coefficients count as zero.
+        mark_corners, mark_shares: (51, 3) vertices, and their shares, of the landmarks of the face
+            that a file of SMPL-X marks; None in others.
     """
 
     parents: tuple[int, ...] = PARENTS
@@ -100,6 +102,11 @@ class BodyModel(nn.Module):
         bent = as_rows(arrays["posedirs"][..., used])
         both = tensor(np.concatenate([bent, directions[expressions]]))
         self.register_buffer("frame_directions", both)  # (P + E, W)
+        marks = arrays.get("lmk_faces_idx")
+        corners = None if marks is None else self.faces[torch.from_numpy(marks.astype(np.int64))]
+        self.register_buffer("mark_corners", corners)
+        shares = None if marks is None else tensor(arrays["lmk_bary_coords"])
+        self.register_buffer("mark_shares", shares)
 
     @property
     def num_betas(self) -> int:
@@ -123,6 +130,7 @@ class BodyModel(nn.Module):
         some._buffers = dict(self._buffers)  # the others are shared
         some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
         some.faces, some.regressor = faces, None  # joints need all vertices
+        some.mark_corners = some.mark_shares = None
         for name in ("shape_directions", "frame_directions"):
             setattr(some, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
         return some

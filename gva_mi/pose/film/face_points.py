@@ -59,16 +59,25 @@ class FacePoints:
     @staticmethod
     def of(body: BodyModel) -> FacePoints | None:
         """Find them; None on a body whose file has no eyes, no jaw or no expression."""
-        at = _vertices(body)
-        if at is None or not body.num_expressions:
+        corners, shares = body.mark_corners, body.mark_shares
+        if corners is None:
+            at = _vertices(body)
+            if at is None:
+                return None
+            corners, shares = at[:, None], body.v_template.new_ones(len(at), 1)
+        if not body.num_expressions:
             return None
-        count = len(body.v_template)
-        moves = lambda rows: columns_of(rows, at, count)[:, : 3 * len(at)].unflatten(1, (3, -1)).mT
+
+        def moves(rows: Tensor) -> Tensor:
+            some = columns_of(rows, corners.flatten(), len(body.v_template))
+            some = some[:, : 3 * corners.numel()].unflatten(1, (3, *corners.shape))
+            return (some * shares).sum(-1).mT.double()
+
         return FacePoints(
-            body.v_template[at].double(),
-            moves(body.shape_directions).double(),
-            moves(body.expression_directions[:EXPRESSIONS]).double(),
-            body.weights[at, _JAW].double(),
+            (body.v_template[corners] * shares[..., None]).sum(1).double(),
+            moves(body.shape_directions),
+            moves(body.expression_directions[:EXPRESSIONS]),
+            (body.weights[corners, _JAW] * shares).sum(1).double(),
         )
 
     def at_rest(self, betas: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from gva_mi.body.body_file import read_body
 from gva_mi.body.built_in import BUILT_IN_BODY, EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face import NO_FACE, with_face
 from gva_mi.pose.film.face_points import FacePoints
@@ -136,3 +136,20 @@ def test_landmarks_lie_on_brows_lips_and_nose(built_in_body):
     assert (opened - rest)[: number["face_48"]].norm(dim=1).max() < 0.002
     assert (raised - rest)[: number["face_27"], 1].mean() > 0.004
     assert (raised - rest)[number["face_48"] :].norm(dim=1).max() < 0.002
+
+
+def test_marks_of_a_file_of_smplx_are_taken(built_in_body, tmp_path):
+    """Points inside of triangles, by SMPL-X's keys; marks of another number are ignored."""
+    random = np.random.default_rng(1)
+    triangles = random.choice(len(built_in_body.faces), 51, replace=False)
+    shares = random.dirichlet(np.ones(3), 51)
+    given = {"lmk_faces_idx": triangles.astype(np.uint32), "lmk_bary_coords": shares}
+    arrays = dict(np.load(BUILT_IN_BODY))
+    np.savez(tmp_path / "marked.npz", **arrays, **given)
+    np.savez(tmp_path / "other.npz", **arrays, lmk_faces_idx=triangles[:5])
+    assert load_body(tmp_path / "other.npz").mark_corners is None
+    body = load_body(tmp_path / "marked.npz")
+    points, shape = FacePoints.of(body), Shape(torch.linspace(1, -1, 10))
+    corners = body.rest(shape).vertices.numpy()[body.faces[triangles]]
+    expected = np.einsum("pk,pkc->pc", shares, corners)
+    assert np.abs(points.at_rest(shape.betas.double()).numpy() - expected).max() < 1e-6

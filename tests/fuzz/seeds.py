@@ -44,6 +44,29 @@ from gva_mi.synthetic.provenance import recorded_options
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
+TEXT_PLY = """ply
+format ascii 1.0
+element face 2
+property list uchar int vertex_indices
+element vertex 1
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+property float opacity
+property double scale_0
+property float scale_1
+property float rot_0
+property float rot_1
+property float rot_2
+property float rot_3
+end_header
+3 0 1 2
+4 0 1 2 3
+1 2 3 255 128 0 0.5 -3 -4 1 0 0 0
+"""
 MADE_WITH = {"sources": "0"}
 
 
@@ -168,11 +191,12 @@ def seeds(subject, avatar):
         arrays = {k: v.numpy() for k, v in scene.inputs().items()}
         np.savez(folder / "a.npz", **arrays, **camera)
         save_compressed_ply(folder / "compressed.ply", scene.gaussians)
+        (folder / "text.ply").write_text(TEXT_PLY)
 
     def read_gaussians(folder, path=None):
         each(folder, path, {
             "a.ply": load_ply, "a.splat": load_splat, "a.npz": Scene.load,
-            "compressed.ply": load_ply, "a.spz": load_spz,
+            "compressed.ply": load_ply, "a.spz": load_spz, "text.ply": load_ply,
         })  # fmt: skip
 
     def bodies(folder):

@@ -48,6 +48,9 @@ _HEADER_4 = struct.Struct(
     "<IIIBBBBI12x"
 )  # the last two: number of streams, and offset of their sizes
 _ANTIALIASED = 1  # the flag of opacities fitted with Mip-Splatting's filter
+_EXTENDED = 2  # the flag of extensions: behind the streams, in version 4 before them
+_OTHER_MEANING = (b"\x01\x00\xbe\xad", b"\x03\x00\xbe\xad")  # Adobe's, of harmonics and axes
+_EXTENSIONS = 256  # bytes that are looked at
 _MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
 _HALF = np.sqrt(0.5)  # bound of all components but the largest
@@ -117,11 +120,17 @@ def load_spz(path: Path) -> Gaussians:
             f"{len(content)} bytes; expected a .spz"
         )
     if packed:
-        body = _unzipped(path, content, _HEADER.size + sum(sizes))[_HEADER.size :]
-        ends = np.cumsum(sizes)
+        body = _unzipped(path, content, _HEADER.size + sum(sizes) + _EXTENSIONS)[_HEADER.size :]
+        ends, more = np.cumsum(sizes), body[sum(sizes) :]
         streams = [body[end - size : end] for size, end in zip(sizes, ends, strict=True)]
     else:
         streams = _of_version_4(path, content, sizes)
+        more = content[_HEADER_4.size : _HEADER_4.unpack(head)[-1]][:_EXTENSIONS]
+    if flags & _EXTENDED and any(tag in more for tag in _OTHER_MEANING):
+        raise InputError(
+            f"{path}: an extension gives it other axes or another range of harmonics, which is not "
+            "read; expected a .spz without one"
+        )
     if any(len(stream) != size for stream, size in zip(streams, sizes, strict=True)):
         raise InputError(f"{path}: cut short, {count} Gaussians were announced")
     rows = [

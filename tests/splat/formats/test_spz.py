@@ -137,6 +137,12 @@ def test_other_files_are_explained(tmp_path):
     refused(head(0x5053474E, 3, 10, 0, 12, 0, 0), "cut short, 10 Gaussians")
     save_spz(path, some_gaussians())
     refused(path.read_bytes()[:-3000], "cut short")
+    save_spz(path, some_gaussians())
+    content = bytearray(gzip.decompress(path.read_bytes()) + b"\x01\x00\xbe\xad" + bytes(10))
+    path.write_bytes(gzip.compress(bytes(content)))
+    assert len(load_spz(path)) == 400  # what follows is no extension unless the header says so
+    content[14] = 2
+    refused(gzip.compress(bytes(content)), "an extension gives it other axes or another range")
     whole = bytes_of(4, version_4, bytes(4))
     refused(whole[:-12], "damaged|cut short")
     refused(whole[:60], "holds 6 streams")

@@ -180,12 +180,28 @@ class _Corners:
                 normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
                 N += len(faces)
             else:
-                normals.append(shared_normals(mesh, faces, first)[faces] + N)
-                N += len(positions)
+                back = _is_back(first[faces])
+                shared = shared_normals(mesh, faces, first)[faces]
+                normals.append(shared + N + len(positions) * back[:, None])
+                N += len(positions) * (1 + back.any())
             V += len(positions)
             flips.append(np.full(N - before, points_inward(mesh, faces)))
         joined = (np.concatenate(x) for x in (vertices, points, normals, flips))
         return _Corners(*joined, V, N, outward)
+
+
+def _is_back(points: np.ndarray) -> np.ndarray:
+    """Whether faces (F, 3) repeat an earlier one the other way round: (F,).
+
+    Such backs of a sheet have normals of their own; with those of the front they would cancel.
+    """
+    start = points.argmin(axis=1)[:, None]
+    a, b, c = (np.take_along_axis(points, (start + k) % 3, axis=1)[:, 0] for k in range(3))
+    rows = np.concatenate([np.stack(x, axis=1) for x in ((a, b, c), (a, c, b))])
+    kind = np.unique(rows, axis=0, return_inverse=True)[1].reshape(2, -1)
+    first, face = np.full(kind.max(initial=0) + 1, len(points)), np.arange(len(points))
+    np.minimum.at(first, kind[0], face)
+    return first[kind[1]] < face
 
 
 def _volume(positions: np.ndarray, faces: np.ndarray) -> float:

@@ -217,3 +217,17 @@ def test_a_closed_mesh_wound_inside_out_has_derivatives_too(scenes, integrator):
     for a, b in zip(*found, strict=True):
         a, b = ((weightings * x).sum((1, 2)) for x in (a, signs * b))
         assert np.linalg.norm(a - b) < 0.02 * np.linalg.norm(a)
+
+
+def test_a_sheet_with_a_back_has_normals(scenes, integrator):
+    """Faces that repeat others the other way round: either side may be seen, never NaN."""
+    vertices = 0.5 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0.2], [-1, 1, 0.0]])
+    front, weight = np.array([[0, 1, 2], [0, 2, 3]]), mi.TensorXf(scenes.weights(48, (3,)))
+    found = []
+    for faces in (front, np.concatenate([front, front[:, ::-1]])):
+        scene = mi.load_dict({"type": "scene", "m": scenes.mesh("m", vertices, faces)})
+        view = integrator.view(scene, scenes.camera(), 1)
+        found.append((np.array(view.image()), np.array(view.adjoint(weight))))
+    (one, grad), (both, grad_both) = found
+    assert np.minimum(abs(one - both), abs(one + both))[..., :3].max() < 1e-5
+    np.testing.assert_allclose(grad_both, grad, rtol=1e-4, atol=1e-4)

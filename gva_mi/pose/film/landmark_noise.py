@@ -6,14 +6,14 @@ to one size. The spread between passes adds to it, and a low confidence widens i
 1. ``σ² = ((share · S)² + spread²) / confidence``,   ``S``: pixels of a person of 1.7 m
 
 Depths are guesses. A network that is trained to be right on average gives the mean of the depths
-that a picture leaves possible. So its answers vary less than the true depths do, and the true depth
-of a limb is spread around the answer. Along a bone from ``i`` to ``j``, and with the scale ``s`` of
-:meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
+that a picture leaves possible, so its answers vary less than the true depths do. Along a bone from
+``i`` to ``j``, and with the scale ``s`` of :meth:`gva_mi.pose.film.rig.LandmarkRig.scale`,
 
 2. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e``: of standard deviation ``σ_z``
 
-with a ``gain`` of 1 for limbs and trunk. To divide by the smaller slope of answers against true
-depths would count what networks know of usual poses as if it were seen in the picture.
+The gain of legs and trunk is 1. Legs are mostly straight: dividing their answers by the smaller
+slope of answers against true depths would count that knowledge as seen, and bend the knees. Arms
+point anywhere, and their gain is that slope.
 ``gain``, ``bias`` and ``σ_z`` (:data:`BONES`) are rounded from the answers of BlazePose and of the
 hand network on rendered people who turn, walk and sit.
 """
@@ -49,8 +49,8 @@ class BoneDepth(NamedTuple):
 
 # From and to; both of one side unless the names say otherwise.
 BONES = {
-    ("shoulder", "elbow"): BoneDepth(1.0, -0.01, 0.065),
-    ("elbow", "wrist"): BoneDepth(1.0, -0.03, 0.1),
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.08),
+    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.14),
     ("hip", "knee"): BoneDepth(1.0, 0.02, 0.06),
     ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.055),
     ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.06),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -28,8 +27,7 @@ def motion_of(
     if given is None or is_pose_file(given):
         pose, shape, path = load_motion(run, given)
     else:
-        target = replace(TargetBody.read(body), joints=avatar.rig.joints.double().numpy())
-        found, path = read_motion(given, target, MotionOptions(fps=fps)), given
+        found, path = read_motion(given, TargetBody.read(body), MotionOptions(fps=fps)), given
         pose, shape = found.pose, found.shape
         for note in found.notes:
             say(f"{given}: {note}")

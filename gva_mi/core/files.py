@@ -30,6 +30,7 @@ from gva_mi.core.atomic import (
     require_ours,
     require_writable,
 )
+from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.provenance import versions
 
@@ -46,7 +47,8 @@ def read_arrays(
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; expected {expected}")
     if not zipfile.is_zipfile(path):
-        raise InputError(f"{path}: not a readable .npz, or cut short; expected {expected}")
+        kind = known_container(path) or "not a readable .npz, or cut short"
+        raise InputError(f"{path}: {kind}; expected {expected}")
     found = {}
     try:
         with zipfile.ZipFile(path) as file:

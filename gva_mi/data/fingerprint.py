@@ -55,6 +55,12 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
     return float(np.sqrt(np.square(np.subtract(a["sketch"], b["sketch"])).mean()))
 
 
+def belongs_to(folder: Path, body: BodyModel) -> bool:
+    """Whether a subject's folder says that it was made on, or prepared for, this very body."""
+    known = (_body_of(folder / name, "gva-mi") for name in (ABOUT, PREPARED))
+    return any(distance(x, fingerprint(body)) <= SAME for x in known if x is not None)
+
+
 def require_same_body(folder: Path, body: BodyModel) -> None:
     """Raise an InputError if a subject was made on, or prepared for, another body.
 

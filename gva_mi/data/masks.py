@@ -6,11 +6,12 @@
 ``000000.npy``            Boolean; 8-bit as above; or floating point in [0, 1]
 ========================  ====================================================
 
-A picture whose largest value is 1 holds zeros and ones: read as a soft mask it would be empty.
+Where no mask of a folder has a value above 1, they hold zeros and ones.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,8 @@ def read_mask(folder: Path, index: int) -> np.ndarray | None:
     if mask.ndim != 2:
         raise InputError(f"{path}: a mask must be (H, W), got {mask.shape}")
     if mask.dtype == np.uint8:
-        return mask.astype(np.float32) / (255 if mask.max(initial=0) > 1 else 1)
+        ones = mask.max(initial=0) == 1 and _holds_ones(folder, folder.stat().st_mtime_ns)
+        return mask.astype(np.float32) / (1 if ones else 255)
     if mask.dtype == bool:
         return mask.astype(np.float32)
     if not np.issubdtype(mask.dtype, np.floating):
@@ -41,3 +43,14 @@ def read_mask(folder: Path, index: int) -> np.ndarray | None:
     if not ((mask >= 0) & (mask <= 1)).all():  # NaN is neither
         raise InputError(f"{path}: a floating-point mask must lie in [0, 1]")
     return mask.astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _holds_ones(folder: Path, changed: int) -> bool:
+    """Whether no 8-bit mask of a folder, last ``changed`` at that time, has a value above 1."""
+    for path in sorted(folder.iterdir()):
+        if path.suffix in (".npy", ".png"):
+            mask = read_array(path) if path.suffix == ".npy" else read_image(path, 1)
+            if mask.dtype == np.uint8 and mask.max(initial=0) > 1:
+                return False
+    return True

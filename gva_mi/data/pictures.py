@@ -35,18 +35,18 @@ _WITH_ALPHA = {  # with libvpx-vp9 and yuva420p
 }  # fmt: skip
 
 
-def read_image(path: Path, channels: int) -> np.ndarray:
+def read_image(path: Path, channels: int, labels: bool = False) -> np.ndarray:
     """Read a picture as 8 bits, turned as its metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3), 4 for RGBA, or 1 for a mask (H, W), 255 inside:
-    :mod:`.mattes`.
+    :mod:`.mattes`. With ``labels``, those of a palette are kept.
     """
     from PIL import ImageOps
 
     with opened(path) as stored:
         image = to_8_bits(ImageOps.exif_transpose(stored))
         if channels == 1:
-            return matte_of(str(path), image)
+            return matte_of(str(path), image, labels)
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
 
 

@@ -93,7 +93,7 @@ def test_hands_of_pca_components_need_their_body(run, turning, cli):
     with np.load(BUILT_IN_BODY) as file:
         np.savez(run.parent / "body.npz", **file)
     code, said, err = cli(*given, "--body", run.parent / "body.npz")
-    assert code == 0 and "added to the body's mean hand" in said, err
+    assert code == 0 and "and the body's is added" in said, err
 
 
 BAD = (

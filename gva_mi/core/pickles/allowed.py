@@ -57,8 +57,15 @@ def _array(
     return flat.reshape(shape, order=order)
 
 
+# Arrays, and classes of arrays whose pickles hold no more than an array's.
+_ARRAYS = (
+    "numpy.ndarray", "numpy.memmap", "numpy.core.memmap.memmap", "numpy._core.memmap.memmap",
+    "numpy.matrix", "numpy.matrixlib.defmatrix.matrix", "trimesh.caching.TrackedArray",
+)  # fmt: skip
+
+
 def _reconstruct(kind: Call, *_: object) -> Array:
-    if not isinstance(kind, Call) or kind.text != "numpy.ndarray":
+    if not isinstance(kind, Call) or kind.text not in _ARRAYS:
         raise Refused(f"an array of class {getattr(kind, '__name__', kind)!s:.60}")
     return Array()
 
@@ -154,7 +161,7 @@ ALLOWED: dict[str, Any] = {
     "collections.OrderedDict": lambda pairs=(): dict(pairs),
     "collections.defaultdict": lambda *_: {},  # a missing key stays missing
     "_codecs.encode": _encode, "copyreg._reconstructor": _new,
-    "numpy.ndarray": None, "numpy.dtype": Dtype,
+    **dict.fromkeys(_ARRAYS), "numpy.dtype": Dtype,
     **{f"numpy.{core}.{name}": made for core in ("core", "_core") for name, made in (
         ("multiarray._reconstruct", _reconstruct), ("multiarray.scalar", _scalar),
         ("numeric._frombuffer", _frombuffer))},

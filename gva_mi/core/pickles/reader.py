@@ -22,6 +22,7 @@ from gva_mi.core.arrays import (
     read_entry,
     read_header,
 )
+from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.pickles.torch_files import WITH_TENSORS, read_row_of_pickles, read_zip
 from gva_mi.core.pickles.unpickler import Unpickler, require_modest, resolve
@@ -53,6 +54,8 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
             f"array; expected {expected}"
         ) from None
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
+        if kind := known_container(path):
+            raise InputError(f"{path}: {kind}; expected {expected}") from None
         raise InputError(
             f"{path}: damaged, cut short, or of another kind ({reason_of(error)}); expected "
             f"{expected}"

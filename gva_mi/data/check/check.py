@@ -28,7 +28,7 @@ def check_subject(
     report, shown = CheckReport(files.count, files.problems), None
     if files.poses is not None:
         shape = files.poses.shape
-        report.problems += check_poses(files.poses.pose, shape, body)
+        report.problems += check_poses(files.poses.pose, shape, body, files.cameras)
         if (shape.betas.abs() > ABSURD).any():
             files.poses = replace(files.poses, shape=Shape(shape.betas * 0))
     frames = frames_of(files, body)

@@ -160,22 +160,25 @@ def _read_masks(files: SubjectFiles, progress: Progress | None) -> None:
 
 
 def _summary(mask: np.ndarray) -> MaskSummary:
-    from PIL import Image
-
     height, width = mask.shape
     inside = mask > 0.5
     border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
-    shrunk = Image.fromarray(inside.astype(np.float32)).resize(
-        small_size(width, height), Image.Resampling.BOX
-    )
-    small = np.asarray(shrunk) > 0.5
+    small = shrunk(inside, small_size(width, height))
     share, edge = float(inside.mean()), float(border.mean())
     return MaskSummary((width, height), small, share, edge, float(mask.max()))
 
 
-def small_size(width: int, height: int) -> tuple[int, int]:
-    """Return the reduced size (w, h) at which the checks compare a picture."""
-    scale = min(1.0, SMALL / max(width, height))
+def shrunk(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a mask (H, W) bool in ``size`` (w, h), (h, w) bool."""
+    from PIL import Image
+
+    small = Image.fromarray(mask.astype(np.float32)).resize(size, Image.Resampling.BOX)
+    return np.asarray(small) > 0.5
+
+
+def small_size(width: int, height: int, longer: int = SMALL) -> tuple[int, int]:
+    """Return the reduced size (w, h), ``longer`` at most, at which a picture is compared."""
+    scale = min(1.0, longer / max(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 

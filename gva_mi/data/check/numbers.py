@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.check.problems import Problem, doubt, error
+from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.splat import Camera
 
 # A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large
@@ -56,8 +57,10 @@ def centred(camera: Camera) -> Camera:
     return replace(camera, fx=camera.fx * x, fy=camera.fy * y, cx=half[0], cy=half[1])
 
 
-def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
-    """Yield problems of the numbers alone."""
+def check_poses(
+    pose: Pose, shape: Shape, body: BodyModel, cameras: Mapping[int, Camera]
+) -> Iterator[Problem]:
+    """Yield problems of the numbers alone; ``cameras`` are those of frames that have one."""
     largest = float(shape.betas.abs().max()) if len(shape.betas) else 0.0
     if largest > FAR:
         yield (error if largest > ABSURD else doubt)(
@@ -76,10 +79,25 @@ def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
         figure = f"{JOINTS[joint + 1]} turns by {turns.max():.3g} in frame {frame}"
         yield error("rotations", figure, "degrees, or another form than axis-angle",
                     "axis-angle in radians", np.flatnonzero(wide))  # fmt: skip
-    steps = pose.transl.diff(dim=0).norm(dim=-1).numpy() / np.clip(height, SHORT, TALL)
+    places = pose.transl.double().numpy() + body.rest(shape).joints[0].double().numpy()
+    if set(cameras) >= set(range(len(places))):
+        places = _before_one_lens(places, [cameras[k] for k in range(len(places))])
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.clip(height, SHORT, TALL)
     wide = steps > JUMP
     if wide.any():
         yield doubt("jumps", f"up to {steps[wide].max():.3g} times the person's height",
                     "the track changes to somebody else, frames are missing, or no metres",
                     "choose the person again, or cut the video here",
                     np.flatnonzero(wide) + 1)  # fmt: skip
+
+
+def _before_one_lens(places: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
+    """Return pelvises (T, 3), world, where one usual lens shows the same pictures.
+
+    Most estimators assume a lens many times too long, or another one in each frame.
+    """
+    T = np.stack([c.T_camera_world for c in cameras])
+    K = np.stack([c.K for c in cameras])
+    seen = np.einsum("tij,tj->ti", T[:, :3, :3], places) + T[:, :3, 3]
+    seen = seen_alike(seen, K, usual_lens(K))
+    return np.einsum("tji,tj->ti", T[:, :3, :3], seen - T[:, :3, 3])

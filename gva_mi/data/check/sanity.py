@@ -7,39 +7,68 @@ Joints beyond the picture's edge are ignored, because many videos end at the hip
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 
-from gva_mi.body.pose import BODY
+from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.check.files import shrunk, small_size
 from gva_mi.data.joints import count_in_mask, joints_seen
 from gva_mi.data.video import Video, spread
+from gva_mi.splat import Camera
 
 FRAMES = 8  # that are read
 FEWEST_INSIDE = 0.5  # of those in the picture; noise and loose clothes leave most in the masks
-SMALLEST = 1 / 3  # of the masks' longer side that the joints of a body in the picture span
+LEAST_OVERLAP = 0.25  # IoU; wide clothes and occlusion leave more
+COARSE = 48  # px, longer side: vertices of a body are as dense
 FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
 
 
-@torch.no_grad()
 def sanity_check(video: Video, body: BodyModel) -> str | None:
     """Return a warning if the video's body does not stand where its masks are, else None."""
-    inside, seen, of, sizes = 0, 0, 0, []
     frames = [k for k in range(len(video)) if k not in video.absent]
-    for outline in video.outlines(spread(frames, FRAMES)):
-        joints = body(outline.pose, video.shape).joints[0, : BODY.stop].double().numpy()
-        pixels, mask = joints_seen(outline.camera, joints), outline.mask > 0.5
-        hits, there = count_in_mask(pixels, mask)
+    outlines = video.outlines(spread(frames, FRAMES))
+    doubt = doubt_of(((x.pose, x.camera, x.mask) for x in outlines), video.shape, body)
+    check = f"gva-mi check {video.folder} looks for the cause"
+    return None if doubt is None else f"{video.folder}: {doubt}; {check}"
+
+
+@torch.no_grad()
+def doubt_of(
+    frames: Iterable[tuple[Pose, Camera, np.ndarray]], shape: Shape, body: BodyModel
+) -> str | None:
+    """Return a doubt if the body is not where the masks (H, W) of frames are, else None."""
+    inside, seen, of, both, either = 0, 0, 0, 0, 0
+    for pose, camera, mask in frames:
+        posed = body(pose, shape)
+        joints = posed.joints[0, : BODY.stop].double().numpy()
+        hits, there = count_in_mask(joints_seen(camera, joints), mask > 0.5)
         inside, seen, of = inside + hits, seen + there, of + len(joints)
-        if 2 * there > len(joints):
-            extent = max(np.ptp(part) + 1 for part in np.nonzero(mask))
-            sizes.append(np.ptp(pixels, axis=0).max() / extent)
+        size = small_size(camera.width, camera.height, COARSE)
+        pixels = joints_seen(camera.resized(*size), posed.vertices[0].double().numpy())
+        shown = occupied(pixels, size)
+        there = shrunk(mask > 0.5, size)
+        both, either = both + (shown & there).sum(), either + (shown | there).sum()
+    if not of:
+        return None
+    share, overlap = inside / max(1, seen), both / max(1, either)
     if seen < FEWEST_SEEN * of:
-        doubt = f"{seen / of:.0%} of the body's joints lie in the picture, expected most of them"
-    elif inside < FEWEST_INSIDE * seen:
-        doubt = f"{inside / seen:.0%} of the body's joints lie in the masks, expected most of them"
-    elif sizes and np.median(sizes) < SMALLEST:
-        doubt = f"the body's joints span {np.median(sizes):.1%} of the masks, expected most of them"
+        figure = f"{seen / of:.0%} of the body's joints lie in the picture"
+    elif share < FEWEST_INSIDE:
+        figure = f"{share:.0%} of the body's joints lie in the masks"
+    elif overlap < LEAST_OVERLAP:
+        return f"doubtful: {overlap:.0%} of the body and of the masks is in both, expected half"
     else:
         return None
-    return f"{video.folder}: doubtful: {doubt}; gva-mi check {video.folder} looks for the cause"
+    return f"doubtful: {figure}, expected most of them"
+
+
+def occupied(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the pixels (h, w) bool of a picture of ``size`` (w, h) that hold a point (n, 2)."""
+    whole = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int)
+    x, y = whole[((whole >= 0) & (whole < size)).all(1)].T
+    shown = np.zeros(size[::-1], bool)
+    shown[y, x] = True
+    return shown

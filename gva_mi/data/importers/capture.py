@@ -6,12 +6,13 @@ An estimator's file holds people alone; a data set also has pictures, masks and 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from gva_mi.data.importers.footage import Pictures, masks
+from gva_mi.data.importers.footage import Pictures, mask_meaning, masks
+from gva_mi.data.importers.mask_units import MaskMeaning
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.video import Splits
 
@@ -51,7 +52,7 @@ class Capture:
     frames: Pictures
     masks: Pictures | None  # None: the source has none
     distortion: np.ndarray | None = None  # (k1, k2, p1, p2, k3) of the lens; None: a pinhole
-    labels: bool = False  # masks number parts of the person: whatever is not zero is inside
+    meaning: MaskMeaning | None = None  # of the masks' values; None: what they say themselves
     splits: Splits | None = None  # of the data set's own protocol
     loose: bool = False  # pictures, masks and poses may differ in number; the fewest count
     note: str = ""
@@ -61,5 +62,10 @@ class Capture:
 
     def read_masks(self, source: Pictures | None = None) -> Iterator[np.ndarray]:
         """Yield the data set's masks, or those of another source, with 255 inside."""
-        for mask in masks(source or self.masks):
-            yield (mask > 0) * np.uint8(255) if self.labels else mask
+        return masks(source or self.masks, self.meaning)
+
+    def understood(self) -> Capture:
+        """Return the capture with the meaning of its masks' values, decided once for all."""
+        if self.masks is None or self.meaning is not None:
+            return self
+        return replace(self, meaning=mask_meaning(self.masks))

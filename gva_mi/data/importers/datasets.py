@@ -12,6 +12,7 @@ from pathlib import Path
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import multi_view, one_camera
 from gva_mi.data.importers.capture import Capture
+from gva_mi.data.importers.target import TargetBody
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class DataSet:
     """Rules that recognise and read a data set's folder."""
 
     files: tuple[str, ...]  # all of them are there, each "a" or "a|b"
-    read: Callable[[str, Path, str | None], Capture]  # where, folder, camera
+    read: Callable[[str, Path, str | None, TargetBody], Capture]  # where, folder, camera, body
     expects: str  # for messages
 
     def recognises(self, folder: Path) -> bool:
@@ -55,10 +56,10 @@ def dataset_of(folder: Path) -> str | None:
     return next((kind for kind, record in DATASETS.items() if record.recognises(folder)), None)
 
 
-def read_dataset(kind: str, folder: Path, camera: str | None) -> Capture:
+def read_dataset(kind: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     """Read people, pictures and masks from a data set's folder of one subject.
 
-    ``camera`` names the one that becomes the video; None: the first.
+    ``camera`` names the one that becomes the video; None: the first. Poses are for ``body``.
     """
     record = DATASETS[kind]
     if not record.recognises(folder):
@@ -66,4 +67,4 @@ def read_dataset(kind: str, folder: Path, camera: str | None) -> Capture:
             f"{folder}: not of the kind {kind}; expected a folder with {record.expects}"
         )
     with expecting(f"{folder} (of the kind {kind})", record.expects):
-        return record.read(str(folder), folder, camera)
+        return record.read(str(folder), folder, camera, body)

@@ -16,7 +16,8 @@ import numpy as np
 from gva_mi.core.errors import InputError
 from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.lens import pinhole_K
-from gva_mi.data.importers.numbering import frame_numbers, number_in
+from gva_mi.data.importers.numbering import frame_numbers, frames_named, number_in
+from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.people import follow
 
 ROMP = "results"  # the one key of ROMP's .npz
@@ -29,7 +30,7 @@ class SeenPerson:
     """One person's arrays in a file, under the file's own names."""
 
     name: str  # the estimator's name of them
-    frames: np.ndarray  # (n,) frame numbers
+    frames: np.ndarray | None  # (n,) frame numbers; None: 0 to n − 1
     arrays: Mapping[str, Any]  # (n, ...) each
 
 
@@ -59,9 +60,18 @@ def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
 
 
 def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> list[SeenPerson]:
-    """Track people without ids: each continues as the nearest, by ``place``, in the next frame."""
+    """Track people without ids: each continues as the nearest, by ``place``, in the next frame.
+
+    People with a lens of their own, K, are compared before one: :mod:`.one_lens`.
+    """
     frames = list(frames)
-    names = follow([[np.ravel(person[place]) for person in people] for _, people in frames])
+    everyone = [person for _, people in frames for person in people]
+    places = np.array([np.ravel(person[place]) for person in everyone]).reshape(-1, 3)
+    if everyone and "K" in everyone[0]:
+        K = np.stack([person["K"] for person in everyone])
+        places = seen_alike(places, K, usual_lens(K))
+    ends = np.cumsum([len(people) for _, people in frames])[:-1]
+    names = follow(np.split(places, ends))
     return stacked(where, (
         (name, number, person)
         for (number, people), row in zip(frames, names, strict=True)
@@ -175,10 +185,11 @@ def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
     """Read PyMAF-X's batches of parameters; all people follow one another."""
     frames = frame_numbers(found["frame_ids"])
     names = ("body_pose", "shape", "left_hand_pose", "right_hand_pose", "jaw_pose", "leye_pose",
-             "reye_pose")  # fmt: skip
+             "reye_pose", "expression")  # fmt: skip
     arrays = {
         name: np.concatenate([np.asarray(batch[name]) for batch in found["smplx_params"]])
         for name in names
+        if all(name in batch for batch in found["smplx_params"])
     } | {"orig_cam_t": np.asarray(found["orig_cam_t"])}
     for name, x in arrays.items():
         if len(x) != len(frames):
@@ -192,7 +203,7 @@ def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
 
 def hybrik(where: str, found: dict) -> Iterator[SeenPerson]:
     """Read HybrIK's person: matrices of SMPL's 24 joints or SMPL-X's 55, and a box per frame."""
-    frames = np.array([number_in(name) for name in np.ravel(found["img_path"])])
+    frames = frames_named(np.ravel(found["img_path"]))
     n = len(frames)
     shapes = {"pred_thetas": (n, -1, 3, 3), "pred_betas": (n, -1), "bbox": (n, 4)}
     arrays = {name: np.reshape(found[name], shape) for name, shape in shapes.items()}

@@ -13,8 +13,9 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_files import SeenPerson
-from gva_mi.data.importers.fields import translation_name
 from gva_mi.data.importers.lens import centred, rescaled
+from gva_mi.data.importers.spellings import OTHERS, is_numbers
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, make_track
 
 
@@ -24,7 +25,7 @@ class VideoInfo:
 
     size: tuple[int, int]  # (W, H) of the video, pixels
     focal: float | None = None  # pixels, where the file says none
-    components: np.ndarray | None = None  # (2, K, 45) PCA of hands of the body's file
+    body: TargetBody | None = None  # that poses are converted to
 
 
 Arrays = Mapping[str, Any]  # (n, ...) each
@@ -47,6 +48,9 @@ class Estimator:
     # Tracks of the camera in the world of its path; None where the file says no path.
     along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
     needs_video: bool = False  # places follow from an assumed lens: it is no motion on its own
+    up: str | None = "-y"  # the axis of its people that is up; None: any
+    # The number that it gives the first frame; None: that of the picture, by its name.
+    first: int | None = 0
 
     def tracks(self, where: str, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
         """Return the people in the camera's axes, one track each, frames ascending."""
@@ -55,11 +59,10 @@ class Estimator:
             at = f"{where}: person {person.name}"
             K = np.asarray(self.lens(at, person.arrays, info), np.float64)
             given = self._named(person.arrays)
-            track = make_track(
-                at, person.name, person.frames, given, K, info.components, self.of_pelvis
-            )
+            track = make_track(at, person.name, person.frames, given, K, info.body, self.of_pelvis)
             mean = track.from_mean_hand or (self.mean_hand and track.has_hands)
-            tracks.append(replace(track, from_mean_hand=mean).sorted())
+            notes = (*track.notes, *self._left_out(person.arrays))
+            tracks.append(replace(track, from_mean_hand=mean, notes=notes).sorted())
         return tracks
 
     def _named(self, arrays: Arrays) -> Arrays:
@@ -71,6 +74,13 @@ class Estimator:
             if key in arrays or not theirs.endswith("?"):
                 given[ours] = arrays[key] if joints == slice(None) else arrays[key][:, joints]
         return given
+
+    def _left_out(self, arrays: Arrays) -> list[str]:
+        """Return a note on arrays of numbers that :attr:`names` do not name."""
+        named = {(x[0] if isinstance(x, tuple) else x).rstrip("?") for x in self.names.values()}
+        rest = [k for k, x in arrays.items() if k not in OTHERS | named and is_numbers(x)]
+        rest = rest if self.names else []
+        return [f"not used of the source: {', '.join(sorted(rest))}"] if rest else []
 
 
 def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
@@ -110,17 +120,18 @@ def lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     """Return the camera in a file, or one of the focal length that a user gives."""
-    count = len(np.ravel(arrays[translation_name(arrays)])) // 3
     for name in ("K", "cam_K", "intrinsic", "intrinsics"):
         if arrays.get(name) is not None:
             K = np.asarray(arrays[name], np.float64)
-            if K.shape[-2:] != (3, 3) or K.size not in (9, 9 * count):
+            if K.shape[-2:] != (3, 3) or K.ndim > 3:
                 raise InputError(f"{where}: '{name}' must be (3, 3) or (T, 3, 3), got {K.shape}")
             return K.reshape(-1, 3, 3)
-    focal = arrays.get("focal", arrays.get("focal_length", info.focal))
+    own = "stage" in arrays  # written here, where focal is a factor on the cameras' own
+    focal = arrays.get("focal_length" if own else "focal", arrays.get("focal_length"))
+    focal = info.focal if focal is None else focal
     if focal is None:
         raise InputError(f"{where}: says no camera (K, or focal); give --focal, in pixels")
     focal = np.ravel(np.asarray(focal, np.float64))
-    if focal.size not in (1, count) or not (focal > 0).all():
+    if not focal.size or not (focal > 0).all():
         raise InputError(f"{where}: 'focal' must be one number above 0, or (T,); got {focal}")
     return np.stack([centred(f, info.size) for f in focal])

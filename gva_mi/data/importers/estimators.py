@@ -29,6 +29,7 @@ from gva_mi.data.importers.estimator_record import (
     no_lens,
     own_K,
 )
+from gva_mi.data.importers.spellings import named_rows
 from gva_mi.data.importers.tracks import Track
 
 FAR_FOCAL = 5000.0  # pixels, of estimators that assume that a person stands far away
@@ -40,10 +41,7 @@ def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[
     found = files.read_source(source, "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or "
                               "its folder")  # fmt: skip
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
-        raise InputError(
-            f"{source}: an array {found.shape} without names, which could be any parameters in any "
-            "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
-        )
+        found = named_rows(source, found)
     refuse_mhr(source, files.first_of(found))
     kind = kind_of(found) or "" if kind == "auto" else kind
     if not kind:
@@ -109,14 +107,15 @@ _PYMAFX = {  # the root stands before the body, and SMPL's mittens after it
     "global_orient": ("body_pose", slice(0, 1)), "body_pose": ("body_pose", slice(1, 22)),
     "left_hand_pose": "left_hand_pose", "right_hand_pose": "right_hand_pose",
     "jaw_pose": "jaw_pose", "leye_pose": "leye_pose", "reye_pose": "reye_pose",
-    "betas": "shape", "transl": "orig_cam_t",
+    "betas": "shape", "expression": "expression?", "transl": "orig_cam_t",
 }  # fmt: skip
 _MULTIHMR = {  # joints: the root, 21 of the body, both hands relative to the flat ones, the jaw
     "global_orient": ("rotvec", slice(0, 1)), "body_pose": ("rotvec", slice(1, 22)),
     "left_hand_pose": ("rotvec", slice(22, 37)), "right_hand_pose": ("rotvec", slice(37, 52)),
-    "jaw_pose": ("rotvec", slice(52, 53)), "betas": "shape", "transl": "transl_pelvis",
+    "jaw_pose": ("rotvec", slice(52, 53)), "betas": "shape", "expression": "expression?",
+    "transl": "transl_pelvis",
 }  # fmt: skip
-_SMPLIFYX = {name: f"{name}?" for name in (*SMPLX_FIELDS, "betas")}
+_SMPLIFYX = {name: f"{name}?" for name in (*SMPLX_FIELDS, "betas", "expression")}
 
 KINDS: dict[str, Estimator] = {
     "wham": Estimator(
@@ -145,49 +144,49 @@ KINDS: dict[str, Estimator] = {
         "pred_thetas, pred_cam_root and bbox",
         lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), files.hybrik, lens_of_hybrik,
         {"pose": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"}, of_pelvis=True,
-        needs_video=True,
+        needs_video=True, first=1,
     ),
     "tram": Estimator(
         "a folder with hps/hps_track_0.npy and camera.npy",
         lambda x: bool(files.tram_files(x)), files.tram, own_K,
         {"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
-        along_path=_along_path,
+        along_path=_along_path, up=None,
     ),
     "romp": Estimator(
         "results with smpl_thetas and cam_trans", frames.is_romp, frames.romp, lens_of_romp,
-        {"pose": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"},
+        {"pose": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"}, first=None,
     ),
     "multihmr": Estimator(
         "a folder with people of rotvec and transl_pelvis, a file a frame",
         frames.is_multihmr, frames.multihmr,
         focal_of(lambda info: info.focal or max(info.size) / 2 / np.tan(_MULTI_HMR_ANGLE)),
-        _MULTIHMR, of_pelvis=True,
+        _MULTIHMR, of_pelvis=True, first=None,
     ),
     "smplifyx": Estimator(
         "a folder with results/000/000.pkl with camera_translation",
         frames.is_smplifyx, frames.smplifyx, focal_of(lambda info: info.focal or FAR_FOCAL),
-        _SMPLIFYX | {"transl": "camera_translation"}, mean_hand=True, needs_video=True,
+        _SMPLIFYX | {"transl": "camera_translation"}, mean_hand=True, needs_video=True, first=None,
     ),
     "smplerx": Estimator(
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
-        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, own_K, mean_hand=True,
+        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, own_K, mean_hand=True, first=1,
     ),
     "osx": Estimator(
         "a folder with 12_0.json of smplx_param and cam_param",
-        smplx_json.is_osx, smplx_json.osx, own_K, mean_hand=True,
+        smplx_json.is_osx, smplx_json.osx, own_K, mean_hand=True, first=None,
     ),
     "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
-        frames.is_parameters, frames.parameters, lens_by_name,
+        frames.is_parameters, frames.parameters, lens_by_name, up=None, first=None,
     ),
 }  # fmt: skip
 WORLDS = {  # of people in the estimator's own world
     "wham": Estimator(
         "people with pose_world", files.is_wham_world, files.wham_world, no_lens,
-        {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"},
+        {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"}, up="y",
     ),
     "gvhmr": Estimator(
         "smpl_params_global", lambda x: holds(x, "smpl_params_global"),
-        _gvhmr("smpl_params_global"), no_lens,
+        _gvhmr("smpl_params_global"), no_lens, up="y",
     ),
 }  # fmt: skip

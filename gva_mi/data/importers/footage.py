@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
-from gva_mi.data.importers.mask_units import full_value, to_8_bits
+from gva_mi.data.importers.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.mattes import matte_of_pixels
 from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
@@ -21,12 +21,13 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     """Yield the pictures of a film, a folder or files, turned as their metadata say.
 
-    ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`.
+    ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`,
+    with labels as they are.
     """
     files = files_of(source)
     if files is not None:
         for path in files:
-            yield read_image(path, channels)
+            yield read_image(path, channels, labels=True)
     elif source.is_file():
         yield from _film(source, channels)
     else:
@@ -50,25 +51,34 @@ def folder_of(source: Pictures) -> Path:
     return source[0].parent if isinstance(source, tuple) else source
 
 
-def masks(source: Pictures) -> Iterator[np.ndarray]:
+def masks(source: Pictures, meaning: MaskMeaning | None = None) -> Iterator[np.ndarray]:
     """Yield the masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
 
-    A stack is a .npy; a folder may hold a .npy (H, W) a frame. Values go from 0 to 1 where none is
-    above 1; otherwise to 255, or to 65535 where an array has 16 bits.
+    A stack is a .npy; a folder may hold a .npy (H, W) a frame. ``meaning`` is that of their values;
+    without it, what all of them together say.
     """
+    meaning = mask_meaning(source) if meaning is None else meaning
+    for where, mask in raw_masks(source):
+        yield meaning.inside(where, mask)
+
+
+def mask_meaning(source: Pictures) -> MaskMeaning:
+    """Return what the values of a source's masks mean."""
+    return meaning_of(mask for _, mask in raw_masks(source))
+
+
+def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield a name for errors and the values (H, W) of each mask."""
     whole = isinstance(source, Path)
     if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=by_number)):
         for path in files:
-            mask = _stack(path, read_array(path)[None])[0]
-            yield to_8_bits(str(path), mask, full_value(mask))
+            yield str(path), _stack(path, read_array(path)[None])[0]
     elif whole and source.suffix == ".npy" and source.is_file():
-        rows = _rows_of_npy(source)
-        full = max((full_value(mask) for mask in rows()), default=1)
-        for k, mask in enumerate(rows()):
-            yield to_8_bits(f"{source}: mask {k}", mask, full)
+        for k, mask in enumerate(_rows_of_npy(source)):
+            yield f"{source}: mask {k}", mask
     else:
-        for mask in pictures(source, 1):
-            yield mask * np.uint8(255) if mask.max(initial=0) <= 1 else mask
+        for k, mask in enumerate(pictures(source, 1)):
+            yield f"{folder_of(source)}: mask {k}", mask
 
 
 def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
@@ -79,16 +89,11 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
     return stack
 
 
-def _rows_of_npy(path: Path) -> Callable[[], Iterator[np.ndarray]]:
+def _rows_of_npy(path: Path) -> Iterator[np.ndarray]:
     """Yield the masks of a stack in order, with one at a time in memory."""
-    whole = _stack(path, read_array(path, mapped=True))
-
-    def rows() -> Iterator[np.ndarray]:
-        for k in range(len(whole)):
-            # Mapped anew: pages that were read through one mapping stay in memory with it.
-            yield _stack(path, read_array(path, mapped=True))[k]
-
-    return rows
+    for k in range(len(_stack(path, read_array(path, mapped=True)))):
+        # Mapped anew: pages that were read through one mapping stay in memory with it.
+        yield _stack(path, read_array(path, mapped=True))[k]
 
 
 def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
@@ -99,6 +104,12 @@ def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
             has_alpha = any(component.is_alpha for component in frame.format.components)
             pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
             yield matte_of_pixels(f"{path}: picture {number}", pixels)
+
+
+def count_of(source: Pictures) -> int:
+    """Return how many pictures a film, a folder or files hold, without decoding them."""
+    files = files_of(source)
+    return len(steps_of(source)[0]) + 1 if files is None else len(files)
 
 
 def uneven_rate(source: Pictures) -> str | None:

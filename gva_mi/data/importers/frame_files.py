@@ -25,14 +25,16 @@ from gva_mi.data.importers.estimator_files import (
     read_source,
     stacked,
 )
-from gva_mi.data.importers.fields import translation_name
 from gva_mi.data.importers.lens import lens_of
-from gva_mi.data.importers.numbering import number_in
-from gva_mi.data.importers.tracks import PELVIS
+from gva_mi.data.importers.numbering import frames_named
+from gva_mi.data.importers.spellings import SPELLINGS, holds_pose, unnested
+from gva_mi.data.importers.target import PELVIS
 
 # From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.
 _TO_HIPS = np.array([0.0, -0.09, -0.01])
 _NAME = re.compile(r"(\d+)_(\d+)\.npz")  # frame and person of SMPLer-X
+_OF_BEV = re.compile(r"__\d+_[\d.]+$")  # what BEV adds to a picture's name
+_SMPLX = (*SMPLX_FIELDS, "betas", "expression")
 
 
 def romp(where: str, found: Any) -> list[SeenPerson]:  # noqa: ANN401
@@ -60,18 +62,19 @@ def romp(where: str, found: Any) -> list[SeenPerson]:  # noqa: ANN401
 
 
 def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
-    """Return number and result of each frame; the number is the first one in a picture's name."""
+    """Return number and result of each frame."""
     if isinstance(found, dict):
         results = plain(found[ROMP])
         if "smpl_thetas" in results:
             return [(0, results)]
-        frames = ((number_in(name, 0), result) for name, result in results.items())
+        named = {Path(str(name)).stem: result for name, result in results.items()}
     elif (found / "video_results.npz").is_file():
         return _romp_frames(read_objects(found / "video_results.npz", "ROMP's results of a video"))
     else:
         read = lambda path: plain(read_objects(path, "ROMP's results of a frame")[ROMP])
-        frames = ((number_in(path, 0), read(path)) for path in files_in(found, "*.npz"))
-    return sorted(frames, key=lambda frame: frame[0])
+        named = {path.stem: read(path) for path in files_in(found, "*.npz")}
+    numbers = frames_named([_OF_BEV.sub("", name) for name in named]).tolist()
+    return sorted(zip(numbers, named.values(), strict=True), key=lambda frame: frame[0])
 
 
 def is_romp(found: Any) -> bool:  # noqa: ANN401
@@ -95,12 +98,14 @@ def is_multihmr(found: Any) -> bool:  # noqa: ANN401
 
 def multihmr(where: str, found: Path) -> list[SeenPerson]:
     """Read Multi-HMR's files: a list of people per frame."""
-    names = ("rotvec", "transl_pelvis", "shape")
+    names = ("rotvec", "transl_pelvis", "shape", "expression")
     read = lambda path: [
-        {name: person[name] for name in names}
+        {name: person[name] for name in names if name in person}
         for person in _humans(read_source(path, "the people of a frame"))
     ]
-    frames = sorted(((number_in(path), read(path)) for path in files_in(found)), key=lambda f: f[0])
+    files = files_in(found)
+    numbers = frames_named(files).tolist()
+    frames = sorted(zip(numbers, map(read, files), strict=True), key=lambda f: f[0])
     return followed(where, (frame for frame in frames if frame[1]), "transl_pelvis")
 
 
@@ -115,10 +120,11 @@ def is_smplifyx(found: Any) -> bool:  # noqa: ANN401
 
 def smplifyx(where: str, found: Path) -> list[SeenPerson]:
     """Read SMPLify-X's output: a folder per picture and a file per person."""
-    names = (*SMPLX_FIELDS, "betas", "camera_translation")
+    files = _smplifyx_files(found)
+    numbers = frames_named([path.parent.name for path in files]).tolist()
     return stacked(found, (
-        (path.stem, number_in(path.parent.name), _some(path, names))
-        for path in _smplifyx_files(found)
+        (path.stem, number, _some(path, (*_SMPLX, "camera_translation")))
+        for number, path in zip(numbers, files, strict=True)
     ))  # fmt: skip
 
 
@@ -131,13 +137,16 @@ def smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
 
 
 def smplerx(where: str, found: Path) -> list[SeenPerson]:
-    """Read SMPLer-X's files: one per frame and person, the lens under that name in ``meta/``."""
+    """Read SMPLer-X's files: one per frame and person, the lens under that name in ``meta/``.
+
+    It numbers the people of each frame anew, in the order of its detector.
+    """
     lens = lambda path: path.parent.parent / "meta" / path.with_suffix(".json").name
-    names = (*SMPLX_FIELDS, "transl", "betas")
-    return stacked(found, (
-        (person, frame, _some(path, names) | {"K": lens_of(lens(path))})
-        for person, frame, path in smplerx_files(found)
-    ))  # fmt: skip
+    frames: dict[int, list] = {}
+    for _, frame, path in sorted(smplerx_files(found)):
+        person = _some(path, (*_SMPLX, "transl")) | {"K": lens_of(lens(path))}
+        frames.setdefault(frame, []).append(person)
+    return followed(where, sorted(frames.items()), "transl")
 
 
 def _some(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
@@ -146,21 +155,20 @@ def _some(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def is_parameters(found: Any) -> bool:  # noqa: ANN401
-    first = first_of(found)
-    return any(holds(first, name) for name in ("body_pose", "poses", "thetas", "fullpose"))
+    return holds_pose(unnested(first_of(found)))
 
 
 def parameters(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
-    """Read one person from a file, or from one file per frame, by the names of :mod:`.fields`."""
+    """Read one person from a file, or from one file per frame, by :mod:`.spellings`."""
     if isinstance(found, dict):
-        if (name := translation_name(found)) is None:
+        found = unnested(found)
+        if not any(found.get(name) is not None for name in (*SPELLINGS["transl"], "Th")):
             raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
-        yield SeenPerson("0", np.arange(np.size(found[name]) // 3), found)
+        yield SeenPerson("0", None, found)
         return
-    files = sorted(files_in(found), key=number_in)
-    each = [read_named(path, "a body's parameters by name") for path in files]
+    files = files_in(found)
+    each = [unnested(read_named(path, "a body's parameters by name")) for path in files]
     numbers = [k for k, x in each[0].items() if np.asarray(x).dtype.kind in "fiu"]
-    rows = ({k: frame[k] for k in numbers if k in frame} for frame in each)
-    yield from stacked(
-        found, (("0", number_in(p), row) for p, row in zip(files, rows, strict=True))
-    )
+    rows = [{k: frame[k] for k in numbers if k in frame} for frame in each]
+    frames = frames_named(files).tolist()
+    yield from stacked(found, (("0", k, row) for k, row in zip(frames, rows, strict=True)))

@@ -170,7 +170,7 @@ def _rotations(where: Path, name: str, value: Any, joints: int) -> np.ndarray:  
             f"{where}: '{name}' must be matrices ({joints}, 3, 3) or axis-angle ({3 * joints}) of "
             f"each hand, got {array.shape}; components of a PCA are not read"
         )
-    return axis_angles(f"{where}", name, flat)
+    return axis_angles(f"{where}", name, flat, len(flat), joints)
 
 
 def _sides(where: Path, about: Mapping[str, Any], count: int) -> np.ndarray:

@@ -4,7 +4,7 @@
 Shape                  What it is
 =====================  ===========================================================================
 (T, 22, 3)             places of SMPL's first 22 joints, metres, y up; also (1, T, 22, 3)
-(T, 24, 3), (T, 55, 3) the same with hands
+(T, 24, 3), (T, 55, 3) the same with hands, where legs keep their lengths; else it is rotations
 (T, 263)               HumanML3D's features; also (1, T, 263)
 ``motion``             (N, 22, 3, T) in a dictionary with ``lengths``: MDM's ``results.npy``
 =====================  ===========================================================================
@@ -59,7 +59,14 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         places = array[:, :COUNT].astype(np.float64)
     else:
         return None
-    _require_person(where, places)
+    if array.ndim == 3 and array.shape[1] != COUNT and not _is_person(places):
+        return None  # rotations
+    if not _is_person(places):
+        raise InputError(
+            f"{where}: legs change their lengths from frame to frame, so these are no joints of a "
+            "person; features that a network was given must be multiplied by its Std.npy, and its "
+            "Mean.npy added"
+        )
     return places
 
 
@@ -75,13 +82,8 @@ def _of_features(features: np.ndarray) -> np.ndarray:
     return np.concatenate([root[:, None], places + root[:, None] * [1.0, 0.0, 1.0]], 1)
 
 
-def _require_person(where: object, places: np.ndarray) -> None:
-    """Raise an InputError for numbers that are no places of joints: legs keep their lengths."""
+def _is_person(places: np.ndarray) -> bool:
+    """Whether numbers (T, 22, 3) may be places of joints: legs keep their lengths."""
     legs = [np.linalg.norm(places[:, child] - places[:, joint], axis=1)
             for joint, child in ((1, 4), (4, 7), (2, 5), (5, 8))]  # fmt: skip
-    if any(not np.nanstd(leg) < _EVEN * np.nanmean(leg) for leg in legs):
-        raise InputError(
-            f"{where}: legs change their lengths from frame to frame, so these are no joints of a "
-            "person; features that a network was given must be multiplied by its Std.npy, and its "
-            "Mean.npy added"
-        )
+    return all(np.nanstd(leg) < _EVEN * np.nanmean(leg) for leg in legs)

@@ -24,6 +24,7 @@ from gva_mi.core.errors import MALFORMED, InputError
 from gva_mi.core.files import read_json
 from gva_mi.core.options import Within
 from gva_mi.data.importers.footage import Pictures, files_of
+from gva_mi.data.importers.one_lens import is_one_lens, seen_alike
 from gva_mi.data.importers.quicktime import numbers
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.pictures import opened
@@ -87,6 +88,12 @@ def filmed_with(
     """
     known = recorded(frames, size)
     assumed = float(np.median(np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])))
+    if given is None and not is_one_lens(track.K):
+        focal = np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])
+        return track, [
+            f"the estimator took another lens in each frame, of {focal.min():.0f} to "
+            f"{focal.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
+        ]
     if given is None:
         if known is None or abs(np.log(known / assumed)) < NEARLY:
             return track, []
@@ -96,26 +103,24 @@ def filmed_with(
         ]
     focal = asked_for(given, known, size)
     moved = f"people stand {focal / assumed:.3g} times as far away"
-    return through_lens(track, focal), [
+    K = centred(focal, size)
+    if is_one_lens(track.K):  # else the axes are those of crops
+        K[:2, 2] = track.K[0, :2, 2]
+    return through_lens(track, K), [
         f"the focal length is {focal:.0f} pixels, where the estimator took {assumed:.0f}: {moved}"
     ]
 
 
-def through_lens(track: Track, focal: float) -> Track:
-    """Adapt a track to a lens of ``focal`` pixels if the estimator assumed another one.
+def through_lens(track: Track, K: np.ndarray) -> Track:
+    """Adapt a track to the lens K (3, 3) if the estimator assumed another one, or one a frame.
 
-    The person keeps place and size in the picture: the pelvis moves along the camera's axis, as
-    many times as far away as the lens is longer. The person turns with the ray on which the pelvis
-    is seen, so that the camera sees the same side (as CLIFF, Li et al. 2022, separates the turn of
-    a crop from that of the person).
+    The person keeps place and size in the picture (:mod:`.one_lens`), and turns with the ray on
+    which the pelvis is seen, so that the camera sees the same side (as CLIFF, Li et al. 2022,
+    separates the turn of a crop from that of the person).
     """
-    before, K = track.transl + track.pelvis, track.K.copy()
-    scale = np.sqrt(K[:, 0, 0] * K[:, 1, 1])
-    longer = focal / scale
-    aside = longer[:, None] * before[:, :2] * K[:, [0, 1], [0, 1]] / focal
-    after = np.concatenate([aside, longer[:, None] * before[:, 2:]], axis=1)
-    K[:, 0, 0] = K[:, 1, 1] = focal
-    return replace(track.turned(shortest(before, after), after), K=K)
+    places = seen_alike(track.places, track.K, K)
+    turned = track.turned(shortest(track.places, places), places)
+    return replace(turned, K=np.broadcast_to(K, track.K.shape))
 
 
 def in_pixels(millimetres: float, size: tuple[int, int]) -> float:

@@ -1,36 +1,88 @@
-"""Value range of masks: 0 to 1, 0 to 255, 16 bits, or labels that are no masks.
+"""Value range of a video's masks: 0 to 1, 0 to 255, 16 bits, or labels; decided for all at once.
 
-One mask alone says little: a person who has left the picture has an empty one. Over all masks of a
-video, some pixel must be inside and some outside.
+One mask alone says little: a person who has left the picture has an empty one, and a segmenter's
+noise of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
+
+Whole numbers from 0 to at most 127 are labels. The only label beside 0 is the person's; of several,
+the one under the person's joints: :func:`gva_mi.data.importers.people.label_under`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
+
 import numpy as np
 
+from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 
 BARELY = 127  # 8-bit masks above this are inside
+_MOST = 64  # labels; more values are those of a soft and dim mask
 _FEW = 6  # values that are named
 
 
-def full_value(mask: np.ndarray) -> int:
-    """Return the value that is fully inside: 1, 255, or 65535 if a mask has 16 bits."""
-    most = mask.max(initial=0)
-    if mask.dtype.kind == "b" or most <= 1:
+@dataclass(frozen=True)
+class MaskMeaning:
+    """What the values of a video's masks mean."""
+
+    full: int = 255  # the value that is fully inside: 1, 255 or 65535
+    labels: tuple[int, ...] = ()  # of which the masks are drawings; empty: shares of ``full``
+    label: int | None = None  # the person's
+    parts: bool = False  # labels are parts of the person: whatever is not zero is inside
+
+    @property
+    def people(self) -> tuple[int, ...]:
+        """Labels of which one has to be the person's."""
+        return () if self.parts or self.label is not None else self.labels
+
+    def inside(self, where: str, mask: np.ndarray) -> np.ndarray:
+        """Convert a mask (H, W) to 8 bits, 255 inside."""
+        if self.parts:
+            return (mask > 0) * np.uint8(255)
+        if self.people:
+            raise InputError(
+                f"{where}: masks of labels {listed(self.labels)}, and nothing says which is the "
+                "person; save (label == the person's) * 255"
+            )
+        if self.label is not None:
+            return (mask == self.label) * np.uint8(255)
+        low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
+        if not 0 <= low <= high <= self.full:  # NaN is neither
+            raise InputError(
+                f"{where}: its values go from {low:g} to {high:g}, such as a network's own before "
+                "they are shares; expected Boolean, 0 to 1, or 0 to 255"
+            )
+        if mask.dtype == np.uint8 and self.full == 255:
+            return mask
+        return np.round(mask.astype(np.float32) * (255 / self.full)).astype(np.uint8)
+
+
+def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
+    """Return what the values of a video's masks (H, W) mean."""
+    full, whole, found = 1, True, set()
+    for mask in masks:
+        if mask.dtype.kind == "b":
+            return MaskMeaning(1)
+        most = mask.max(initial=0)
+        full = max(full, _full(mask.dtype, most))
+        if mask.dtype == np.uint8 and most > BARELY:
+            return MaskMeaning(255)  # no later mask of 8 bits says more
+        whole = whole and most <= BARELY and len(found) <= _MOST
+        whole = whole and (mask.dtype.kind in "iu" or bool((mask == np.floor(mask)).all()))
+        if whole and mask.min(initial=0) >= 0:
+            found |= set(np.flatnonzero(np.bincount(mask.ravel().astype(np.uint8))).tolist())
+    if full == 1 or not whole or len(found) > _MOST:
+        return MaskMeaning(full)
+    labels = tuple(sorted(found))
+    people = tuple(x for x in labels if x) if 0 in labels and len(labels) == 2 else labels
+    return MaskMeaning(255, labels, people[0] if len(people) == 1 else None)
+
+
+def _full(dtype: np.dtype, most: float) -> int:
+    if most <= 1:
         return 1
-    return 65535 if mask.dtype == np.uint16 and most > 255 else 255
-
-
-def to_8_bits(where: str, mask: np.ndarray, full: int) -> np.ndarray:
-    """Convert a mask (H, W) to 8 bits, 255 inside; ``full`` is its value for fully inside."""
-    low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
-    if not 0 <= low <= high <= full:  # NaN is neither
-        raise InputError(
-            f"{where}: its values go from {low:g} to {high:g}, such as a network's own before they "
-            "are shares; expected Boolean, 0 to 1, or 0 to 255"
-        )
-    return np.round(mask.astype(np.float32) * (255 / full)).astype(np.uint8)
+    return 65535 if dtype == np.uint16 and most > 255 else 255
 
 
 def require_person(where: str, counts: np.ndarray) -> None:
@@ -47,8 +99,8 @@ def require_person(where: str, counts: np.ndarray) -> None:
         )
     else:
         what = (
-            f"no pixel of any mask is above half, they hold {_named(values)}: labels? 255 is "
-            "inside; save (label == the person's) * 255"
+            f"no pixel of any mask is above half, they hold {_named(values)}; expected 255 inside "
+            "the person"
         )
     raise InputError(f"{where}: {what}")
 

@@ -6,8 +6,8 @@ metres, or in centimetres with ``smpl_scaling``; a frame rate under several name
 were lost; angles of more than half a turn; and any axis may be up.
 
 An estimator's motion is in world axes if the estimator gives them or the camera's path; else in
-camera axes, and then the camera is assumed to stand still. Estimators that assume a far too long
-lens are refused, because their motion toward the camera is too large by the same factor.
+camera axes, and then the camera is assumed to stand still. A lens of its own in each frame becomes
+one usual lens: :mod:`.one_lens`. Estimators whose file does not say the lens are refused.
 """
 
 from __future__ import annotations
@@ -28,16 +28,18 @@ from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
 from gva_mi.data.importers.estimator_record import Estimator, VideoInfo
 from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
-from gva_mi.data.importers.fields import find_betas
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.joint_motion import RATE, joints_in
+from gva_mi.data.importers.lens import through_lens
 from gva_mi.data.importers.mosh import from_mosh
+from gva_mi.data.importers.one_lens import is_one_lens, usual_lens
 from gva_mi.data.importers.people import choose
 from gva_mi.data.importers.skeleton_tracks import bvh_track, joints_track
+from gva_mi.data.importers.spellings import named_rows, unnested
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.timeline import interpolate, longest_gap
 from gva_mi.data.importers.tracks import Track, make_track, median_betas
-from gva_mi.data.importers.world import UP, up_axis, upright
+from gva_mi.data.importers.world import LEANS, UP, Upward, upright
 
 HANDS = ("relaxed", "flat")
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
@@ -86,10 +88,10 @@ class Motion:
 def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     """Read a motion; turn it upright, fill its gaps, resample it.
 
-    ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. The
-    pelvis of ``body`` stays in place when the world is turned, and components of a PCA weigh its
-    hands.
+    ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
+    Components of a PCA weigh the hands of ``body``.
     """
+    body = body.for_source(path)
     return _resampled(str(path), *_read(path, body, options), body, options)
 
 
@@ -99,33 +101,36 @@ def motion_of_poses(
     """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
     if options.hands not in HANDS:
         raise InputError(f"{where}: --hands of a file are for motions of files; films have hands")
+    body = replace(body, of_source=True)
     named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
-    track = make_track(where, "0", None, named, np.eye(3), body.components)
-    return _resampled(where, track, fps, shape.betas.double().numpy(), [], body, options)
+    named["betas"] = shape.betas.double().numpy()
+    track = make_track(where, "0", None, named, np.eye(3), body)
+    return _resampled(where, track, fps, "y", [], body, options)
 
 
 def _resampled(
     where: str,
     track: Track,
     rate: float,
-    betas: np.ndarray,
+    own_up: str | None,
     notes: list[str],
     body: TargetBody,
     options: MotionOptions,
 ) -> Motion:
-    """Turn a track upright, fill its gaps, and resample it."""
+    """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its form's own axis."""
     if options.hands not in HANDS:
         start = int(track.frames.min() == 1)  # of SMPLer-X
         counted = replace(track, frames=track.frames - start)
         track, more = merge_hands(counted, Path(options.hands), body.mean_hands)
         notes = [*notes, *more]
-    rotations, transl, known = _timeline(where, track)
+    rotations, others, known = _timeline(where, track)
+    notes = [*notes, *track.notes]
     if not known.all():
         _check_gaps(where, known, rate, options)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
     if track.from_mean_hand:
         rotations[:, LEFT_HAND.start :] += body.mean_hands
-        notes.append("hands are components of a PCA, added to the body's mean hand")
+        notes.append("fingers are relative to the mean hand, and the body's is added")
     if not track.has_hands:
         for side in ("left", "right") if options.hands == "relaxed" else ():
             put_hand(rotations, side, GESTURES["rest"].values)
@@ -135,67 +140,70 @@ def _resampled(
     if count > MOST_FRAMES:
         raise InputError(f"{where}: {count:,} frames at {options.fps:g} a second; give less --fps")
     wanted = np.arange(count) / options.fps
-    rotations, transl = interpolate(times[known], rotations[known], transl[known], wanted)
-    up = up_axis(rotations, transl, body.joints) if options.up == "auto" else options.up
+    rotations, others = interpolate(times[known], rotations[known], others[known], wanted)
+    places, expression = others[:, :3], others[:, 3:]
+    upward = Upward.of(rotations, places, body.joints, options.fps)
+    up = options.up if options.up != "auto" else own_up or upward.axis()
     if up is None:
         raise InputError(
             f"{where}: the head is above the feet along no axis; give --up of gva-mi motion, one "
             f"of {', '.join(UP)}"
         )
-    rotations, transl = upright(rotations, transl, up, body.joints[0])
-    if options.place == "start":
-        transl = transl - transl[0]
+    if (lean := upward.lean(up)) >= LEANS:
+        notes.append(f"the person leans {lean:.0f} degrees from that axis; --up takes another")
+    rotations, places = upright(rotations, places, up)
+    betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
+    expression, of_face = body.expression(track.form, expression)
+    notes = [*notes, *varied, *of_face]
+    own = betas if body.keeps_betas(track.form) else betas * 0
+    pelvis = places[0] if options.place == "start" else body.pelvises(body.form, own)
     notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
                     f"now {count} at {options.fps:g}, y up")  # fmt: skip
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
-    pose = Pose(tensor(rotations), tensor(transl), torch.zeros(count, 10))
+    pose = Pose(tensor(rotations), tensor(places - pelvis), tensor(expression))
     return Motion(pose, Shape(tensor(betas)), tuple(notes))
 
 
 def _read(
     path: Path, body: TargetBody, options: MotionOptions
-) -> tuple[Track, float, np.ndarray, list[str]]:
-    """Read one person's track, frames per second, betas (B,), and notes."""
+) -> tuple[Track, float, str | None, list[str]]:
+    """Read one person's track, frames per second, the form's own up axis, and notes."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
         track, fps, notes = bvh_track(path, body)
-        return track, _rate(where, {"fps": fps}, options), np.zeros(10), notes
+        return track, _rate(where, {"fps": fps}, options), None, notes
     found = from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
         track, notes = joints_track(places, rate, body)
-        return track, rate, np.zeros(10), notes
+        return track, rate, None, notes
     refuse_mhr(where, first_of(found))
+    if isinstance(found, np.ndarray) and not found.dtype.hasobject:
+        found = named_rows(path, found)
     if not isinstance(found, dict | Path) or not found:
         raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
     world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
     kind = world or kind_of(found)
     if kind is not None and (kind != "parameters" or isinstance(found, Path)):
         record = WORLDS[kind] if world else KINDS[kind]
-        track, notes = _estimated(kind, record, path, found, options.person, body.components)
-        rate, betas = _rate(where, {}, options), track.betas
-        # The target's pelvis is elsewhere at rest than that of the source's body.
-        track = replace(track, transl=track.transl + track.pelvis - body.joints[0])
-    elif isinstance(found, Path):
+        track, notes = _estimated(kind, record, path, found, options.person, body)
+        return track, _rate(where, {}, options), record.up, notes
+    if isinstance(found, Path):
         poses = [n for n in ("poses_refined.npz", "poses.npz") if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
         raise InputError(
             f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "
             "AIST++'s .pkl, or the folder of TRAM, ROMP, BEV, Multi-HMR, SMPLer-X or OSX" + hint
         )
-    elif holds(found, "pred_rotmat", "pred_trans"):
+    if holds(found, "pred_rotmat", "pred_trans"):
         raise InputError(
             f"{path}: one person of TRAM without its camera; give the folder with hps/ and "
             "camera.npy"
         )
-    else:
-        named = {name: x for name, x in found.items() if name != "betas"}  # of any number of rows
-        track, notes = make_track(where, "0", None, named, np.eye(3), body.components), []
-        rate, betas = _rate(where, found, options), find_betas(where, found)
-    if betas is None or track.form != "SMPL-X":
-        return track, rate, np.zeros(10), notes  # the shape spaces differ, and avatars have one
-    betas, varied = median_betas(np.atleast_2d(betas))
-    return track, rate, betas, [*notes, *varied]
+    found = unnested(found)
+    track = make_track(where, "0", None, found, np.eye(3), body)
+    own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
+    return track, _rate(where, found, options), own, []
 
 
 def _estimated(
@@ -204,7 +212,7 @@ def _estimated(
     path: Path,
     found: Any,  # noqa: ANN401
     person: str | None,
-    components: np.ndarray | None,
+    body: TargetBody,
 ) -> tuple[Track, list[str]]:
     """Return one person of an estimator's output, in world or camera axes (module docstring)."""
     if record.needs_video:
@@ -213,8 +221,8 @@ def _estimated(
             f"a motion in metres, or gva-mi prepare {kind} with its video"
         )
     with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
-        # The camera's K, and so the size of its pictures, says nothing of places.
-        tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, components))
+        # Of the size of its pictures nothing is known, nor of a lens that follows from it.
+        tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, body))
         axes = "in the axes of its world"
         if record is not WORLDS.get(kind):
             placed = record.along_path(found, tracks) if record.along_path else None
@@ -222,11 +230,16 @@ def _estimated(
             axes = standing if placed is None else "in the world of its camera's path"
             tracks = tracks if placed is None else placed
         track, notes = choose(str(path), tracks, person, None)
+        if not is_one_lens(track.K):
+            K = usual_lens(track.K)
+            track = through_lens(track, K)
+            notes.append(f"seen through another lens in each frame; placed before one of "
+                         f"{K[0, 0]:.0f} pixels")  # fmt: skip
     return track, [f"{kind}, {axes}", *notes]
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return rotations (T, 55, 3), translations (T, 3) and known (T,), first to last frame.
+    """Return rotations (T, 55, 3), places and expressions (T, 3 + E) and known (T,), first to last.
 
     Frames that an estimator left out are NaN.
     """
@@ -237,10 +250,11 @@ def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndar
             f"{where}: frames {track.frames.min()} to {track.frames.max()}, expected at most "
             f"{MOST_FRAMES:,}"
         )
+    face = np.zeros((len(rows), 10)) if track.expression is None else track.expression
+    others = np.full((count, 3 + face.shape[1]), np.nan)
     rotations = np.full((count, *track.rotations.shape[1:]), np.nan)
-    transl = np.full((count, 3), np.nan)
-    rotations[rows], transl[rows] = track.rotations, track.transl
-    return rotations, transl, np.isfinite(rotations).all((1, 2)) & np.isfinite(transl).all(1)
+    rotations[rows], others[rows] = track.rotations, np.hstack([track.places, face])
+    return rotations, others, np.isfinite(rotations).all((1, 2)) & np.isfinite(others).all(1)
 
 
 def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptions) -> None:

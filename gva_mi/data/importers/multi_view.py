@@ -3,9 +3,6 @@
 Their forms are those of the public code of zju3dv/neuralbody, zju3dv/EasyMocap and
 lizhe00/AnimatableGaussians; ``docs/sources.md`` lists the files. ZJU-MoCap's ``T`` is in
 millimetres, the others' in metres.
-
-EasyMocap's body turns about the origin, x = R(Rh) b + Th, and not about its pelvis p: translation
-here is R(Rh) p + Th − p.
 """
 
 from __future__ import annotations
@@ -19,14 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.body.rotations import composed, to_matrices
+from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, read_json
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.footage import files_of
+from gva_mi.data.importers.mask_units import MaskMeaning
 from gva_mi.data.importers.numbering import number_in
-from gva_mi.data.importers.tracks import PELVIS, Track, make_track
+from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.tracks import Track, make_track
 
 _SMPL = (
     "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",
@@ -37,12 +36,11 @@ _MATRIX = re.compile(
     r"data: *\[([^\]]*)\]",
     re.M,
 )
-_FORMS = {69: "SMPL", 72: "SMPL", 156: "SMPL+H", 165: "SMPL-X"}  # by the numbers of a pose
 _JSON = "what the data set holds there"
 Cameras = Mapping[str, Callable[[], FixedCamera]]
 
 
-def zju(where: str, folder: Path, camera: str | None) -> Capture:
+def zju(where: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     found = read_source(folder / "annots.npy", "cams and ims, as ZJU-MoCap has them")
     cameras = {
         str(k): partial(_zju_camera, folder, found, k) for k in range(len(found["cams"]["K"]))
@@ -53,9 +51,9 @@ def zju(where: str, folder: Path, camera: str | None) -> Capture:
         read_source(params / f"{_zju_number(path)}.npy", "poses, shapes, Rh and Th of a frame")
         for path in own.frames.values()
     ]
-    track = _turned_about_origin(where, "0", np.arange(len(people)), people, own)
+    track = _stacked(where, "0", np.arange(len(people)), people, own, body)
     numbers = list(own.frames)
-    return replace(_among([track], name, own, cameras, numbers), labels=True)
+    return replace(_among([track], name, own, cameras, numbers), meaning=MaskMeaning(parts=True))
 
 
 def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
@@ -98,7 +96,7 @@ def _inside(folder: Path, name: object) -> str:
     return str(path)
 
 
-def easymocap(where: str, folder: Path, camera: str | None) -> Capture:
+def easymocap(where: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     inner, outer = (_yaml(folder / name) for name in ("intri.yml", "extri.yml"))
     names = [key[2:] for key in inner if key.startswith("K_")]
     cameras = {name: partial(_easymocap_camera, folder, inner, outer, name) for name in names}
@@ -115,9 +113,9 @@ def easymocap(where: str, folder: Path, camera: str | None) -> Capture:
             if number in own.frames:
                 seen.append((numbers.index(number), person))
     tracks = [
-        _turned_about_origin(
+        _stacked(
             f"{params}: person {person}", person, np.array([k for k, _ in seen]),
-            [found for _, found in seen], own,
+            [found for _, found in seen], own, body,
         )
         for person, seen in people.items()
         if seen
@@ -141,32 +139,30 @@ def _easymocap_camera(
     )  # fmt: skip
 
 
-def _turned_about_origin(
+def _stacked(
     where: str,
     person: str,
     frames: np.ndarray,
     each: Sequence[Mapping[str, Any]],
     own: FixedCamera,
+    body: TargetBody,
 ) -> Track:
     """Convert EasyMocap's parameters (SMPL, SMPL+H or SMPL-X) to the axes of the camera ``own``."""
-    rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
-    poses, turns, places = rows("poses"), rows("Rh"), rows("Th")
-    form = _FORMS.get(poses.shape[1])
-    if form is None or "handl" in each[0]:
+    if "handl" in each[0]:
         raise InputError(
-            f"{where}: 'poses' has {poses.shape[1]} numbers a frame; expected SMPL's 72 or 69, "
-            "SMPL+H's 156 or SMPL-X's 165, joint by joint and not hands as PCA"
+            f"{where}: hands as PCA (handl, handr) are not read; expected 'poses' of SMPL's 72 or "
+            "69 numbers a frame, SMPL+H's 156 or SMPL-X's 165"
         )
-    if poses.shape[1] == 69:  # without the root
-        poses = np.concatenate([np.zeros((len(poses), 3)), poses], axis=1)
-    poses[:, :3] = composed(turns, poses[:, :3])
-    pelvis = np.array(PELVIS[form])
-    transl = to_matrices(turns) @ pelvis + places - pelvis
-    given = {"poses": poses, "transl": transl, "betas": rows("shapes")}
-    return make_track(where, person, frames, given, own.K).seen_from(own.R, own.T)
+    rows = lambda name: np.stack([np.ravel(np.asarray(p[name], np.float64)) for p in each])
+    given = {name: rows(name) for name in ("poses", "Rh", "Th", "shapes")}
+    if "expression" in each[0]:
+        given["expression"] = rows("expression")
+    if given["poses"].shape[1] == 69:  # without the root
+        given["poses"] = np.pad(given["poses"], ((0, 0), (3, 0)))
+    return make_track(where, person, frames, given, own.K, body).seen_from(own.R, own.T)
 
 
-def avatarrex(where: str, folder: Path, camera: str | None) -> Capture:
+def avatarrex(where: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     about = read_json(folder / "calibration_full.json", _JSON)
     cameras = {key: partial(_avatarrex_camera, folder, key, lens) for key, lens in about.items()}
     name, own = _chosen(folder, cameras, camera)
@@ -175,7 +171,7 @@ def avatarrex(where: str, folder: Path, camera: str | None) -> Capture:
     count = len(poses["transl"])
     rows = [k for k in own.frames if k < count and k in own.masks]
     given = {key: x[rows] if len(x) == count else x for key, x in poses.items()}
-    track = make_track(str(path), "0", np.arange(len(rows)), given, own.K)
+    track = make_track(str(path), "0", np.arange(len(rows)), given, own.K, body)
     return _among([track.seen_from(own.R, own.T)], name, own, cameras, rows)
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 
-def number_in(name: object, which: int = -1) -> int:
-    """Return the last number in a file's name, usually the frame number; ``which`` 0: first.
+def number_in(name: object) -> int:
+    """Return the last number in a file's name, usually the frame number.
 
     Raises:
         ValueError: there is none.
@@ -18,7 +19,45 @@ def number_in(name: object, which: int = -1) -> int:
     numbers = re.findall(r"\d+", Path(str(name)).stem)
     if not numbers:
         raise ValueError(f"no number in the name '{name}'")
-    return int(numbers[which])
+    return int(numbers[-1])
+
+
+def frames_named(names: Sequence[object]) -> np.ndarray:
+    """Return the frame numbers (n,) in the names of n files.
+
+    It is the last number that differs between all of them, so that ``walk_2_000001_v3`` is 1.
+
+    Raises:
+        ValueError: a name has no number.
+    """
+    last = [number_in(name) for name in names]
+    rows = [re.findall(r"\d+", Path(str(name)).stem)[::-1] for name in names]
+    for column in zip(*rows, strict=False):
+        if len(set(map(int, column))) == len(set(map(str, names))):
+            return np.array([int(x) for x in column])
+    return np.array(last)
+
+
+def first_number(
+    frames: np.ndarray, count: int, usual: int | None, pictures: Sequence[object] | None
+) -> int:
+    """Return the number that a source gave the first of ``count`` frames.
+
+    Args:
+        frames: (n,) the source's numbers.
+        count: of the video.
+        usual: the number that the program begins with; None: that of the pictures it was given.
+        pictures: their names in order; None for a film.
+    """
+    fits = range(int(frames.max()) - count + 1, int(frames.min()) + 1)
+    if usual is None and pictures is not None:
+        try:
+            named = frames_named(pictures)
+            usual = int(named[0]) if np.isin(frames, named).all() else None
+        except ValueError:
+            usual = None
+    guesses = (usual or 0, 0, 1, *(fits if len(fits) == 1 else ()))
+    return next((x for x in guesses if x in fits and x >= 0), 0)
 
 
 def by_number(path: Path) -> tuple[int, str]:

@@ -20,13 +20,14 @@ from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.estimator_files import stacked
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.lens import CAMERA, lens_in
+from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import Splits
 
 _EXAVATAR = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")
 
 
-def instantavatar(where: str, folder: Path, camera: str | None) -> Capture:
+def instantavatar(where: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     path = folder / "cameras.npz"
     lens = read_arrays(path, "intrinsic and extrinsic")
     require_keys(path, lens, ("intrinsic", "extrinsic"))
@@ -35,12 +36,13 @@ def instantavatar(where: str, folder: Path, camera: str | None) -> Capture:
     poses = read_arrays(path, "thetas, transl and betas")
     require_keys(path, poses, ("transl", "betas"))
     K, T = (np.asarray(lens[name], np.float64) for name in ("intrinsic", "extrinsic"))
-    track = make_track(str(path), "0", None, poses, K[:3, :3]).seen_from(T[:3, :3], T[:3, 3])
+    track = make_track(str(path), "0", None, poses, K[:3, :3], body)
+    track = track.seen_from(T[:3, :3], T[:3, 3])
     images = tuple(files_of(folder / "images"))
     return Capture([track], images, folder / "masks", loose=True)
 
 
-def exavatar(where: str, folder: Path, camera: str | None) -> Capture:
+def exavatar(where: str, folder: Path, camera: str | None, body: TargetBody) -> Capture:
     poses = next((folder / name for name in _EXAVATAR if (folder / name).is_dir()), None)
     if poses is None:
         raise InputError(f"{folder}: has none of {', '.join(_EXAVATAR)}, with a .json a frame")
@@ -55,7 +57,7 @@ def exavatar(where: str, folder: Path, camera: str | None) -> Capture:
     betas = folder / "smplx_optimized/shape_param.json"
     betas = np.ravel(np.asarray(read_json(betas, "the person's betas, numbers"), np.float64))
     K = np.stack([lens_in(path, found) for path, found in zip(lenses, about, strict=True)])
-    track = make_track(str(poses), "0", None, {**person.arrays, "betas": betas}, K)
+    track = make_track(str(poses), "0", None, {**person.arrays, "betas": betas}, K, body)
     R, T = (
         np.stack([np.reshape(x.get(key, other), np.shape(other)) for x in about]).astype(np.float64)
         for key, other in (("R", np.eye(3)), ("t", np.zeros(3)))

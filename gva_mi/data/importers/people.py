@@ -4,9 +4,9 @@ A person's joints lie inside the person's mask. In each frame a joint inside the
 its person, and a joint outside a vote against. So a passer-by in many frames collects votes
 against, and does not win by number of frames.
 
-A joint of a track is seen at ``K (t + p + place of the joint relative to the pelvis)``, with t the
-track's translation and p the pelvis at rest of the estimator's body. Places relative to the pelvis
-are those of any body in the track's rotations: limbs are wider than the error that this makes.
+A joint of a track is seen at ``K (p + place of the joint relative to the pelvis)``, with p the
+pelvis's place. Places relative to the pelvis are those of any body in the track's rotations: limbs
+are wider than the error that this makes.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from gva_mi.data.importers.tracks import Track
 from gva_mi.data.joints import count_in_mask, joint_places
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
+MOSTLY = 0.5  # of the joints: clothes and an estimate that errs leave most in the person's mask
 
 
 def choose(
@@ -62,16 +63,15 @@ def choose(
 
 
 def joints_in_masks(
-    tracks: Sequence[Track], masks: Iterable[np.ndarray], first: int, joints: np.ndarray
+    tracks: Sequence[Track], masks: Iterable[np.ndarray], joints: np.ndarray
 ) -> np.ndarray:
     """Count each track's joints inside the masks and outside, (n, 2), without hands and face.
 
     A frame with an empty mask has no vote, and neither has a joint beyond the picture's border.
-    Masks are (H, W) 8-bit, frame by frame; ``first`` is the estimator's number of the first frame;
-    ``joints`` are (55, 3) of a body at rest, metres.
+    Masks are (H, W) 8-bit, frame by frame from 0; ``joints`` are (55, 3) of a body at rest, metres.
     """
     seen = [joint_pixels(track, joints) for track in tracks]
-    rows = [{int(f) - first: i for i, f in enumerate(track.frames)} for track in tracks]
+    rows = [{int(f): i for i, f in enumerate(track.frames)} for track in tracks]
     votes = np.zeros((len(tracks), 2), int)
     for k, mask in enumerate(masks):
         inside = mask > BARELY
@@ -84,13 +84,41 @@ def joints_in_masks(
     return votes
 
 
+def label_under(
+    where: str,
+    track: Track,
+    masks: Iterable[np.ndarray],
+    labels: Sequence[int],
+    joints: np.ndarray,
+) -> int:
+    """Return the label of masks (H, W) under most of a track's joints, where it is in a mask.
+
+    The other arguments are those of :func:`joints_in_masks`.
+    """
+    hits, seen = dict.fromkeys(labels, 0), dict.fromkeys(labels, 0)
+    pixels, row = joint_pixels(track, joints), {int(f): i for i, f in enumerate(track.frames)}
+    for k, mask in enumerate(masks):
+        for label in np.unique(mask).tolist() if k in row else ():
+            inside, there = count_in_mask(pixels[row[k]], mask == label)
+            hits[label] += inside
+            seen[label] += there
+    best = max((x for x in labels if x), key=hits.__getitem__)
+    if hits[best] < MOSTLY * seen[best] or not seen[best]:
+        shares = ", ".join(f"{k} ({hits[k] / max(seen[k], 1):.0%})" for k in list(labels)[:9])
+        raise InputError(
+            f"{where}: masks of labels, and none holds most joints of person {track.person}: "
+            f"{shares}; save (label == the person's) * 255, or choose --person"
+        )
+    return int(best)
+
+
 def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:
     """Project a track's first joints, by default root and body, to pixels (n, count, 2).
 
     They are not finite behind the camera. ``joints`` are (55, 3) of a body at rest, metres.
     """
     places = joint_places(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
-    x = places - places[:, :1] + (track.pelvis + track.transl)[:, None]
+    x = places - places[:, :1] + track.places[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         projected = np.einsum("tab,tjb->tja", track.K, x)
         seen = projected[..., :2] / projected[..., 2:]

@@ -6,7 +6,8 @@ translation t becomes
 
     t' = W (p + t) − p',
 
-where p' is the pelvis of the body that the folder is for.
+where p' is the pelvis of the body that the folder is for, both pelvises those of the person's betas
+(:meth:`.TargetBody.pelvises`).
 """
 
 from __future__ import annotations
@@ -24,29 +25,40 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
+from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import read_estimator
-from gva_mi.data.importers.footage import folder_of, pictures, uneven_rate
+from gva_mi.data.importers.estimators import KINDS, read_estimator
+from gva_mi.data.importers.footage import (
+    count_of,
+    files_of,
+    folder_of,
+    pictures,
+    raw_masks,
+    uneven_rate,
+)
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.lens import filmed_with
 from gva_mi.data.importers.mask_units import require_person
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
+from gva_mi.data.importers.numbering import first_number
 from gva_mi.data.importers.other_views import known_names, write_views
-from gva_mi.data.importers.people import choose, joints_in_masks
+from gva_mi.data.importers.people import choose, joints_in_masks, label_under
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
-from gva_mi.data.importers.world import upright
+from gva_mi.data.importers.world import Upward, upright
+from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import POSES, save_cameras
+from gva_mi.data.video import POSES, save_cameras, spread
 from gva_mi.splat import Camera
 
+_UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -65,25 +77,24 @@ def prepare_folder(
     """
     where = str(source)
     mask_network, normal_network = options.networks()
-    kind, capture, size = _capture(kind, source, options, body.components)
-    tracks, views = capture.tracks, known_names(where, capture, options.views)
-    votes = lambda: joints_in_masks(tracks, capture.read_masks(), options.first, body.joints)
-    track, notes = choose(where, tracks, options.person, votes if capture.masks else None)
-    others = [replace(t, frames=t.frames - options.first) for t in tracks if t is not track]
+    body = body.for_source(source)
+    kind, capture, size = _capture(kind, source, options, body)
+    capture, first, of_numbers = _numbered(kind, capture, options.first)
+    capture, track, notes = _chosen(where, capture, options.person, body)
+    views, notes = known_names(where, capture, options.views), [*notes, *of_numbers]
+    others = [t for t in capture.tracks if t is not track]
     of_lens = []
     if kind not in DATASETS:  # which know their lenses
         track, of_lens = filmed_with(track, options.lens, capture.frames, size)
     straight = undistort(folder_of(capture.frames), track.K[0], capture.distortion, size)
-    last = int(track.frames.max()) - options.first + 1
-    count = _write_pictures(out, capture, straight, size, progress, last)
-    track = replace(track, frames=track.frames - options.first)
+    count = _write_pictures(out, capture, straight, size, progress, int(track.frames.max()) + 1)
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
     if options.hands is not None:
         track, of_hands = merge_hands(
             track, options.hands, body.mean_hands, wrists=options.wrists == "hands",
-            from_mean=options.hands_zero == "mean", first=options.first, body=body.joints,
+            from_mean=options.hands_zero == "mean", first=first, body=body.joints,
         )  # fmt: skip
         notes += of_hands
     if capture.splits is not None:
@@ -110,6 +121,7 @@ def prepare_folder(
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
     save_poses(out / POSES, pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
+    notes += _doubts(out, track.where(inside), pose, shape, cameras, body)
     notes += [note for note in (capture.note, uneven_rate(capture.frames)) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
@@ -120,7 +132,7 @@ def prepare_folder(
 
 
 def _capture(
-    kind: str, source: Path, options: PrepareOptions, components: np.ndarray | None
+    kind: str, source: Path, options: PrepareOptions, body: TargetBody
 ) -> tuple[str, Capture, tuple[int, int]]:
     """Return the kind of a source, its people and pictures, and the pictures' size."""
     if kind == "auto" and source.is_dir():
@@ -128,7 +140,7 @@ def _capture(
     if kind in DATASETS and options.lens is not None:
         raise InputError(f"prepare: --lens is for pose estimators; {kind} knows its cameras")
     if kind in DATASETS:
-        capture = read_dataset(kind, source, options.camera)
+        capture = read_dataset(kind, source, options.camera, body)
     else:
         capture = Capture([], options.frames, None)
     masks = None if options.sam_checkpoint else options.masks or capture.masks
@@ -141,9 +153,40 @@ def _capture(
         raise InputError(f"{source}: no picture of it is there")
     size = image.shape[1::-1]
     if kind not in DATASETS:
-        kind, tracks = read_estimator(kind, source, VideoInfo(size, options.focal, components))
+        kind, tracks = read_estimator(kind, source, VideoInfo(size, options.focal, body))
         capture = replace(capture, tracks=tracks)
-    return kind, capture, size
+    return kind, capture.understood(), size
+
+
+def _numbered(kind: str, capture: Capture, first: int | None) -> tuple[Capture, int, list[str]]:
+    """Return the capture with its people's frames numbered from 0, the first number, and notes."""
+    notes = []
+    if first is None and (kind in DATASETS or not capture.tracks):
+        first = 0
+    elif first is None:
+        names = files_of(capture.frames)
+        frames = np.concatenate([track.frames for track in capture.tracks])
+        first = first_number(frames, count_of(capture.frames), KINDS[kind].first, names)
+        if first:
+            notes = [f"frames are numbered from {first}; --first takes another number"]
+    moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
+    return replace(capture, tracks=moved), first, notes
+
+
+def _chosen(
+    where: str, capture: Capture, person: str | None, body: TargetBody
+) -> tuple[Capture, Track, list[str]]:
+    """Return the subject, notes, and the capture with the meaning of the subject's masks."""
+    tracks, meaning = capture.tracks, capture.meaning
+    labels = meaning.people if meaning else ()
+    votes = lambda: joints_in_masks(tracks, capture.read_masks(), body.joints)
+    track, notes = choose(where, tracks, person, votes if capture.masks and not labels else None)
+    if labels:
+        drawn = (mask for _, mask in raw_masks(capture.masks))
+        label = label_under(str(folder_of(capture.masks)), track, drawn, labels, body.joints)
+        capture = replace(capture, meaning=replace(meaning, label=label))
+        notes.append(f"masks are labels, of which {label} lies under the person's joints")
+    return capture, track, notes
 
 
 def _write_pictures(
@@ -198,20 +241,47 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
 def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
     """Return poses and shape of a body in the world, its pelvis at the source's, and notes."""
     betas, notes = median_betas(track.betas)
-    if not body.keeps_betas(track.form):
+    notes = [*track.notes, *notes]
+    count, own = len(track.rotations), body.keeps_betas(track.form)
+    expression = np.zeros((count, 10))
+    if not own:
         betas = np.zeros(10)
-        notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
+        if track.betas is not None:
+            notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
+        if track.of_mean:
+            notes.append(f"the pelvis is the mean person's, as the source's {track.form} is not at "
+                         "hand: betas move it by up to some centimetres")  # fmt: skip
     elif len(betas) > body.model.num_betas:
         betas = betas[: body.model.num_betas]
         notes.append(f"the first {len(betas)} betas are kept, which this body's file has")
+    if track.expression is not None:
+        expression, note = body.expression(track.form, track.expression)
+        notes += note
     if track.from_mean_hand:
         track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    pelvis = body.model.rest(shape).joints[0].double().numpy()
-    rotations, transl = upright(track.rotations, track.transl, "-y", track.pelvis)
+    rotations, places = upright(track.rotations, track.places, "-y")
+    places = places - body.pelvises(body.form, betas)
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
-    transl = tensor(transl + track.pelvis - pelvis)
-    pose = Pose(tensor(rotations), transl, torch.zeros(len(rotations), 10))
+    pose = Pose(tensor(rotations), tensor(places), tensor(expression))
     return pose, shape, [*notes, body.takes_over(track.form)]
+
+
+def _doubts(
+    out: Path, track: Track, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
+) -> list[str]:
+    """Return why the person, in the frames of ``track``, may not be where the masks are."""
+    some = {k: read_mask(out / "masks", k) for k in spread(track.frames.tolist(), FRAMES)}
+    seen = [(pose[k], cameras[k], mask) for k, mask in some.items() if mask is not None]
+    doubt = doubt_of(seen, shape, body.model)
+    upward = Upward.of(track.rotations, track.places, body.joints, len(track.frames))
+    if doubt is None and (lean := upward.lean("-y")) > _UPSIDE_DOWN:
+        doubt = f"doubtful: the person is turned by {lean:.0f} degrees, head down"
+    if doubt is None:
+        return []
+    return [
+        f"{doubt}: poses of a world and not of the camera, another person, or masks of another "
+        "video? gva-mi check of the subject's folder looks for the cause"
+    ]

@@ -38,8 +38,9 @@ class PrepareOptions:
     # What rotations of its fingers are relative to: the flat hand, or MANO's mean hand.
     hands_zero: Literal["flat", "mean"] = "flat"
     wrists: Literal["body", "hands"] = "body"  # whose wrists are taken
-    # The number that the estimator gave the first frame; SMPLer-X starts at 1.
-    first: Annotated[int, Within(0, 1_000_000_000)] = 0
+    # The number that the estimator gave the first frame; without it, inferred from the program, the
+    # pictures' names, and the count.
+    first: Annotated[int, Within(0, 1_000_000_000)] | None = None
     # Focal length in pixels, for an estimator's file without one.
     focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None
     # True focal length, if the estimator assumed another: in pixels; of 35 mm film, such as 26mm;

@@ -36,5 +36,4 @@ def joints_track(places: np.ndarray, fps: float, body: TargetBody) -> tuple[Trac
 
 def _track(form: str, motion: Retargeted, frames: np.ndarray, body: TargetBody) -> Track:
     K = np.tile(np.eye(3), (len(frames), 1, 1))
-    transl = motion.pelvis - body.joints[0]
-    return Track("0", frames, motion.rotations, transl, None, K, form, motion.has_hands)
+    return Track("0", frames, motion.rotations, motion.pelvis, None, K, form, motion.has_hands)

@@ -29,14 +29,9 @@ from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import SeenPerson, followed
 from gva_mi.data.importers.lens import lens_in, lens_of
 from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.importers.spellings import SPELLINGS
 
-NAMES = {
-    "root_pose": "global_orient", "body_pose": "body_pose", "jaw_pose": "jaw_pose",
-    "lhand_pose": "left_hand_pose", "left_hand_pose": "left_hand_pose",
-    "rhand_pose": "right_hand_pose", "right_hand_pose": "right_hand_pose",
-    "leye_pose": "leye_pose", "reye_pose": "reye_pose", "shape": "betas", "betas": "betas",
-    "trans": "transl", "translation": "transl",
-}  # fmt: skip
+NAMES = {name for names in SPELLINGS.values() for name in names}
 _EXPECTED = "SMPL-X's parameters of a frame (.json)"
 _FRAME_PERSON = re.compile(r"(?:^|_)(\d+)_(?:person_?)?\d+$")
 
@@ -59,18 +54,19 @@ def osx(where: str, found: Path) -> list[SeenPerson]:
 
 
 def parameters(where: Path, params: Mapping[str, Any] | None = None) -> dict[str, np.ndarray]:
-    """Return a frame's parameters, flat, by SMPL-X's names; without ``params``, the file's own."""
+    """Return a frame's parameters, flat, with its place as ``transl``; by default a file's own."""
     params = read_json(where, _EXPECTED) if params is None else params
     row = {
-        NAMES[key]: np.ravel(np.asarray(value, np.float64))
+        key: np.ravel(np.asarray(value, np.float64))
         for key, value in params.items() if key in NAMES
     }  # fmt: skip
-    if "transl" not in row:
+    place = next((name for name in SPELLINGS["transl"] if name in row), None)
+    if place is None:
         raise InputError(
             f"{where}: says no place of the person; expected trans or translation, metres in the "
             "camera's axes, which some forks leave out: out['cam_trans']"
         )
-    return row
+    return row | {"transl": row.pop(place)}
 
 
 def _files(found: Any) -> list[Path]:  # noqa: ANN401

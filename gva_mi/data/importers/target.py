@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,16 @@ import torch
 from gva_mi.body.body_file import read_body
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape
+from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
 from gva_mi.body.smplx import BodyModel, body_file, body_name
+from gva_mi.data.fingerprint import belongs_to
+
+# The pelvis of the neutral mean person at rest, metres, as the public models regress it.
+PELVIS = {
+    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
+    "SMPL-X": (0.0031, -0.3514, 0.0120),
+}  # fmt: skip
+_NEAR = 0.05  # metres of it are those of the male and of the female mean
 
 
 @dataclass(frozen=True)
@@ -20,10 +29,11 @@ class TargetBody:
 
     name: str
     model: BodyModel
+    form: str  # "SMPL", "SMPL+H" or "SMPL-X"; "own" for another body in such a file
     joints: np.ndarray  # (55, 3) at rest, of the mean shape, metres
     mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
-    own_betas: bool  # it is SMPL-X, whose betas an estimator of SMPL-X gives
     components: np.ndarray | None  # (2, K, 45) of SMPL-X's PCA of hands, in the same order
+    of_source: bool = False  # the source's poses were made on this very body
 
     @staticmethod
     def read(path: Path | None) -> TargetBody:
@@ -31,19 +41,47 @@ class TargetBody:
         path = path or BUILT_IN_BODY
         arrays = read_body(body_file(path))
         hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
-        # SMPL-X alone has a face; the built-in body has one, and betas of its own.
-        own_betas = body_file(path) != BUILT_IN_BODY and int(arrays["num_expressions"]) > 0
         components = None
-        if own_betas and "hands_componentsl" in arrays:
+        if body_file(path) != BUILT_IN_BODY and "hands_componentsl" in arrays:
             components = np.stack([arrays[f"hands_components{side}"] for side in "lr"])
         model = BodyModel(arrays)
         joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+        form = _form(arrays["weights"], joints[0])
         hands = np.stack(hands).reshape(30, 3)
-        return TargetBody(body_name(path), model, joints, hands, own_betas, components)
+        return TargetBody(body_name(path), model, form, joints, hands, components)
+
+    def for_source(self, source: Path) -> TargetBody:
+        """Return this body, marked if the subject's folder that poses lie in was made on it."""
+        folder = source if source.is_dir() else source.parent
+        return replace(self, of_source=belongs_to(folder, self.model))
 
     def keeps_betas(self, form: str) -> bool:
-        """Whether this body can use the betas of a source with this body model."""
-        return self.own_betas and form == "SMPL-X"
+        """Whether betas and expressions of a source with this body model are this body's."""
+        return self.of_source or form == self.form
+
+    def pelvises(self, form: str, betas: np.ndarray | None) -> np.ndarray:
+        """Return the pelvis at rest, (3,) or (n, 3) metres, of a source's body with ``betas``.
+
+        They are (B,) or (n, B). Without that body at hand it is the mean person's, which betas
+        move by centimetres.
+        """
+        if not self.keeps_betas(form):
+            return np.array(PELVIS[form])
+        betas = np.zeros(0) if betas is None else betas
+        moves = self.model.shape_joints[:, :3].double().numpy()
+        count = min(len(moves), betas.shape[-1])
+        return self.joints[0] + betas[..., :count] @ moves[:count]
+
+    def expression(self, form: str, given: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Return what of a source's expressions (T, E) is this body's, ten at most, and notes."""
+        if not self.keeps_betas(form):
+            if not given.any():
+                return np.zeros((len(given), 10)), []
+            note = f"the face's expression is left out: coefficients of {form} are not the body's"
+            return np.zeros((len(given), 10)), [f"{note} {self.name}"]
+        count = min(10, self.model.num_expressions, given.shape[1])
+        note = [f"the first {count} of {given.shape[1]} coefficients of the expression are kept"]
+        return given[:, :count], note if given[:, count:].any() else []
 
     def takes_over(self, form: str) -> str:
         """Return a note on what this body keeps of a source with this body model."""
@@ -53,3 +91,13 @@ class TargetBody:
             f"retargeted to the body {self.name}: rotations and the pelvis's place are the "
             "source's; lengths of limbs and shape are this body's"
         )
+
+
+def _form(weights: np.ndarray, pelvis: np.ndarray) -> str:
+    """Return the model of a body file by the joints that move it, weights (V, 55), and its pelvis.
+
+    Other bodies come in SMPL-X's format, too, and have betas of their own.
+    """
+    moved = set(np.flatnonzero(weights.any(0)).tolist())
+    form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
+    return form if np.linalg.norm(pelvis - PELVIS[form]) < _NEAR else "own"

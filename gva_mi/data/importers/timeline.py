@@ -2,7 +2,7 @@
 
     r(t) = r_k ∘ exp(s log(r_k⁻¹ ∘ r_k+1)),    s = (t − t_k) / (t_k+1 − t_k)
 
-joint by joint, on the shorter way round. Translations are interpolated linearly.
+joint by joint, on the shorter way round. Other numbers are interpolated linearly.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import torch
 
 
 def interpolate(
-    times: np.ndarray, rotations: np.ndarray, transl: np.ndarray, wanted: np.ndarray
+    times: np.ndarray, rotations: np.ndarray, others: np.ndarray, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Sample rotations (n, J, 3) and translations (n, 3) at times ``wanted`` (m,).
+    """Sample rotations (n, J, 3) and other numbers (n, D) at times ``wanted`` (m,).
 
     ``times`` (n,) ascend; the motion is held before the first and after the last. Returned
     rotations are at most half a turn long.
@@ -31,7 +31,7 @@ def interpolate(
     step = roma.unitquat_to_rotvec(step, shortest_arc=True)
     step = roma.rotvec_to_unitquat(step * torch.from_numpy(s)[:, None, None])
     turned = roma.unitquat_to_rotvec(roma.quat_product(first, step), shortest_arc=True)
-    moved = transl[before] + s[:, None] * (transl[after] - transl[before])
+    moved = others[before] + s[:, None] * (others[after] - others[before])
     return turned.numpy(), moved
 
 

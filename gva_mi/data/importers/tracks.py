@@ -11,35 +11,37 @@ import numpy as np
 from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.fields import find_betas, find_joints, find_translation
+from gva_mi.data.importers.fields import find_body
+from gva_mi.data.importers.one_lens import seen_alike, usual_lens
+from gva_mi.data.importers.spellings import OTHERS
+from gva_mi.data.importers.target import PELVIS, TargetBody
 from gva_mi.data.importers.timeline import interpolate
 
-# The pelvis of the neutral mean person at rest, metres, as the public models regress it.
-PELVIS = {
-    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
-    "SMPL-X": (0.0031, -0.3514, 0.0120),
-}  # fmt: skip
 BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is given
 
 
 @dataclass(frozen=True)
 class Track:
-    """An estimator's result for one person; frames ascend and may have gaps."""
+    """An estimator's result for one person; frames ascend and may have gaps.
+
+    A body turns about its pelvis, so the pelvis's place and the root's rotation say where it is
+    before any camera and on any body.
+    """
 
     person: str  # the estimator's name of them
     frames: np.ndarray  # (n,) int
     rotations: np.ndarray  # (n, 55, 3) axis-angle; the root's is relative to the camera's axes
-    transl: np.ndarray  # (n, 3) metres, in the camera's axes: x right, y down, z forward
+    places: (
+        np.ndarray
+    )  # (n, 3) the pelvis, metres, in the camera's axes: x right, y down, z forward
     betas: np.ndarray | None  # (n, B)
     K: np.ndarray  # (n, 3, 3) pixels
     form: str  # "SMPL", "SMPL+H" or "SMPL-X"
     has_hands: bool
     from_mean_hand: bool = False  # fingers are relative to the model's mean hand, not to the flat
-
-    @property
-    def pelvis(self) -> np.ndarray:
-        """Pelvis (3,) of the source's body at rest, metres."""
-        return np.array(PELVIS[self.form])
+    expression: np.ndarray | None = None  # (n, E)
+    of_mean: bool = False  # places follow from the mean person's pelvis, which betas move
+    notes: tuple[str, ...] = ()  # what of the source is not here
 
     def sorted(self) -> Track:
         """Return the track with ascending frames, each once."""
@@ -47,26 +49,24 @@ class Track:
 
     def where(self, rows: np.ndarray) -> Track:
         """Select rows of the track by a mask (n,) or by row numbers."""
-        betas = None if self.betas is None else self.betas[rows]
-        arrays = {
-            name: getattr(self, name)[rows] for name in ("frames", "rotations", "transl", "K")
-        }
-        return replace(self, betas=betas, **arrays)
+        names = ("frames", "rotations", "places", "betas", "K", "expression")
+        arrays = {name: x[rows] for name in names if (x := getattr(self, name)) is not None}
+        return replace(self, **arrays)
 
     def turned(self, turn: np.ndarray, places: np.ndarray) -> Track:
         """Turn the track's root by ``turn`` (n, 3), and put its pelvis at ``places`` (n, 3)."""
         rotations = self.rotations.copy()
         rotations[:, 0] = composed(turn, rotations[:, 0])
-        return replace(self, rotations=rotations, transl=places - self.pelvis)
+        return replace(self, rotations=rotations, places=places)
 
     def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
-        """Transform a track from world to camera axes, x_cam = R x + T, about its pelvis.
+        """Transform a track from world to camera axes, x_cam = R x + T.
 
         R is (3, 3), or (n, 3, 3) of a moving camera, made a rotation where digits were lost; T is
         (3,) or (n, 3) metres.
         """
         R = np.broadcast_to(nearest_rotations(R), (len(self.frames), 3, 3))
-        places = np.einsum("nij,nj->ni", R, self.transl + self.pelvis) + np.reshape(T, (-1, 3))
+        places = np.einsum("nij,nj->ni", R, self.places) + np.reshape(T, (-1, 3))
         return self.turned(to_rotvecs(R), places)
 
 
@@ -76,10 +76,10 @@ def make_track(
     frames: np.ndarray | None,
     found: Mapping[str, Any],
     K: np.ndarray,
-    components: np.ndarray | None = None,
+    body: TargetBody | None = None,
     of_pelvis: bool = False,
 ) -> Track:
-    """Make a track of arrays that hold all its frames, by the names of :mod:`fields`.
+    """Make a track of arrays that hold all its frames, by the names of :mod:`.spellings`.
 
     Args:
         where: file and person, for errors.
@@ -87,25 +87,42 @@ def make_track(
         frames: (n,) frame numbers; None: 0 to n − 1.
         found: the arrays.
         K: (3, 3) or (n, 3, 3) pixels.
-        components: (2, K, 45) PCA of hands of the body's file.
+        body: the body that poses are converted to, if it is known: its PCA of hands, and its
+            pelvis where the source's body is the same.
         of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
     """
-    joints = find_joints(where, found, components)
-    frames = np.arange(len(joints.rotations)) if frames is None else frames
-    count = len(frames)
+    of = find_body(where, found, None if body is None else body.components)
+    count = len(of.rotations)
+    frames = np.arange(count) if frames is None else frames
     K = np.broadcast_to(K, (count, 3, 3)) if K.shape in ((3, 3), (1, 3, 3)) else K
-    if len(joints.rotations) != count or K.shape != (count, 3, 3):
-        raise InputError(
-            f"{where}: {len(joints.rotations)} poses and K {K.shape} for {count} frames"
+    if len(frames) != count or K.shape != (count, 3, 3):
+        raise InputError(f"{where}: {count} poses and K {K.shape} for {len(frames)} frames")
+    betas, notes = of.betas, []
+    if betas is not None:
+        betas = (
+            betas
+            if betas.shape == (count, betas.shape[-1])
+            else median_betas(np.atleast_2d(betas))[0]
         )
-    betas = find_betas(where, found)
-    betas = None if betas is None else np.broadcast_to(betas, (count, betas.shape[-1]))
-    transl = find_translation(where, found, count)
-    track = Track(
-        person, frames, joints.rotations, transl, betas, K, joints.form, joints.has_hands,
-        joints.from_mean_hand,
+        betas = np.broadcast_to(betas, (count, betas.shape[-1]))
+    places = of.transl
+    if places is None:
+        places = np.zeros((count, 3))
+        notes.append("the source has no translation: the person stays in place")
+    of_mean = False
+    if not of_pelvis:
+        of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(of.form))
+        pelvis = np.array(PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
+        if of.about_origin is not None:
+            pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
+        places = places + pelvis
+    if unused := sorted(set(of.unused) - OTHERS):
+        more = f" and {len(unused) - 12} more" if len(unused) > 12 else ""
+        notes.append(f"not used of the source: {', '.join(unused[:12])}{more}")
+    return Track(
+        person, frames, of.rotations, places, betas, K, of.form, of.has_hands, of.from_mean_hand,
+        of.expression, of_mean, tuple(notes),
     )  # fmt: skip
-    return replace(track, transl=transl - track.pelvis) if of_pelvis else track
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
@@ -120,7 +137,7 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
             f"{where}: has frame {outside[0]}, but the video has frames 0 to {count - 1}; --first "
             "says which number the estimator gave the first one"
         )
-    good = np.isfinite(track.rotations).all((1, 2)) & np.isfinite(track.transl).all(1)
+    good = np.isfinite(track.rotations).all((1, 2)) & np.isfinite(track.places).all(1)
     good &= np.isfinite(track.K).all((1, 2))
     if not good.any():
         raise InputError(f"{where}: person {track.person}: no frame holds finite numbers")
@@ -128,20 +145,25 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     if not (focal > 0).all():
         raise InputError(f"{where}: focal lengths must be above 0 pixels, got {focal.min():g}")
     known, wanted = track.frames[good], np.arange(count)
-    rotations, transl = interpolate(
-        known.astype(float), track.rotations[good], track.transl[good], wanted.astype(float)
+    # Before one lens, because the person is as many times farther away as a lens is longer.
+    lens, expression = usual_lens(track.K[good]), track.expression
+    rows = [seen_alike(track.places[good], track.K[good], lens)]
+    rows += [] if expression is None else [expression[good]]
+    rotations, moved = interpolate(
+        known.astype(float), track.rotations[good], np.hstack(rows), wanted.astype(float)
     )
-    # An estimator with a lens for each frame puts the person as many times farther away as the
-    # lens is longer, so K is interpolated as translations are.
     entries = track.K[good].reshape(-1, 9).T
     K = np.stack([np.interp(wanted, known, x) for x in entries], axis=1).reshape(-1, 3, 3)
+    places = seen_alike(moved[:, :3], lens, K)
     inside = (wanted >= known[0]) & (wanted <= known[-1])
     notes = []
     if len(gap := wanted[inside & ~np.isin(wanted, known)]):
         notes.append(f"frames without a pose, interpolated: {listed(gap)}")
     if len(gap := wanted[~inside]):
         notes.append(f"frames before or after the person is seen, left out: {listed(gap)}")
-    return replace(track, frames=wanted, rotations=rotations, transl=transl, K=K), inside, notes
+    filled = {"frames": wanted, "rotations": rotations, "places": places, "K": K}
+    filled["expression"] = None if expression is None else moved[:, 3:]
+    return replace(track, **filled), inside, notes
 
 
 def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:

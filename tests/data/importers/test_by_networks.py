@@ -16,6 +16,7 @@ from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 
 WIDTH, HEIGHT, FRAMES = 192, 144, 5
+SMPL = np.array([-0.0018, -0.2233, 0.0282])  # the pelvis
 FOCAL = np.hypot(WIDTH, HEIGHT)  # what WHAM assumes
 
 
@@ -26,7 +27,7 @@ def people(seen):
     both = []
     for name, aside in (("0", 0.0), ("1", -1.2)):
         both.append(Track(
-            name, np.arange(FRAMES), rotations, transl + (aside, 0.0, 0.0), None,
+            name, np.arange(FRAMES), rotations, transl + SMPL + (aside, 0.0, 0.0), None,
             np.tile(centred(FOCAL, (WIDTH, HEIGHT)), (FRAMES, 1, 1)), "SMPL", False,
         ))  # fmt: skip
     return both
@@ -40,7 +41,7 @@ def joints():
 def test_boxes_and_points_are_where_the_person_is(people, joints):
     person, other = people
     prompts = prompts_of(person, [other], joints, (WIDTH, HEIGHT))
-    pelvis = person.transl + np.array([-0.0018, -0.2233, 0.0282])
+    pelvis = person.places
     wanted = FOCAL * pelvis[:, :2] / pelvis[:, 2:] + (WIDTH / 2, HEIGHT / 2)
     for prompt, place in zip(prompts, wanted, strict=True):
         own = prompt.points[prompt.labels == 1]
@@ -53,8 +54,8 @@ def test_boxes_and_points_are_where_the_person_is(people, joints):
         assert len(theirs) == 6 and (theirs[:, 0] < own[:, 0].min()).all()
     near = prompts_of(person, [person], joints, (WIDTH, HEIGHT))
     assert all((prompt.labels == 1).all() for prompt in near)
-    away = Track(**{**vars(person), "transl": person.transl + (50.0, 0, 0)})
-    behind = Track(**{**vars(person), "transl": person.transl * (1, 1, -1)})
+    away = Track(**{**vars(person), "places": person.places + (50.0, 0, 0)})
+    behind = Track(**{**vars(person), "places": person.places * (1, 1, -1)})
     assert prompts_of(away, [], joints, (WIDTH, HEIGHT)) == [None] * FRAMES
     assert prompts_of(behind, [], joints, (WIDTH, HEIGHT)) == [None] * FRAMES
 
@@ -76,7 +77,7 @@ def draw(folder, prompts):
 
 @pytest.fixture
 def wham_file(wham, people):
-    return wham(**{f"_{track.person}": (track.rotations, track.transl) for track in people})
+    return wham(**{f"_{track.person}": (track.rotations, track.places - SMPL) for track in people})
 
 
 class Bright:

@@ -133,7 +133,7 @@ def hybrik(folder, rotations, transl, joints=24):
     K = np.stack([CENTRED(1000 / 256 * w / 2) for w in wide])
     form, joints = ("SMPL", 22) if joints == 24 else ("SMPL-X", 55)
     source = dumped(folder / "res.pk", res)
-    return source, f"hybrik, {form}, 5 frames", K, transl, rotations, joints, "--first", 1
+    return source, f"hybrik, {form}, 5 frames", K, transl, rotations, joints
 
 
 def tram(folder, rotations, transl):
@@ -234,8 +234,8 @@ def smplerx(folder, rotations, transl):
         )  # fmt: skip
         meta = {"focal": [80.0, 80.0], "princpt": [WIDTH / 2, HEIGHT / 2], "bbox": [0, 0, 9, 9]}
         written(folder / f"run/meta/{name}.json", meta)
-    given = (with_mean_hands(rotations), 55, "--first", 1)
-    return folder / "run", "smplerx, SMPL-X", CENTRED(80), SMPLX + transl, *given
+    expected = SMPLX + transl, with_mean_hands(rotations), 55
+    return folder / "run", "smplerx, SMPL-X", CENTRED(80), *expected
 
 
 def frame_of_osx(rotations, transl, fork=False):
@@ -353,9 +353,9 @@ def refused(tmp_path, cli, footage):
     return run
 
 
-def test_frames_that_start_at_one_need_first(tmp_path, seen, refused):
+def test_frames_that_lie_beyond_the_video_are_refused(tmp_path, seen, refused):
     source, *_ = smplerx(tmp_path, *seen)
-    refused("has frame 5, but the video has frames 0 to 4; --first", source)
+    refused("has frame 5, but the video has frames 0 to 4; --first", source, "--first", 0)
 
 
 def test_missing_or_encoded_parameters_are_named(tmp_path, seen):

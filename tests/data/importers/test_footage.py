@@ -114,8 +114,11 @@ def test_prepare_reports_a_varying_rate(tmp_path, cli, estimate):
 INSIDE = np.zeros((48, 64), np.uint8)
 INSIDE[10:40, 20:40] = 1
 NONE = {
-    "labels": (INSIDE * 13, "they hold values 0 and 13: labels? 255 is inside; save (label =="),
-    "several labels": (INSIDE * 2 + 3, "they hold values 3 and 5: labels?"),
+    "labels of others": (
+        INSIDE[:, ::-1] + 2 * INSIDE[::-1] * (1 - INSIDE[:, ::-1]) * (1 - INSIDE),
+        "none holds most joints of person 0: 0 (",
+    ),
+    "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "they hold values 0 to 110;"),
     "empty": (INSIDE * 0, "all masks are empty: every pixel is 0; expected 255 inside"),
     "full": (INSIDE * 0 + 255, "all masks are full, of the value 255 alone"),
 }

@@ -13,7 +13,7 @@ from gva_mi import InputError
 from gva_mi.body.smplx import load_body
 from gva_mi.data.importers.lens import asked_for, centred, in_pixels, recorded, through_lens
 from gva_mi.data.importers.quicktime import numbers
-from gva_mi.data.importers.tracks import PELVIS, Track
+from gva_mi.data.importers.tracks import Track
 from gva_mi.data.video import load_video
 
 KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -145,13 +145,13 @@ def projected(track, points):
 
 
 def pelvises(track):
-    return (track.transl + PELVIS["SMPL-X"])[:, None]
+    return track.places[:, None]
 
 
 def test_another_lens_keeps_place_size_and_side_in_the_picture(track):
     """The pelvis in the picture, how many pixels a metre there has, and where the eye is."""
     track.K[:, 0, 0] *= 1.1  # pixels that are not square become so
-    other = through_lens(track, 400.0)
+    other = through_lens(track, centred(400.0, (700, 500)))
     places = [projected(t, pelvises(t)) for t in (track, other)]
     assert np.abs(places[0] - places[1]).max() < 1e-9
     a_metre = lambda t: np.sqrt(t.K[:, 0, 0] * t.K[:, 1, 1]) / pelvises(t)[:, 0, 2]

@@ -1,6 +1,7 @@
 """Motions in every form give the same poses."""
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -180,7 +181,7 @@ def test_hands_as_pca_are_of_the_given_body(tmp_path, walk, cli):
     code, _, err = cli(*motion, "--body", tmp_path / "few.npz")
     assert code == 2 and "components of a PCA need the body" in err and "(5, 12)" in err
     code, said, err = cli(*motion, "--body", tmp_path / "body.npz")
-    assert code == 0 and "added to the body's mean hand" in said, err
+    assert code == 0 and "and the body's is added" in said, err
     fingers = [x @ arrays[f"hands_components{s}"][:12] + arrays[f"hands_mean{s}"]
                for x, s in zip(c, "lr", strict=True)]  # fmt: skip
     pose, shape = load_poses(tmp_path / "out.npz")
@@ -253,3 +254,53 @@ def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, 
                        tmp_path / "cameras.npz", "--out", tmp_path / "renders")  # fmt: skip
     assert code == 0, err
     assert len(list((tmp_path / "renders").glob("*.png"))) == 3
+
+
+STAND, LIE = np.zeros(3), np.array([-np.pi / 2, 0, 0])  # with y up
+
+
+def test_the_up_axis_is_that_of_the_floor_and_the_first_frames(read, walk, body):
+    """Not of most frames: who lies down, or stands on the hands, begins upright."""
+    _, transl = walk(90)
+    joints = body.rest(Shape(torch.zeros(10))).joints.double().numpy()
+    share = np.clip((np.arange(90) - 20) / 10, 0, 1)[:, None]
+    for end in (LIE, 2 * LIE):  # on the back, head down
+        rotations = np.zeros((90, 55, 3))
+        rotations[:, 0] = share * end
+        down = joints_at(rotations, joints)[..., 1].min(1)
+        moved = transl * [1, 0, 1] - np.outer(down, [0, 1, 0])  # on the floor
+        for up in ("y", "z"):
+            W = np.eye(3) if up == "y" else matrices(np.array(TURNS["z"])).numpy()
+            turned = rotations.copy()
+            turned[:, 0] = roma.rotmat_to_rotvec(
+                torch.from_numpy(W @ matrices(rotations[:, 0]).numpy())
+            )
+            found = read(poses=turned, trans=moved @ W.T, fps=30)
+            assert f"{up} up" in found.notes[0] and not any("leans" in n for n in found.notes)
+
+
+def joints_at(rotations, joints):
+    return places(rotations, np.zeros((len(rotations), 3)), torch.from_numpy(joints))
+
+
+@pytest.mark.parametrize("degrees", [15, 37])
+def test_a_tilted_world_is_said_from_20_degrees_on(read, walk, degrees):
+    rotations, transl = walk(9)
+    rotations[:, 0] = [np.radians(degrees), 0, 0]
+    rotations[:, 1:] = 0
+    found = read(poses=rotations, trans=transl, fps=30)
+    assert "y up" in found.notes[0]
+    said = [note for note in found.notes if "leans" in note]
+    assert len(said) == (degrees > 20)
+    assert all(re.search("leans 3[678] degrees from that axis; --up takes", x) for x in said)
+    other = read(MotionOptions(fps=30, up="z"), poses=rotations, trans=transl, fps=30)
+    assert "z up" in other.notes[0] and re.search("leans 5[234]|7[456] deg", str(other.notes))
+
+
+def test_a_forms_own_axis_counts_also_for_who_lies(read, walk):
+    """AIST++ has y up, and a camera's pictures -y: somebody who lies in them is not set upright."""
+    rotations, transl = walk(9)
+    rotations[:, 0] = LIE
+    found = read(pickled=True, smpl_poses=rotations[:, :24].reshape(9, 72), smpl_trans=transl,
+                 smpl_scaling=1.0)  # fmt: skip
+    assert "y up" in found.notes[0] and "leans 90 degrees" in " ".join(found.notes)

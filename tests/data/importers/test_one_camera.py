@@ -100,8 +100,9 @@ def test_exavatar(exavatar, tmp_path, prepared, seen, stands):
 def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
     """ExAvatar's shape has a hundred numbers, a file of SMPL-X's first version ten."""
     path = tmp_path / "SMPLX_NEUTRAL.npz"
-    with np.load(BUILT_IN_BODY) as arrays:
-        np.savez(path, **arrays)
+    with np.load(BUILT_IN_BODY) as arrays:  # with SMPL-X's pelvis
+        moved = arrays["v_template"] + np.array([0.0031, -0.3514, 0.0120])
+        np.savez(path, **{**arrays, "v_template": moved})
     code, said, err = cli("prepare", "auto", exavatar, tmp_path / "s", "--body", path)
     assert code == 0, err
     kept = load_body(path).num_betas

@@ -27,8 +27,8 @@ def joints():
     return load_body().j_template.view(-1, 3).double().numpy()
 
 
-def votes(tracks, cut_outs, joints, first=0):
-    return joints_in_masks(tracks, cut_outs, first, joints)
+def votes(tracks, cut_outs, joints):
+    return joints_in_masks(tracks, cut_outs, joints)
 
 
 def share(pair):
@@ -65,13 +65,6 @@ def test_a_joint_behind_the_camera_or_beyond_the_border_has_no_vote(joints):
     nothing = track("nothing", np.nan, [0])
     full = cut_outs(1, 0, 64)
     assert not votes([behind, beside, nothing], full, joints).any()
-
-
-def test_frame_numbers_may_start_above_zero(joints):
-    one = track("one", 0.6, [1])
-    there = np.concatenate([cut_outs(1, 32, 64), cut_outs(1, 0, 32)])
-    assert share(votes([one], there, joints, first=1)[0]) > 0.9
-    assert share(votes([one], there, joints, first=0)[0]) < 0.1
 
 
 def test_a_name_decides_without_reading_the_masks():

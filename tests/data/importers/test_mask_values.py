@@ -1,0 +1,104 @@
+"""Units and labels of masks are decided once for a video, in every container."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gva_mi import InputError
+from gva_mi.data.importers.footage import masks
+from gva_mi.data.masks import read_mask
+from gva_mi.data.pictures import write_movie
+
+SHAPE, FRAMES = (48, 64), 5
+ME, OTHER = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
+ME[2:44, 18:42], OTHER[5:45, 44:60] = True, True
+NOISE = np.zeros(SHAPE, np.uint8)
+NOISE[3, 7] = 1
+
+
+def stored(folder, drawn, container):
+    """Save arrays (H, W) as a folder of pictures, of arrays, of palettes, or as one array."""
+    folder.mkdir()
+    for k, x in enumerate(drawn):
+        if container == "pictures":
+            Image.fromarray(x.astype(np.uint8)).save(folder / f"{k:06d}.png")
+        elif container == "palettes":
+            image = Image.fromarray(x.astype(np.uint8), mode="P")
+            image.putpalette(
+                [0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0, 0, 0, 128] + [9, 9, 8] * 251
+            )
+            image.save(folder / f"{k:06d}.png")
+        elif container == "arrays":
+            np.save(folder / f"{k:06d}.npy", x)
+    if container == "array":
+        np.save(folder.with_suffix(".npy"), np.stack(drawn))
+        return folder.with_suffix(".npy")
+    return folder
+
+
+@pytest.mark.parametrize("container", ["pictures", "arrays", "array"])
+def test_a_frame_of_noise_alone_is_read_in_the_units_of_the_others(container, tmp_path):
+    """Its largest value is 1, of 255: it is empty, and not a full mask of zeros and ones."""
+    drawn = [NOISE, ME * np.uint8(255), NOISE]
+    found = list(masks(stored(tmp_path / "m", drawn, container)))
+    assert [int(x.max()) for x in found] == [1, 255, 1] and np.array_equal(found[1] > 127, ME)
+    ones = [ME * np.uint8(1), 0 * NOISE, NOISE]
+    found = list(masks(stored(tmp_path / "n", ones, container)))
+    assert [int(x.max()) for x in found] == [255, 0, 255] and np.array_equal(found[0] > 127, ME)
+
+
+def test_a_film_of_noise_at_first(tmp_path):
+    write_movie(tmp_path / "m.mp4", [np.stack([x] * 3, -1) for x in (NOISE, 255 * ME.astype("u1"))])
+    noise, mask = masks(tmp_path / "m.mp4")
+    assert noise.max() <= 1 and np.array_equal(mask > 127, ME)
+
+
+@pytest.mark.parametrize("container", ["pictures", "arrays"])
+def test_a_subjects_own_masks_are_in_one_unit_too(container, tmp_path):
+    folder = stored(tmp_path / "m", [NOISE, ME * np.uint8(255), NOISE], container)
+    assert read_mask(folder, 0).max() < 0.01 and np.array_equal(read_mask(folder, 1) > 0.5, ME)
+    folder = stored(tmp_path / "n", [NOISE, ME * np.uint8(1)], container)
+    assert read_mask(folder, 0).max() == 1 and np.array_equal(read_mask(folder, 1) > 0.5, ME)
+
+
+PEOPLE = 2 * ME + OTHER  # two people, by number
+ALONE = {"me": 2 * ME, "other": 1 * OTHER}  # where one is alone in the picture
+
+
+@pytest.mark.parametrize("container", ["pictures", "arrays", "array", "palettes"])
+def test_the_label_under_the_persons_joints_is_the_mask(
+    container, tmp_path, cli, wham, seen, footage
+):
+    """Also in a frame where the other is alone, and the largest value is 1."""
+    drawn = [PEOPLE, ALONE["other"], ALONE["me"], PEOPLE, PEOPLE]
+    given = stored(tmp_path / "m", drawn, container)
+    code, said, err = cli("prepare", "wham", wham(_0=seen), tmp_path / "s", *footage[:4],
+                          "--masks", given)  # fmt: skip
+    assert code == 0 and "masks are labels, of which 2 lies under the person's joints" in said, err
+    for k, x in enumerate(drawn):
+        assert np.array_equal(read_mask(tmp_path / "s/masks", k) > 0.5, x == 2)
+
+
+@pytest.mark.parametrize("container", ["arrays", "palettes"])
+def test_labels_of_others_and_of_nobody_known_are_refused_by_name(container, tmp_path, cli, wham,
+                                                                  seen, footage):  # fmt: skip
+    drawn = [2 * np.tri(*SHAPE, -40, dtype=int) + OTHER] * FRAMES
+    given = stored(tmp_path / "m", drawn, container)
+    code, _, err = cli("prepare", "wham", wham(_0=seen), tmp_path / "s", *footage[:4],
+                       "--masks", given)  # fmt: skip
+    assert code == 2 and "none holds most joints of person 0: 0 (" in err
+    assert not (tmp_path / "s").exists()
+    with pytest.raises(InputError, match="masks of labels 0-2, and nothing says which is"):
+        list(masks(given))
+    if container == "palettes":
+        with pytest.raises(InputError, match="a mask of labels 1, 2, such as of several people"):
+            read_mask(given, 0)
+
+
+def test_a_border_round_each_object_is_nobodys(tmp_path):
+    """PASCAL VOC draws it as label 255."""
+    drawn = 3 * ME
+    drawn[10, 20:40] = 255
+    folder = stored(tmp_path / "m", [drawn, 0 * drawn], "palettes")
+    (mask, _), inside = masks(folder), drawn == 3
+    assert np.array_equal(mask > 127, inside) and np.array_equal(read_mask(folder, 0) > 0.5, inside)

@@ -1,0 +1,143 @@
+"""A long lens, another one in each frame: thresholds and paths in metres are those before one."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.data.check.numbers import check_poses
+from gva_mi.data.importers.estimator_record import VideoInfo
+from gva_mi.data.importers.estimators import read_estimator
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.one_lens import seen_alike, usual_lens
+from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.tracks import Track, every_frame
+from gva_mi.splat import Camera
+
+SIZE = (900, 900)
+SMPLX = np.array([0.0031, -0.3514, 0.0120])  # the pelvis
+BOXES = np.array([(374, 0), (406, -47), (378, -6), (395, 20), (360, 5), (390, 40)])  # width, aside
+
+
+def lenses(boxes=BOXES):
+    """As of SMPLer-X: 5000 px for a crop of 192, the axis in the middle of the detector's box."""
+    K = np.tile(np.eye(3), (len(boxes), 1, 1))
+    K[:, 0, 0] = K[:, 1, 1] = 5000 / 192 * boxes[:, 0]
+    K[:, 0, 2], K[:, 1, 2] = 468 + boxes[:, 1], 410 + 0.4 * boxes[:, 1]
+    return K
+
+
+def before(K, place):
+    """Pelvises (n, 3) that lenses (n, 3, 3) show where one of 1273 px, centred, shows ``place``."""
+    usual = np.hypot(*SIZE)
+    place = np.broadcast_to(place, (len(K), 3))
+    u = place[:, :2] / place[:, 2:] * usual + 450
+    z = K[:, 0, 0] / (usual / place[:, 2])  # as many pixels a metre
+    return np.column_stack([(u - K[:, :2, 2]) / K[:, 0, 0, None] * z[:, None], z])
+
+
+STANDS = before(lenses(), [0.1, -0.05, 4.0])
+
+
+def test_the_same_picture_before_another_lens():
+    """Pixel, and pixels a metre; back again it is the same place."""
+    K, other = lenses(), np.array([[1300.0, 0, 440], [0, 1250, 460], [0, 0, 1]])
+    K[:, 1, 1] *= 1.03
+    moved = seen_alike(STANDS, K, other)
+    pixels = lambda K, x: np.einsum("...ij,...j->...i", K, x)[..., :2] / x[..., 2:]
+    scale = lambda K, x: np.sqrt(K[..., 0, 0] * K[..., 1, 1]) / x[..., 2]
+    assert np.allclose(pixels(K, STANDS), pixels(other, moved))
+    assert np.allclose(scale(K, STANDS), scale(other, moved))
+    assert np.allclose(seen_alike(moved, other, K), STANDS)
+
+
+def written(folder, K, pelvises, kind="smplerx"):
+    """A person who stands still, in SMPLer-X's form, or OSX's."""
+    up = [np.pi, 0.0, 0.0]
+    for k, (lens, place) in enumerate(zip(K, pelvises - SMPLX, strict=True), 1):
+        about = {"focal": lens[[0, 1], [0, 1]].tolist(), "princpt": lens[:2, 2].tolist()}
+        if kind == "osx":
+            person = {"root_pose": up, "body_pose": [0.0] * 63, "lhand_pose": [0.0] * 45,
+                      "rhand_pose": [0.0] * 45, "jaw_pose": [0.0] * 3, "shape": [0.0] * 10,
+                      "expr": [0.0] * 10, "trans": place.tolist()}  # fmt: skip
+            folder.mkdir(exist_ok=True)
+            (folder / f"{k}_0.json").write_text(json.dumps({"smplx_param": person,
+                                                            "cam_param": about}))  # fmt: skip
+            continue
+        (folder / "smplx").mkdir(parents=True, exist_ok=True)
+        (folder / "meta").mkdir(exist_ok=True)
+        np.savez(folder / f"smplx/{k:05d}_0.npz", global_orient=[up], body_pose=np.zeros((21, 3)),
+                 betas=np.zeros((1, 10)), transl=place[None])  # fmt: skip
+        (folder / f"meta/{k:05d}_0.json").write_text(json.dumps(about))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["smplerx", "osx"])
+def test_who_stands_still_is_one_person_and_does_not_move(kind, tmp_path):
+    """Through the file's own lenses the pelvis moves by metres."""
+    assert np.linalg.norm(np.diff(STANDS, axis=0), axis=1).max() > 2
+    folder = written(tmp_path / "x", lenses(), STANDS, kind)
+    found, (track,) = read_estimator("auto", folder, VideoInfo(SIZE))
+    assert found == kind and len(track.frames) == 6
+    assert np.allclose(track.places, STANDS) and np.allclose(track.K, lenses())
+    options = MotionOptions(fps=30, source_fps=30)
+    motion = read_motion(folder, TargetBody.read(None), options)
+    assert motion.pose.transl.norm(dim=1).max() < 1e-4
+    assert any("another lens in each frame" in note for note in motion.notes)
+
+
+def test_who_walks_goes_as_far_as_before_the_usual_lens(tmp_path):
+    """The depth of a step follows from the lens that is supposed, the sideways one does not."""
+    boxes = BOXES + np.outer(np.arange(6), [0, 90])
+    path = np.array([-0.5, 0.0, 5.0]) + np.outer(np.arange(6), [0.3, 0, -0.2])
+    folder = written(tmp_path / "x", lenses(boxes), before(lenses(boxes), path))
+    motion = read_motion(folder, TargetBody.read(None), MotionOptions(fps=30, source_fps=30))
+    factor = usual_lens(lenses(boxes))[0, 0] / np.hypot(*SIZE)
+    assert 0.7 < factor < 1.6
+    assert np.allclose(-motion.pose.transl[:, 2], factor * (path - path[0])[:, 2], atol=1e-3)
+    aside = path[:, 0] + (450 - usual_lens(lenses(boxes))[0, 2]) * path[:, 2] / np.hypot(*SIZE)
+    assert np.allclose(motion.pose.transl[:, 0], aside - aside[0], atol=1e-3)
+
+
+def test_missing_frames_are_filled_on_the_way_through_the_picture():
+    K = lenses()
+    track = Track("0", np.array([0, 1, 4, 5]), np.zeros((4, 55, 3)), STANDS[[0, 1, 4, 5]], None,
+                  K[[0, 1, 4, 5]], "SMPL-X", False)  # fmt: skip
+    whole, _, _ = every_frame("x", track, 6)
+    pixels = np.einsum("nij,nj->ni", whole.K, whole.places)
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    assert np.allclose(pixels, pixels[0]) and np.allclose(
+        whole.K[2, 0, 0], K[[1, 4], 0, 0] @ [2, 1] / 3
+    )
+    assert np.allclose(whole.K[:, 0, 0] / whole.places[:, 2], K[0, 0, 0] / STANDS[0, 2])
+
+
+def jumps(places, K):
+    """What check says of pelvises (n, 3) in the camera's axes."""
+    body = load_body()
+    pelvis = body.rest(Shape(torch.zeros(10))).joints[0]
+    transl = torch.from_numpy(places * [1, -1, -1]).float() - pelvis
+    pose = Pose(torch.zeros(len(places), 55, 3), transl, torch.zeros(len(places), 10))
+    T = np.diag([1.0, -1, -1, 1])
+    cameras = {k: Camera.from_matrices(x, T, *SIZE) for k, x in enumerate(K)}
+    return [p for p in check_poses(pose, Shape(torch.zeros(10)), body, cameras)
+            if p.what == "jumps"]  # fmt: skip
+
+
+def test_check_takes_no_lens_for_a_jump():
+    """SMPLer-X's lenses, 4D-Humans' of 5000 px for 256, and GVHMR's usual one."""
+    long = np.tile(np.diag([5000 / 256 * 900, 5000 / 256 * 900, 1]), (6, 1, 1))
+    long[:, :2, 2] = 450
+    near = long.copy()
+    near[:, [0, 1], [0, 1]] = np.hypot(*SIZE)
+    breathes = np.array([0.1, -0.05, 4.0]) * (1 + 0.05 * (-1.0) ** np.arange(6))[:, None]
+    far = before(long, breathes)
+    assert np.linalg.norm(np.diff(far, axis=0), axis=1).min() > 2.5  # metres
+    assert not jumps(STANDS, lenses()) and not jumps(far, long) and not jumps(breathes, near)
+    leaps = np.array([0.1, -0.05, 4.0]) + 2.2 * (np.arange(6) == 3)[:, None] * [1, 0, 0]
+    for K in (lenses(), long, near):
+        (problem,) = jumps(before(K, leaps), K)
+        assert problem.frames == (3, 4)

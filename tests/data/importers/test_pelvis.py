@@ -1,0 +1,177 @@
+"""A body turns about the pelvis of its own betas: vertices stand where the source has them."""
+
+import json
+
+import numpy as np
+import pytest
+import roma
+import torch
+from PIL import Image
+
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.fingerprint import fingerprint
+from gva_mi.data.pictures import write_image
+from gva_mi.data.video import load_video
+
+MEAN = np.array([0.0031, -0.3514, 0.0120])  # SMPL-X's pelvis
+GROWS = np.array([0.4, 0.04, -0.02])  # metres a beta moves it
+ROOT, MOVE, BETAS = np.array([3.0, 0.1, 0.2]), np.array([0.1, 0.2, 3.0]), np.array([2.0] + [0] * 9)
+K = np.array([[80.0, 0, 24], [0, 80, 32], [0, 0, 1]])
+
+
+@pytest.fixture(scope="module")
+def smplx(tmp_path_factory):
+    """A body's file with SMPL-X's mean pelvis, whose first beta makes it larger and moves it."""
+    path = tmp_path_factory.mktemp("body") / "SMPLX_X.npz"
+    arrays = load_body(None, torch.float64).arrays()
+    places = arrays["v_template"] - arrays["J_regressor"][0] @ arrays["v_template"] + MEAN
+    directions = np.zeros((len(places), 3, 20))
+    directions[..., 0] = 0.04 * places + GROWS
+    directions[:50, 1, 10] = 1e-3  # an expression
+    np.savez(path, **{**arrays, "v_template": places, "shapedirs": directions})
+    return path
+
+
+@pytest.fixture
+def shot(tmp_path):
+    mask = np.zeros((64, 48), "u1")
+    mask[10:50, 15:35] = 255
+    write_image(tmp_path / "f/0.png", np.repeat(mask[..., None], 3, 2))
+    write_image(tmp_path / "m/0.png", mask)
+    return "--frames", tmp_path / "f", "--masks", tmp_path / "m"
+
+
+def turned(points, pelvis, place):
+    """R (x − p) and the pelvis's place."""
+    R = roma.rotvec_to_rotmat(torch.tensor(ROOT)).numpy()
+    return (points - pelvis) @ R.T + place
+
+
+def parameters(folder):
+    np.savez(folder / "p.npz", global_orient=ROOT[None], body_pose=np.zeros((1, 63)), K=K,
+             transl=MOVE[None], betas=BETAS)  # fmt: skip
+    return "parameters", folder / "p.npz"
+
+
+def gvhmr(folder):
+    person = {"global_orient": ROOT[None], "body_pose": np.zeros((1, 63)), "transl": MOVE[None],
+              "betas": BETAS[None]}  # fmt: skip
+    person = {name: torch.tensor(x, dtype=torch.float32) for name, x in person.items()}
+    found = {"smpl_params_global": person, "smpl_params_incam": person,
+             "K_fullimg": torch.tensor(K)[None].float()}  # fmt: skip
+    torch.save(found, folder / "hmr4d_results.pt")
+    return "gvhmr", folder / "hmr4d_results.pt"
+
+
+def smplerx(folder):
+    for name in ("smplx", "meta"):
+        (folder / name).mkdir()
+    np.savez(folder / "smplx/00001_0.npz", global_orient=ROOT[None], body_pose=np.zeros((21, 3)),
+             betas=BETAS[None], transl=MOVE[None])  # fmt: skip
+    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
+    (folder / "meta/00001_0.json").write_text(json.dumps(about))
+    return "smplerx", folder
+
+
+def osx(folder):
+    person = {"root_pose": ROOT.tolist(), "body_pose": [0.0] * 63, "shape": BETAS.tolist(),
+              "trans": MOVE.tolist()}  # fmt: skip
+    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
+    (folder / "0.json").write_text(json.dumps({"smplx_param": person, "cam_param": about}))
+    return "osx", folder
+
+
+@pytest.mark.parametrize("write", [parameters, gvhmr, smplerx, osx])
+@pytest.mark.parametrize("lens", [None, 160])
+def test_estimators(write, lens, tmp_path, cli, smplx, shot):
+    """x = R (b − p(β)) + p(β) + t; before a lens twice as long the pelvis is twice as far away."""
+    (tmp_path / "source").mkdir()
+    kind, source = write(tmp_path / "source")
+    given = [] if lens is None else ["--lens", lens]
+    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", smplx, *shot, *given)
+    assert code == 0 and "place and betas are the source's own" in said, err
+    arrays = np.load(smplx)
+    points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
+    pelvis = arrays["J_regressor"][0] @ points
+    assert np.abs(pelvis - MEAN).max() > 0.5
+    video = load_video(tmp_path / "s")
+    T = video.cameras[0].T_camera_world
+    with torch.no_grad():
+        posed = load_body(smplx, torch.float64)(video.pose.to(torch.float64),
+                                                Shape(video.shape.betas.double()))  # fmt: skip
+    camera = lambda x: x[0].numpy() @ T[:3, :3].T + T[:3, 3]
+    if lens is None:
+        assert np.abs(camera(posed.vertices) - turned(points, pelvis, pelvis + MOVE)).max() < 1e-5
+    place = (pelvis + MOVE) * ([1, 1, 1] if lens is None else [1, 1, 2])
+    assert np.abs(camera(posed.joints)[0] - place).max() < 1e-5
+
+
+def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx, filmed):
+    """EasyMocap's x = R(Rh) b + Th: all of it, also at betas that move the pelvis."""
+    T = filmed.FRAMES
+    people = np.tile(ROOT, (T, 1)), np.tile(MOVE, (T, 1)), np.zeros((T, 165))
+    wrap = lambda person: [{**person, "shapes": [BETAS.tolist()]}]
+    source = filmed.easymocap(tmp_path / "scene", people, wrap=wrap)
+    code, said, err = cli("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
+    assert code == 0, err
+    arrays = np.load(smplx)
+    points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
+    R = filmed.matrices(filmed.TURN)
+    wanted = turned(points, 0, MOVE) @ R.T + filmed.MOVE
+    video = load_video(tmp_path / "s")
+    with torch.no_grad():
+        posed = load_body(smplx)(video.pose[:1], video.shape).vertices[0].double().numpy()
+    E = video.cameras[0].T_camera_world
+    assert np.abs(posed @ E[:3, :3].T + E[:3, 3] - wanted).max() < 1e-5
+
+
+def test_another_body_is_told_that_the_pelvis_is_the_mean_persons(tmp_path, cli, shot):
+    kind, source = parameters(tmp_path)
+    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
+    assert code == 0 and "betas of SMPL-X do not carry over" in said, err
+    assert "the pelvis is the mean person's, as the source's SMPL-X is not at hand" in said
+    np.savez(source, **{**np.load(source), "betas": np.zeros(10)})
+    code, said, err = cli("prepare", kind, source, tmp_path / "b", "--body", "puppet", *shot)
+    assert code == 0 and "the mean person's" not in said, err
+
+
+def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
+    """Poses of a subject that was made on this very body, known by its fingerprint."""
+    folder, face = tmp_path / "subject", torch.linspace(-1, 1, 10)
+    pose = Pose(torch.zeros(1, 55, 3), torch.tensor([[0.0, 0, 3]]), face[None])
+    save_poses(folder / "poses.npz", pose, Shape(face.flip(0)), stage=1)
+    given = ("prepare", "parameters", folder / "poses.npz", tmp_path / "s", "--body", "puppet",
+             *shot, "--focal", 80)  # fmt: skip
+    for about, kept in ((None, False), ({"body": fingerprint(load_body())}, True)):
+        if about:
+            (folder / "synth.json").write_text(json.dumps(about))
+        code, said, err = cli(*given, "--overwrite")
+        assert code == 0 and ("do not carry over" in said) != kept, err
+        found = load_video(tmp_path / "s")
+        for x, wanted in ((found.shape.betas, face.flip(0)), (found.pose.expression[0], face)):
+            assert torch.allclose(x, wanted if kept else torch.zeros(10), atol=1e-6)
+
+
+def test_poses_that_are_not_where_the_masks_are_raise_a_doubt(tmp_path, cli):
+    """Of a world, as AMASS's: pelvises are in the picture and the body lies across it."""
+    mask = np.zeros((240, 160), np.uint8)
+    mask[30:210, 60:100] = 255
+    for name in "fm":
+        (tmp_path / name).mkdir()
+        Image.fromarray(mask).convert("RGB" if name == "f" else "L").save(tmp_path / name / "0.png")
+    shot = "--frames", tmp_path / "f", "--masks", tmp_path / "m", "--focal", 290
+
+    def said_of(root, place):
+        poses = np.zeros((1, 72))
+        poses[:, :3] = root
+        np.savez(tmp_path / "p.npz", poses=poses, trans=[place], betas=np.zeros(10))
+        code, said, err = cli("prepare", "auto", tmp_path / "p.npz", tmp_path / "s", "--body",
+                              "puppet", *shot, "--overwrite")  # fmt: skip
+        assert code == 0, err
+        return said
+
+    assert "doubtful: " in said_of((np.pi / 2, 0, 0), (0.0, 0.2, 1.3))  # z up
+    assert "doubtful: " in said_of((0, 0, 0), (0.0, 0.2, 2.9))  # y up: on the head
+    assert "doubtful: " in said_of((np.pi, 0, 0), (1.0, 0.2, 2.9))  # another place
+    assert "doubtful" not in said_of((np.pi, 0, 0), (0.0, 0.2, 2.9))

@@ -121,7 +121,7 @@ def prepare_folder(
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
     save_poses(out / POSES, pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
-    notes += _doubts(out, track.where(inside), pose, shape, cameras, body)
+    notes += _doubts(out, replace(track, betas=None).where(inside), pose, shape, cameras, body)
     notes += [note for note in (capture.note, uneven_rate(capture.frames)) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())

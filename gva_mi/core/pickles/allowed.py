@@ -64,8 +64,15 @@ _ARRAYS = (
 )  # fmt: skip
 
 
-def _reconstruct(kind: Call, *_: object) -> Array:
-    if not isinstance(kind, Call) or kind.text not in _ARRAYS:
+class ArrayClass(Shell):
+    """A class of arrays, which is only named."""
+
+    def __new__(cls, *_: object) -> ArrayClass:
+        raise Refused(f"a call of {cls.text}")
+
+
+def _reconstruct(kind: type, *_: object) -> Array:
+    if not isinstance(kind, type) or not issubclass(kind, ArrayClass):
         raise Refused(f"an array of class {getattr(kind, '__name__', kind)!s:.60}")
     return Array()
 
@@ -161,7 +168,7 @@ ALLOWED: dict[str, Any] = {
     "collections.OrderedDict": lambda pairs=(): dict(pairs),
     "collections.defaultdict": lambda *_: {},  # a missing key stays missing
     "_codecs.encode": _encode, "copyreg._reconstructor": _new,
-    **dict.fromkeys(_ARRAYS), "numpy.dtype": Dtype,
+    **dict.fromkeys(_ARRAYS, ArrayClass), "numpy.dtype": Dtype,
     **{f"numpy.{core}.{name}": made for core in ("core", "_core") for name, made in (
         ("multiarray._reconstruct", _reconstruct), ("multiarray.scalar", _scalar),
         ("numeric._frombuffer", _frombuffer))},

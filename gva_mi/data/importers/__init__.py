@@ -1,12 +1,14 @@
 """Read files of other programs: motions, pose estimators, data sets, films and masks.
 
 ======================  ============================================================
-``fields``              joints under other programs' names and shapes
+``spellings``           names under which programs write a body's arrays
+``fields``              a body's arrays of any names and shapes
 ``tracks``              one person, frame by frame, in a camera's axes
 ``people``              choice of the subject among several people
 ``numbering``           frame numbers
 ``timeline``            missing frames, other frame rates
 ``world``               which axis is up
+``one_lens``            places seen through another lens in each frame
 ``lens``                focal lengths: assumed, recorded (``quicktime``), or given
 ``distortion``          pictures without their lens's distortion
 ``estimators``          one record for each pose estimator (``estimator_record``), and
@@ -16,7 +18,7 @@
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)
 ``other_views``         a data set's other cameras, held out
 ``footage``             pictures and masks of films, folders and arrays
-``mask_units``          value range of masks
+``mask_units``          units and labels of a video's masks
 ``normal_maps``         normals of another program
 ``prompts``             boxes and points on the person, for Segment Anything
 ``by_networks``         masks and normals by networks

@@ -32,7 +32,7 @@ from gva_mi.pose.focal import follow
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
-from gva_mi.pose.prior.film_errors import FPS, errors_at
+from gva_mi.pose.prior.film_errors import FPS, film_errors
 from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
 from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
@@ -147,7 +147,9 @@ class ObservedVideo:
         errors = known_errors(video, options) if in_sequence else None
         landmarks = None
         if in_sequence and options.landmarks > 0 and video.landmarks is not None:
-            landmarks = SeenLandmarks.of(video.landmarks, compared.body, video.cameras)
+            landmarks = SeenLandmarks.of(
+                video.landmarks, compared.body, video.cameras, video.fps or FPS
+            )
         known = evidence, pictures, kept, held_out, landmarks, errors, swapped, seconds
         return ObservedVideo(compared, pose, shape, video.cameras, options, *known)
 
@@ -239,7 +241,7 @@ class ObservedVideo:
 def known_errors(video: Video, options: SequenceOptions) -> Mapping[str, Stage1ErrorModel] | None:
     """Return the error model of the estimator that made the poses; None: it is inferred."""
     by_solver = options.errors == "film" or (options.errors == "auto" and video.kind == "film")
-    return errors_at(video.fps or FPS) if by_solver else None
+    return film_errors(video.fps or FPS) if by_solver else None
 
 
 def _steps(options: RefineOptions, frames: int) -> int:

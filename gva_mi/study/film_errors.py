@@ -5,13 +5,15 @@
 prints the table of :mod:`gva_mi.pose.prior.film_errors`.
 
 Each subject is a folder whose ``poses.npz`` the solver of :mod:`gva_mi.pose.film` found, and whose
-person has the body that it fitted. An error is what would correct a pose, in the camera's axes. Its
-autocovariance at some lags, of a group of joints,
+person has the body that it fitted. An error ``e`` is what would correct a pose, in the camera's
+axes. The products of one coordinate in frames ``k`` and ``l``, over the joints of a group, follow
 
-1. ``C_l = median over films of mean_{k, j, c} e_kjc e_(k+l)jc``
+1. ``e_k e_l = (slow² + lag² (v_k² + v_l²) / 2) κ(|k - l| / memory) + bias² + noise``
 
-is fitted by ``slow² κ(l / memory) + bias²`` of :mod:`gva_mi.pose.prior.error_model`. The median
-keeps one film that went wrong from deciding the prior of all.
+with ``v`` and ``κ`` of :mod:`gva_mi.pose.prior.error_model`: linear in three squares that are not
+negative. Least squares weigh a product by ``w / (S_k S_l)``, with the size ``S`` that the model
+gives; and a film by the weight ``w`` of Student's t distribution, so that one film that went wrong
+does not decide the prior of all. Both follow the fit, which is repeated.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -30,19 +33,27 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES
-from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
+from gva_mi.pose.prior.error_model import FREEDOM, GROUPS, Stage1ErrorModel
+from gva_mi.pose.prior.film_errors import FPS
 from gva_mi.pose.prior.inference import AXES
 from gva_mi.pose.stage1 import Stage1, turns_between
 
-LAGS = 30  # largest lag of eq. 1, frames
-MEMORIES = (3.0, 6.0, 12.0, 24.0)  # frames, candidates
+LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l
+MEMORIES = (0.1, 0.2, 0.4, 0.8)  # seconds, candidates
+USUAL = 0.2  # of them, for the weights
+ROUNDS = 12  # of the weights
+LEAST_SLOW = 0.1  # relative to the constant part; a joint that rests errs, too
 
 
-def solver_errors(subject: Path) -> dict[str, Tensor]:
+class FilmTrack(NamedTuple):
+    """The errors of one film in a group of C joints or coordinates, each a vector of d."""
+
+    errors: Tensor  # (T, C, d) radians or metres
+    steps: Tensor  # (T - 1, C, d) of stage 1
+
+
+def solver_errors(subject: Path) -> dict[str, FilmTrack]:
     """Return what would correct the poses of a film, by group, in the camera's axes.
-
-    Returns:
-        (T, J, 3) radians of each group of joints; (T, 2) or (T, 1) metres of the pelvis's place.
 
     Raises:
         InputError: the person has another body.
@@ -56,36 +67,73 @@ def solver_errors(subject: Path) -> dict[str, Tensor]:
     turns = stage1.in_camera(turns_between(pose.rotations, truth.pose.rotations))
     pelvis = body.rest(truth.shape).joints[0] - body.rest(shape).joints[0]
     moves = (truth.pose.transl - pose.transl + pelvis) @ stage1.R_camera_world.T
-    found = {name: turns[:, list(group)] for name, group in GROUPS.items()}
-    return found | {name: moves[:, list(axes)] for name, axes in AXES.items()}
+    turned, moved = stage1.steps(pose)
+    joints = {name: (turns[:, list(g)], turned[:, list(g)]) for name, g in GROUPS.items()}
+    axes = {name: (moves[:, list(a), None], moved[:, list(a), None]) for name, a in AXES.items()}
+    return {name: FilmTrack(*tracks) for name, tracks in (joints | axes).items()}
 
 
-def learn(films: Iterable[Mapping[str, Tensor]]) -> dict[str, Stage1ErrorModel]:
-    """Fit eq. 1 to the errors of several films, group by group."""
+def learn(films: Iterable[Mapping[str, FilmTrack]]) -> dict[str, Stage1ErrorModel]:
+    """Fit eq. 1 to the errors of several films, group by group; times in seconds."""
     films = list(films)
     return {name: _fit([film[name] for film in films]) for name in (*GROUPS, *AXES)}
 
 
-def _fit(films: list[Tensor]) -> Stage1ErrorModel:
+def _fit(films: list[FilmTrack]) -> Stage1ErrorModel:
     from scipy.optimize import nnls
 
-    lags = np.arange(min(LAGS, min(map(len, films)) // 2))
-    C = np.median([[float((e[lag:] * e[: len(e) - lag]).mean()) for lag in lags] for e in films], 0)
-    fits = []
+    weights, fits = _weights(films), []
     for memory in MEMORIES:
-        x = 3**0.5 * lags / memory
-        (slow, bias), off = nnls(np.stack([(1 + x) * np.exp(-x), np.ones_like(x)], 1), C)
-        fits.append((off, memory, slow, bias))
-    _, memory, slow, bias = min(fits)
-    return Stage1ErrorModel(0.0, float(slow**0.5), memory, float(bias**0.5))
+        products, terms, _, _ = _rows(films, memory)
+        squares, off = nnls(terms * weights[:, None], products * weights)
+        fits.append((off, memory, *np.sqrt(squares).tolist()))
+    _, memory, slow, lag, bias = min(fits)
+    return Stage1ErrorModel(0.0, max(slow, LEAST_SLOW * bias), memory, bias, lag / FPS)
+
+
+def _weights(films: list[FilmTrack]) -> np.ndarray:
+    """Return the weight (N,) of each row, from the sizes of errors alone (k = l)."""
+    from scipy.optimize import nnls
+
+    products, terms, film, lags = _rows(films, USUAL)
+    sizes = np.stack([np.ones(len(terms)), terms[:, 1] / terms[:, 0]], axis=1)
+    now, of_film = lags == 0, np.ones(len(films))
+    square = np.full(len(products), products[now].mean())
+    for _ in range(ROUNDS):
+        weights = of_film[film] / square
+        found, _ = nnls(sizes[now] * weights[now, None], products[now] * weights[now])
+        square = sizes @ found
+        ratio = np.bincount(film[now], products[now] / square[now]) / np.bincount(film[now])
+        of_film = (FREEDOM + 1) / (FREEDOM + ratio)
+    return of_film[film] / square
+
+
+def _rows(
+    films: list[FilmTrack], memory: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return eq. 1: products (N,), the terms of its squares (N, 3), numbers of films, and lags."""
+    rows = []
+    model = Stage1ErrorModel(0.0, 1.0, memory * FPS, 0.0, lag=1.0)  # its growth shows the speed
+    for number, (errors, steps) in enumerate(films):
+        times = torch.arange(len(errors))
+        growth = torch.stack([model.growth(own, times) for own in steps.unbind(1)], 1)
+        square_speed, kernel = growth.square() - 1, model.lasting(times, torch.ones(len(times)))[0]
+        for lag in (lag for lag in LAGS if lag < len(errors)):
+            stop = len(errors) - lag
+            product = (errors[lag:] * errors[:stop]).mean(-1).flatten()
+            speed = ((square_speed[lag:] + square_speed[:stop]) / 2).flatten()
+            kappa, one = torch.full_like(speed, float(kernel[lag])), torch.ones_like(speed)
+            rows.append(torch.stack([product, kappa, kappa * speed, one, number * one, lag * one]))
+    found = torch.cat(rows, 1).double().numpy()
+    return found[0], found[1:4].T, found[4].astype(int), found[5].astype(int)
 
 
 def table(errors: Mapping[str, Stage1ErrorModel]) -> Iterator[str]:
-    """Yield lines: slow part and bias, in degrees or metres, and the memory."""
+    """Yield lines: slow part and bias in degrees or metres, memory and lag in seconds."""
     for name, model in errors.items():
         unit, digits = (1.0, 3) if name in AXES else (np.degrees(1), 1)
         slow, bias = (round(float(unit * x), digits) for x in (model.slow, model.bias))
-        yield f'"{name}": ({slow}, {bias}, {model.memory}),'
+        yield f'"{name}": ({slow}, {bias}, {model.memory}, {round(model.lag, 3)}),'
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import GROUPS
-from gva_mi.pose.prior.film_errors import FILM_ERRORS, FPS, errors_at
+from gva_mi.pose.prior.film_errors import FPS, film_errors
 from gva_mi.pose.stage1 import Stage1
 
 ELBOW = JOINTS.index("left_elbow")
@@ -188,7 +188,7 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
     anatomy = Anatomy.of(body.j_template)
     stage1 = Stage1.of(true_pose, range(len(true_pose)), camera)
     costs = []
-    for known in (None, FILM_ERRORS):
+    for known in (None, film_errors(FPS)):
         prior = Corrections.map_estimate(stage1, anatomy, known).prior
         moves = torch.zeros(len(true_pose), 3)
         turns = torch.zeros(len(true_pose), len(JOINTS), 3)
@@ -199,14 +199,14 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
         kept = {name for name in after if after[name] == prior.noise[name]}
         assert kept == set(known or ())
     assert costs[1] < 0.7 * costs[0]
-    assert prior.noise["elbows"].bias == FILM_ERRORS["elbows"].bias
+    assert prior.noise["depth"].bias == known["depth"].bias
 
 
 def test_the_film_solvers_errors_last_as_many_seconds_at_any_frame_rate():
-    assert errors_at(FPS) == FILM_ERRORS
-    slower = errors_at(FPS / 2)
-    assert all(2 * slower[name].memory == FILM_ERRORS[name].memory for name in FILM_ERRORS)
-    assert slower["elbows"].slow == FILM_ERRORS["elbows"].slow
+    usual, slower = film_errors(FPS), film_errors(FPS / 2)
+    for name, noise in usual.items():
+        assert (2 * slower[name].memory, 2 * slower[name].lag) == (noise.memory, noise.lag)
+        assert (slower[name].slow, slower[name].bias) == (noise.slow, noise.bias)
 
 
 def turning(frames=12):

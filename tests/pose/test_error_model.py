@@ -87,3 +87,20 @@ def test_a_known_bias_takes_the_place_of_the_slow_part():
     np.testing.assert_allclose(K, [[0.01 + 0.09 + 0.04, 0.04], [0.04, 0.14]], atol=1e-8)
     same = covariance([Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.3)], times, factors)
     assert torch.equal(same, covariance([Stage1ErrorModel(0.1, 0.3, 5.0)], times, factors))
+
+
+@pytest.mark.parametrize("gap", [1, 3])
+def test_a_known_estimator_errs_more_while_a_joint_moves(gap):
+    """At rest ``slow``; at a speed ``v`` of every coordinate, in each frame, hypot(slow, lag v)."""
+    noise, times = Stage1ErrorModel(0.0, 0.03, 6.0, bias=0.1, lag=4.0), torch.arange(0, 120, gap)
+    steps = torch.zeros(len(times) - 1, 3)
+    steps[len(steps) // 2 :] = 0.02 * gap
+    growth = noise.growth(steps, times)
+    K = covariance([noise], times, torch.zeros(1, len(times)), growth[None])[0]
+    size, k = np.hypot(0.03, 4.0 * 0.02), 3**0.5 * gap / 6.0
+    assert float(K[0, 0]) == pytest.approx(0.03**2 + 0.1**2)
+    assert float(K[-1, -1]) == pytest.approx(size**2 + 0.1**2)
+    assert float(K[-1, -2]) == pytest.approx(size**2 * (1 + k) * np.exp(-k) + 0.1**2)
+    assert float(K[-1, 0]) == pytest.approx(0.1**2, rel=1e-3)
+    assert (growth.diff() >= -1e-6).all()
+    assert (noise.growth(steps[:0], times[:1]) == 1).all()  # one frame shows no speed

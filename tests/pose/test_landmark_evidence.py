@@ -12,6 +12,7 @@ from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.film.rig import LandmarkRig
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+FPS = 30.0
 SHAPE = Shape(torch.zeros(10))
 
 
@@ -27,7 +28,7 @@ def seen_of(body, pose, camera, names=NAMES):
 
 
 def loss_of(landmarks, body, pose, camera, offsets=None):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose))
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS)
     offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
     return seen.loss(range(len(pose)), body(pose, SHAPE).T_world_rest, SHAPE, offsets)
 
@@ -49,7 +50,7 @@ def test_the_true_pose_costs_nothing_and_a_turned_arm_does(body, true_pose, came
 
 
 def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, camera, landmarks):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose))
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS)
     offsets = torch.zeros_like(seen.rig.rest)
     offsets[seen.rig.names.index("left_hip")] = torch.tensor([0.0, 0.04, 0.0])
     assert float(loss_of(landmarks, body, true_pose, camera, offsets)) > 0.01
@@ -73,7 +74,7 @@ def test_the_order_of_names_does_not_matter(body, true_pose, camera, landmarks):
 
 
 def test_points_of_a_hand_count_as_few(body, true_pose, camera, landmarks):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose))
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS)
     of_hand = torch.tensor([name.startswith("left_hand") for name in seen.rig.names])
     assert float(seen.count[of_hand].sum()) == pytest.approx(3)
     assert float(seen.count[seen.rig.names.index("left_knee")]) == 1

@@ -7,8 +7,8 @@
 with the landmark ``u`` in pixels and its standard deviation ``σ``, the camera's projection ``π``,
 and the point ``x`` of the body at rest (:mod:`gva_mi.pose.film.rig`). Offsets ``o`` are unknown and
 the same in all frames: a network's hip or shoulder is not the joint of the body. A landmark's error
-lasts, so ``m`` frames count as one, and the points of a hand, or of the face, err together, so
-they count as few: each as ``n`` of a point.
+lasts, so ``m`` frames count as one, and the points of a hand, or of the face, err together, so they
+count as few: each as ``n`` of a point.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.splat import Camera
 
-MEMORY = 12.0  # m, frames for which a landmark's error lasts
+MEMORY = 0.4  # seconds for which a landmark's error lasts
 NEAREST = 0.1  # metres in front of the camera, below which nothing is projected
 
 
@@ -42,6 +42,7 @@ class SeenLandmarks:
         count: (P,) ``n``.
         K: (T, 3, 3) of the cameras.
         T_camera_world: (T, 4, 4).
+        memory: ``m``.
     """
 
     rig: LandmarkRig
@@ -50,10 +51,13 @@ class SeenLandmarks:
     count: Tensor
     K: Tensor
     T_camera_world: Tensor
+    memory: float
 
     @staticmethod
-    def of(landmarks: Landmarks, body: BodyModel, cameras: Sequence[Camera]) -> SeenLandmarks:
-        """Take the landmarks that are known on a body, seen by T cameras."""
+    def of(
+        landmarks: Landmarks, body: BodyModel, cameras: Sequence[Camera], fps: float
+    ) -> SeenLandmarks:
+        """Take the landmarks that are known on a body, seen by T cameras, ``fps`` a second."""
         rig = LandmarkRig.of(body, landmarks.names)
         sigma = LandmarkNoise.of(landmarks, rig.names).pixels
         pixels = torch.from_numpy(landmarks.pixels[:, landmarks.indices(rig.names)]).float()
@@ -64,6 +68,7 @@ class SeenLandmarks:
             independent_points(rig.names, hands_together=True),
             torch.from_numpy(np.stack([c.K for c in cameras])).float(),
             torch.from_numpy(np.stack([c.T_camera_world for c in cameras])).float(),
+            max(1.0, MEMORY * fps),
         )
 
     def part(self, frames: range) -> SeenLandmarks:
@@ -89,7 +94,7 @@ class SeenLandmarks:
         image = seen @ self.K[frames].mT
         found = image[..., :2] / image[..., 2:].clamp_min(NEAREST)
         off = (found - self.pixels[frames]).square().sum(-1) * self.precision[frames].square()
-        nats = (FREEDOM + 2) / (2 * MEMORY) * torch.log1p(off / FREEDOM)
+        nats = (FREEDOM + 2) / (2 * self.memory) * torch.log1p(off / FREEDOM)
         return (self.count * nats).sum() / len(frames)
 
     def energy(self, offsets: Tensor) -> Tensor:

@@ -4,8 +4,8 @@ An estimator's error in frame ``k`` is the negative of its correction. It has a 
 every frame, one that lasts for some frames, and a constant one:
 
 1. ``e_k = white_k + slow_k + bias``
-2. ``K_kl = white² f_k [k = l] + slow² κ(|t_k - t_l| / memory) + bias²``
-   with ``κ(x) = (1 + √3 x) e^(-√3 x)``; an inferred model has ``bias = slow``
+2. ``K_kl = white² f_k [k = l] + slow² g_k g_l κ(|t_k - t_l| / memory) + bias²``
+   with ``κ(x) = (1 + √3 x) e^(-√3 x)``; an inferred model has ``bias = slow`` and ``g = 1``
 
 ``K`` is the covariance of each of its coordinates. The parts' sizes and the memory differ between
 estimators, and between hips and fingers, so they are inferred for each group of joints
@@ -15,7 +15,9 @@ estimators, and between hips and fingers, so they are inferred for each group of
    median ignores outliers; they have 20 times the variance of white errors.
 4. ``slow`` and ``memory``: from the corrections *about the line of sight*, which images show well.
    Their autocovariance at some lags is fitted by eq. 2, and then used for depth, too.
-5. ``f_k``: the outlier factor of a frame, such as one in which a leg was taken for the other: that
+5. ``g_k² = 1 + (lag v_k / slow)²`` if the estimator is known: it errs more while a joint moves.
+   ``v`` is the speed of a coordinate of stage 1 itself, a root mean square over the memory.
+6. ``f_k``: the outlier factor of a frame, such as one in which a leg was taken for the other: that
    of Student's t distribution as a scale mixture of Gaussians of variance ``white² f``.
 """
 
@@ -61,6 +63,7 @@ class Stage1ErrorModel:
     slow: float  # the same of the part that lasts
     memory: float  # frames that it lasts
     bias: float | None = None  # of the constant part; None: the same as ``slow``
+    lag: float = 0.0  # frames: what is added to ``slow``, relative to the speed of the motion
 
     @property
     def size(self) -> float:
@@ -77,20 +80,37 @@ class Stage1ErrorModel:
         """Standard deviation of the constant part."""
         return self.slow if self.bias is None else self.bias
 
-    def lasting(self, times: Tensor) -> Tensor:
-        """Return eq. 2 (n, n) float64 at times (n,), without the white part."""
+    def lasting(self, times: Tensor, growth: Tensor) -> Tensor:
+        """Return eq. 2 (n, n) float64 at times (n,) with ``g`` (n,), without the white part."""
         x = 3**0.5 * (times[:, None] - times).abs().double() / self.memory
         if self.bias is None:
             return self.slow**2 * ((1 + x) * torch.exp(-x) + 1)
-        return self.slow**2 * (1 + x) * torch.exp(-x) + self.bias**2
+        g = growth.double()
+        return self.slow**2 * g[:, None] * g * (1 + x) * torch.exp(-x) + self.bias**2
+
+    def growth(self, steps: Tensor, times: Tensor) -> Tensor:
+        """Return ``g`` (n,) of steps (n - 1, d) of stage 1 between times (n,), eq. 5."""
+        if self.lag == 0 or len(steps) == 0:
+            return torch.ones(len(times))
+        gaps = times.diff().to(steps)
+        apart = (times[:, None] - times[:-1] - gaps / 2) / self.memory
+        weights = torch.softmax(-apart.square() / 2, dim=1)
+        square_speed = weights @ (steps.square().mean(-1) / gaps.square())
+        return (1 + (self.lag / self.slow) ** 2 * square_speed).sqrt()
 
 
-def covariance(error_models: Sequence[Stage1ErrorModel], times: Tensor, factors: Tensor) -> Tensor:
-    """Return eq. 2 (C, n, n) float64 of C models at times (n,), with factors (C, n)."""
-    lasting = {noise: noise.lasting(times) for noise in set(error_models)}
+def covariance(
+    error_models: Sequence[Stage1ErrorModel],
+    times: Tensor,
+    factors: Tensor,
+    growth: Tensor | None = None,
+) -> Tensor:
+    """Return eq. 2 (C, n, n) float64 of C models at times (n,), with ``f`` and ``g`` (C, n)."""
+    growth = torch.ones_like(factors) if growth is None else growth
+    lasting = [noise.lasting(times, g) for noise, g in zip(error_models, growth, strict=True)]
     white = torch.tensor([noise.white_variance for noise in error_models], dtype=torch.float64)
     diagonal = torch.diag_embed(white[:, None] * factors.double())
-    return torch.stack([lasting[noise] for noise in error_models]) + diagonal
+    return torch.stack(lasting) + diagonal
 
 
 def median_of_square(dimension: int) -> float:
@@ -142,7 +162,7 @@ def fit_slow_part(
 def outlier_factors(
     errors: Tensor, K: Tensor, error_models: Sequence[Stage1ErrorModel], factors: Tensor
 ) -> Tensor:
-    """Update the factors (C, n) of eq. 5.
+    """Update the factors ``f`` (C, n) of eq. 2.
 
     Args:
         errors: (C, n, d).

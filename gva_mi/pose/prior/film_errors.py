@@ -9,41 +9,32 @@ they err by 17°, but images of this size cannot bend them better, and their err
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from types import MappingProxyType
-
 import numpy as np
 
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 
-FPS = 30.0  # frames a second of the films of the table
+FPS = 30.0  # frames a second of a film that does not say it
 
-# Standard deviations of the slow part and of the constant one, and frames that the slow one lasts.
+# Standard deviations of the slow part and of the constant one; seconds that the slow one lasts; and
+# the seconds of lag: what the slow one grows by, relative to the speed.
 _DEGREES = {
-    "pelvis": (4.0, 0.0, 6.0),
-    "spine": (2.1, 0.9, 3.0),
-    "head": (3.8, 1.5, 12.0),
-    "shoulders": (8.1, 2.3, 6.0),
-    "elbows": (8.4, 1.9, 6.0),
-    "wrists": (6.1, 0.6, 6.0),
-    "hips": (5.4, 2.3, 6.0),
-    "knees": (4.0, 0.0, 12.0),
-    "feet": (4.4, 1.8, 3.0),
+    "pelvis": (2.2, 0.0, 0.2, 0.050),
+    "spine": (1.3, 0.0, 0.2, 0.081),
+    "head": (3.2, 0.0, 0.2, 0.092),
+    "shoulders": (6.6, 0.0, 0.2, 0.093),
+    "elbows": (3.2, 0.0, 0.2, 0.151),
+    "wrists": (3.1, 0.0, 0.2, 0.134),
+    "hips": (4.3, 0.0, 0.2, 0.094),
+    "knees": (4.2, 0.0, 0.2, 0.122),
+    "feet": (1.6, 0.0, 0.2, 0.232),
 }
-_METRES = {"aside": (0.026, 0.008, 12.0), "depth": (0.065, 0.028, 12.0)}
+_METRES = {"aside": (0.026, 0.008, 0.4, 0.0), "depth": (0.065, 0.028, 0.4, 0.0)}
 
 
-def _model(slow: float, bias: float, memory: float) -> Stage1ErrorModel:
-    return Stage1ErrorModel(white=0.0, slow=slow, memory=memory, bias=bias)
-
-
-FILM_ERRORS: Mapping[str, Stage1ErrorModel] = MappingProxyType(
-    {name: _model(*np.radians(row[:2]).tolist(), row[2]) for name, row in _DEGREES.items()}
-    | {name: _model(*row) for name, row in _METRES.items()}
-)
-
-
-def errors_at(fps: float) -> dict[str, Stage1ErrorModel]:
-    """Return the table for another frame rate: errors last as many seconds, not frames."""
-    return {n: replace(e, memory=e.memory * fps / FPS) for n, e in FILM_ERRORS.items()}
+def film_errors(fps: float) -> dict[str, Stage1ErrorModel]:
+    """Return the error models of a film of so many frames a second, by group of joints."""
+    rows = {name: (*np.radians(row[:2]).tolist(), *row[2:]) for name, row in _DEGREES.items()}
+    return {
+        name: Stage1ErrorModel(0.0, slow, memory * fps, bias, lag * fps)
+        for name, (slow, bias, memory, lag) in (rows | _METRES).items()
+    }

@@ -47,6 +47,7 @@ class ProcessPrior:
         steps: (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d).
         error_models: C error models.
         factors: (C, n) ``f``.
+        growth: (C, n) ``g``.
         square_speed: (n - 1 or n - 2, C) ``s²`` of each step.
         steady: whether constant speed is as probable as rest.
     """
@@ -55,6 +56,7 @@ class ProcessPrior:
     steps: Tensor
     error_models: Sequence[Stage1ErrorModel]
     factors: Tensor
+    growth: Tensor
     square_speed: Tensor
     steady: bool
 
@@ -71,7 +73,9 @@ class ProcessPrior:
             steady: whether constant speed is as probable as rest.
         """
         factors = torch.ones(steps.shape[1], len(times))
-        process = ProcessPrior(times, steps, error_models, factors, steps[..., 0], steady)
+        each = zip(error_models, steps.unbind(1), strict=True)
+        growth = torch.stack([noise.growth(own, times) for noise, own in each])
+        process = ProcessPrior(times, steps, error_models, factors, growth, steps[..., 0], steady)
         process = replace(process, steps=process.changes(steps))
         white = torch.tensor([noise.white for noise in error_models]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
@@ -95,8 +99,7 @@ class ProcessPrior:
 
     def with_outlier_factors(self, corrections: Tensor) -> ProcessPrior:
         """Return the process with the outlier factors of corrections (n, C, d)."""
-        K = covariance(self.error_models, self.times, self.factors)
-        errors = -corrections.transpose(0, 1)
+        K, errors = self._error_covariance(), -corrections.transpose(0, 1)
         return replace(self, factors=outlier_factors(errors, K, self.error_models, self.factors))
 
     def map_estimate(self) -> tuple[Tensor, ProcessPrior]:
@@ -127,7 +130,7 @@ class ProcessPrior:
 
     def variance_of_mean(self, bias: bool) -> Tensor:
         """Return the variance (C,) of stage 1's mean error, with or without its bias."""
-        K = covariance(self.error_models, self.times, self.factors).mean((1, 2))
+        K = self._error_covariance().mean((1, 2))
         without = torch.tensor([noise.constant**2 for noise in self.error_models])
         return (K if bias else K - without).float()
 
@@ -154,8 +157,11 @@ class ProcessPrior:
 
     def _precision(self) -> Tensor:
         # Cholesky, because torch's batched LU fails after its number of threads was changed.
-        K = covariance(self.error_models, self.times, self.factors)
-        return torch.cholesky_inverse(torch.linalg.cholesky(K))
+        return torch.cholesky_inverse(torch.linalg.cholesky(self._error_covariance()))
+
+    def _error_covariance(self) -> Tensor:
+        """Return ``K`` (C, n, n), float64."""
+        return covariance(self.error_models, self.times, self.factors, self.growth)
 
     def _changed(self, corrections: Tensor) -> Tensor:
         """Return ``Δ`` (n - 1 or n - 2, C, d) under corrections (n, C, d)."""

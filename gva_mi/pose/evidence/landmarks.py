@@ -27,7 +27,8 @@ from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.splat import Camera
 
-MEMORY = 0.4  # seconds for which a landmark's error lasts
+# Seconds for which a landmark's error lasts: more than in stage 1, whose poses follow it already.
+MEMORY = 0.4
 NEAREST = 0.1  # metres in front of the camera, below which nothing is projected
 
 

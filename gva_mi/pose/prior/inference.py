@@ -83,7 +83,8 @@ def describe_prior(
         return
     turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
     places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
-    yield f"stage 1     errs by {turns}; by {places}"
+    moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
+    yield f"stage 1     errs by {turns}; by {places}{moving}"
     white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
     lasts = sorted({noise[name].memory for name in GROUPS})
     yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"

@@ -49,7 +49,7 @@ class Refined:
     pose: Pose  # all frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, shared by all frames, metres
-    losses_stage1: Tensor  # (T,) the data term of Eq. 8 at stage 1; NaN where there is no evidence
+    losses_stage1: Tensor  # (T,) of the evidence at stage 1; NaN where there is none
     losses: Tensor  # (T,) the data term at the poses found, rejected ones included
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
@@ -137,19 +137,18 @@ class ObservedVideo:
             pose, shape = with_height(coarse.body, pose, shape, video.cameras, options.height)
         # Without close-ups, hands and feet need no more triangles than the rest.
         compared = coarse if pictures else simplified(options.faces, False)
+        landmarks = None
+        if in_sequence and options.landmarks > 0 and video.landmarks is not None:
+            fps = video.fps or FPS
+            landmarks = SeenLandmarks.of(video.landmarks, compared.body, video.cameras, fps)
         swapped: dict[str, list[int]] = {}
         if in_sequence and options.unswap:
             bare = Solution(pose, shape, torch.zeros_like(compared.body.v_template))
-            losses = lambda p: _losses(compared.body, evidence, options.silhouette, p, bare)
+            losses = lambda p: _losses(compared.body, evidence, landmarks, options, p, bare)
             stage1 = Stage1.of(pose, range(len(pose)), video.cameras[0])
             pose, swapped = fix_swaps(stage1, losses, options.prior_weight)
         seconds = time.perf_counter() - begin
         errors = known_errors(video, options) if in_sequence else None
-        landmarks = None
-        if in_sequence and options.landmarks > 0 and video.landmarks is not None:
-            landmarks = SeenLandmarks.of(
-                video.landmarks, compared.body, video.cameras, video.fps or FPS
-            )
         known = evidence, pictures, kept, held_out, landmarks, errors, swapped, seconds
         return ObservedVideo(compared, pose, shape, video.cameras, options, *known)
 
@@ -210,7 +209,7 @@ class ObservedVideo:
         shared = (known or found[0]).result
         pose = join(self.clips, [done.result.pose for done in found])
         losses_stage1, losses = (
-            _losses(self.coarse.body, self.evidence, self.options.silhouette, p, shared)
+            _losses(self.coarse.body, self.evidence, self.landmarks, self.options, p, shared)
             for p in (self.pose, pose)
         )
         kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
@@ -255,19 +254,25 @@ def _steps(options: RefineOptions, frames: int) -> int:
 def _losses(
     body: BodyModel,
     evidence: Mapping[int, MaskAndNormals],
-    silhouette: float,
+    landmarks: SeenLandmarks | None,
+    options: RefineOptions,
     pose: Pose,
     person: Solution,
 ) -> Tensor:
-    """Return the data term of Eq. 8 (T,) in T poses; NaN where there is no evidence."""
+    """Return the evidence's loss (T,) in T poses, without close-ups; NaN where there is none."""
     losses = torch.full((len(pose),), torch.nan)
     scene = MeshScene(body.faces, body.v_template)
     focal = None if person.focal == 1 else torch.tensor(person.focal)
     with one_torch_thread():
         for k, seen in evidence.items():
             vertices = seen_body(body, pose[k], person.shape, person.offsets, [seen], focal)
-            losses[k] = mean_loss(scene, vertices, [seen], silhouette, focal=focal)
-    return losses
+            losses[k] = mean_loss(scene, vertices, [seen], options.silhouette, focal=focal)
+        if landmarks is None:
+            return losses
+        offsets = person.landmark_offsets
+        offsets = torch.zeros_like(landmarks.rig.rest) if offsets is None else offsets
+        off = landmarks.losses(range(len(pose)), body, pose, person.shape, offsets)
+    return losses + options.landmarks * off
 
 
 def simplified_body(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:

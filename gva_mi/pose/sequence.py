@@ -28,8 +28,7 @@ from typing import Annotated, ClassVar, Literal
 import torch
 from torch import Tensor
 
-from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.pose import PARENTS, Pose, Shape
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, Rate, Seed, Turn, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -232,15 +231,11 @@ class ClothedPerson:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
             closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
         loss = mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
-        return loss + o.landmarks * self._landmark_loss(frames, pose)
-
-    def _landmark_loss(self, frames: Sequence[int], pose: Pose) -> Tensor | float:
-        """Return the landmarks' nats; a refined focal length leaves sizes in the picture alone."""
-        if self._job.landmarks is None:
-            return 0.0
-        joints = self._job.body.rest(self.shape).joints
-        T_world_rest = turn_joints(pose.rotations, joints, PARENTS, pose.transl)[1]
-        return self._job.landmarks.loss(frames, T_world_rest, self.shape, self._points)
+        if (landmarks := self._job.landmarks) is None:
+            return loss
+        # A refined focal length leaves sizes in the picture alone.
+        person = self._job.body, pose, self.shape, self._points
+        return loss + o.landmarks * landmarks.losses(frames, *person).mean()
 
     def enable_details(self) -> None:
         """Start to use close-ups and refine the focal length: both need nearly right poses."""

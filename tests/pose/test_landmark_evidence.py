@@ -30,7 +30,7 @@ def seen_of(body, pose, camera, names=NAMES):
 def loss_of(landmarks, body, pose, camera, offsets=None):
     seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS)
     offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
-    return seen.loss(range(len(pose)), body(pose, SHAPE).T_world_rest, SHAPE, offsets)
+    return seen.losses(range(len(pose)), body, pose, SHAPE, offsets).mean()
 
 
 @pytest.fixture(scope="module")

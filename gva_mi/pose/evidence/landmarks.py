@@ -20,7 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Shape
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
@@ -78,25 +79,25 @@ class SeenLandmarks:
         cut = {name: getattr(self, name)[some] for name in _OF_FRAMES}
         return replace(self, **cut)
 
-    def loss(
-        self, frames: Sequence[int], T_world_rest: Tensor, shape: Shape, offsets: Tensor
+    def losses(
+        self, frames: Sequence[int], body: BodyModel, pose: Pose, shape: Shape, offsets: Tensor
     ) -> Tensor:
-        """Return eq. 2, nats, a mean over some frames; differentiable.
+        """Return eq. 2 (B,), nats, of B frames; differentiable.
 
         Args:
             frames: B numbers.
-            T_world_rest: (B, 55, 4, 4) of the body in these frames.
-            shape: of the body.
+            body, pose, shape: the person in these frames.
             offsets: ``o`` (P, 3) metres.
         """
-        frames = list(frames)
+        frames, joints = list(frames), body.rest(shape).joints
+        T_world_rest = turn_joints(pose.rotations, joints, PARENTS, pose.transl)[1]
         T, y = self.T_camera_world[frames], self.rig.places(T_world_rest, shape.betas, offsets)
         seen = y @ T[:, :3, :3].mT + T[:, None, :3, 3]
         image = seen @ self.K[frames].mT
         found = image[..., :2] / image[..., 2:].clamp_min(NEAREST)
         off = (found - self.pixels[frames]).square().sum(-1) * self.precision[frames].square()
         nats = (FREEDOM + 2) / (2 * self.memory) * torch.log1p(off / FREEDOM)
-        return (self.count * nats).sum() / len(frames)
+        return (self.count * nats).sum(1)
 
     def energy(self, offsets: Tensor) -> Tensor:
         """Return eq. 3 of offsets (P, 3), nats."""

@@ -30,7 +30,9 @@ class FilmPictures:
     pictures: Sequence[np.ndarray]  # T of (H, W, 3) 8-bit sRGB, upright, read one by one
     fps: float  # pictures a second
     focal35: float | None  # recorded focal length, mm of 35 mm film
-    notes: tuple[str, ...] = ()  # what was done to the film, sentences for its user
+    notes: tuple[str, ...]  # what was done to the film, sentences for its user
+    numbers: tuple[int, ...]  # T: which of the film's pictures each is
+    scale: float  # pixels of these pictures in one of the film's
 
 
 def read_film(
@@ -81,7 +83,9 @@ def read_film(
         last = times[-1] if len(times) else 0.0
         raise InputError(f"{path}: lasts {last:.3g} s; --start and --end leave no picture of it")
     pictures = _Chosen(source, chosen, side)
-    return FilmPictures(pictures, rate, recorded_35mm(path), (*notes, *more))
+    scale = min(1.0, side / min(sizes[0])) if side else 1.0
+    recorded, numbers = recorded_35mm(path), tuple(chosen.tolist())
+    return FilmPictures(pictures, rate, recorded, (*notes, *more), numbers, scale)
 
 
 def _evenly(

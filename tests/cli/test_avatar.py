@@ -6,7 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
-from gva_mi.body.pose import load_poses
+from gva_mi.body.pose import JOINTS, load_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.data.ground_truth import truth_of
+from gva_mi.data.importers.keypoints import LAYOUTS
+from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import load_video
 
@@ -16,7 +20,6 @@ FRAMES = 12
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
     """A folder with a short film of a synthetic subject, and its height."""
-    from gva_mi.body.smplx import load_body
     from gva_mi.pose.stature import Stature
     from gva_mi.synthetic import SynthOptions, make_subject
 
@@ -81,6 +84,36 @@ def test_a_film_drives_an_avatar(filmed, tmp_path, cli):
     pose, _ = load_poses(tmp_path / "m.npz")
     assert 2 * FRAMES - 3 <= len(pose) <= 2 * FRAMES
     assert np.abs(pose.transl[0].numpy()).max() < 1e-5  # at rest's place
+
+
+@pytest.mark.slow
+def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
+    """Joints that are known, as COCO's keypoints: stage 1 follows them."""
+    film, height = filmed
+    video, body = load_video(film.parent), load_body()
+    truth = truth_of(video, body)
+    known = truth.body(truth.pose, truth.shape).joints.double().numpy()
+    names = [name for name in LAYOUTS[17] if name in JOINTS]
+    where = lambda joints, k: video.cameras[k].project(joints[k, [JOINTS.index(n) for n in names]])
+    people = []
+    for k in range(FRAMES):
+        at = dict(zip(names, where(known, k) - 0.5, strict=True))
+        rows = [[*at[name], 0.9] if name in at else [0, 0, 0] for name in LAYOUTS[17]]
+        people.append({"image_id": f"{k}.jpg", "keypoints": np.ravel(rows).tolist()})
+    (tmp_path / "k.json").write_text(json.dumps(people))
+    given = ("prepare", "film", film, tmp_path / "s", "--height", height)
+    code, said, err = cli(*given, "--keypoints", tmp_path / "k.json")
+    assert code == 0 and f"in {FRAMES} of {FRAMES} frames" in said, err
+    found = Landmarks.load(tmp_path / "s/landmarks.npz")
+    seen = load_video(tmp_path / "s")
+    joints = body(seen.pose, seen.shape).joints.detach().double().numpy()
+    off = []
+    for k in range(FRAMES):
+        wanted = where(known, k)
+        assert np.abs(found.pixels[k, found.indices(names)] - wanted).max() < 1e-3
+        at = [JOINTS.index(name) for name in names]
+        off.append(np.linalg.norm(seen.cameras[k].project(joints[k, at]) - wanted, axis=1))
+    assert np.median(off) < 2.0
 
 
 SENTENCES = {

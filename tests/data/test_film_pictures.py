@@ -71,6 +71,7 @@ def test_a_fast_film_is_thinned(tmp_path):
     path = film(tmp_path / "a.mp4", np.arange(60) / 60, tick=60)
     found = read_film(path)
     assert found.fps == pytest.approx(30) and numbers(found) == list(range(0, 60, 2))
+    assert found.numbers == tuple(range(0, 60, 2)) and found.scale == 1
     assert found.notes == ("of 60 pictures a second one in 2 is used",)
     assert numbers(read_film(path, fps=15, start=0.5)) == list(range(30, 60, 4))
     assert numbers(read_film(path, fps=60, start=0.25, end=0.5)) == list(range(15, 31))
@@ -114,6 +115,7 @@ def test_a_film_held_upright_is_turned(tmp_path):
 def test_a_large_film_is_scaled_down(tmp_path):
     found = read_film(film(tmp_path / "a.mp4", [0, 0.04], size=(360, 200)), side=100)
     assert found.pictures[1].shape == (180, 100, 3) and numbers(found) == [0, 1]
+    assert found.scale == 0.5
     assert read_film(tmp_path / "a.mp4", side=720).pictures[0].shape == (360, 200, 3)
 
 

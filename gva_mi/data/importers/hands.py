@@ -22,7 +22,7 @@ sign of their bend tells. A rotation is mirrored by changing the signs of its y 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import axis_angles
-from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.importers.numbering import counted_from_0
 
 SIDES = ("left", "right")
 MIRROR = np.array([1.0, -1.0, -1.0])
@@ -99,7 +99,7 @@ def _found(
         value = value.tolist()
     if isinstance(value, Path):
         paths = sorted(p for p in value.iterdir() if p.suffix.lower() in _SUFFIXES)
-        for path, number in zip(paths, _counted(paths, first), strict=True):
+        for path, number in zip(paths, counted_from_0(paths, first), strict=True):
             yield from _found(path, _content(path), number, {}, first)
     elif isinstance(value, list | tuple):
         for k, item in enumerate(value):
@@ -114,18 +114,11 @@ def _found(
             yield from _hands_of(where, name, value, frame, about)
             return
         numbered = frame is None and all(re.search(r"\d", str(key)) for key in value)
-        numbers = _counted(value, first) if numbered else [frame] * len(value)
+        numbers = counted_from_0(list(value), first) if numbered else [frame] * len(value)
         for (key, inner), number in zip(value.items(), numbers, strict=True):
             if isinstance(inner, Mapping | list | tuple | np.ndarray):
                 side = {"hand_type": key} if str(key).lower() in SIDES else {}
                 yield from _found(where, inner, number, {**about, **side}, first)
-
-
-def _counted(names: Iterable[object], first: int) -> list[int]:
-    """Return the numbers in names of frames, counted from 0."""
-    numbers = [number_in(name) for name in names]
-    start = min(numbers, default=0)
-    return [number - (start if start in (0, 1) else first) for number in numbers]
 
 
 def _hands_of(

@@ -27,6 +27,7 @@ from gva_mi.core.options import Within, from_json, require_ranges
 from gva_mi.core.provenance import versions
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
@@ -61,6 +62,9 @@ class FilmOptions:
     start: Annotated[float, Within(0, 86_400, unit="seconds")] = 0.0
     # Where it ends; without it, with the film.
     end: Annotated[float, Within(0, 86_400, "low", "seconds")] | None = None
+    # Keypoints of OpenPose, MMPose or AlphaPose, a file or folder, of all frames of the film. They
+    # take the place of the network's landmarks in the pictures.
+    keypoints: Path | None = None
     # Folder of the networks' files; without it GVA_MI_WEIGHTS or the cache, which pip fills.
     weights: Path | None = None
 
@@ -227,6 +231,11 @@ def motion_of_film(
         WatchOptions(person=person, weights=options.weights),
         within(progress, 0, 4, 5),
     )
+    if options.keypoints is not None:
+        landmarks, said = with_keypoints(
+            watched.landmarks, options.keypoints, pictures.numbers, pictures.scale
+        )
+        watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, *said))
     solved = solve_film(
         watched.landmarks,
         body,

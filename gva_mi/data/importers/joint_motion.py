@@ -52,7 +52,8 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         found = motions[k, : int(lengths[k]) if len(lengths) == len(motions) else None]
     if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
         return None
-    array = found[0] if found.ndim > 2 and len(found) == 1 else found
+    packed = len(found) == 1 and found.shape[2:] in ((FEATURES,), (COUNT, 3))
+    array = found[0] if packed else found
     if array.ndim == 2 and array.shape[1] == FEATURES:
         places = _of_features(array.astype(np.float64))
     elif array.ndim == 3 and array.shape[1] in _COUNTS and array.shape[2] == 3:
@@ -63,8 +64,8 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         return None  # rotations
     if not _is_person(places):
         raise InputError(
-            f"{where}: legs change their lengths from frame to frame, so these are no joints of a "
-            "person; features that a network was given must be multiplied by its Std.npy, and its "
+            f"{where}: legs change their lengths or differ, so these are no joints of a person; "
+            "features that a network was given must be multiplied by its Std.npy, and its "
             "Mean.npy added"
         )
     return places
@@ -83,7 +84,15 @@ def _of_features(features: np.ndarray) -> np.ndarray:
 
 
 def _is_person(places: np.ndarray) -> bool:
-    """Whether numbers (T, 22, 3) may be places of joints: legs keep their lengths."""
-    legs = [np.linalg.norm(places[:, child] - places[:, joint], axis=1)
-            for joint, child in ((1, 4), (4, 7), (2, 5), (5, 8))]  # fmt: skip
-    return all(np.nanstd(leg) < _EVEN * np.nanmean(leg) for leg in legs)
+    """Whether numbers (T, 22, 3) may be places of joints: legs keep their lengths and are alike.
+
+    Rotations of somebody who stands still keep theirs, too, so a thigh, a shin and the way from
+    pelvis to head are also compared.
+    """
+    length = lambda a, b: np.linalg.norm(places[:, a] - places[:, b], axis=1)
+    thighs, shins = [length(1, 4), length(2, 5)], [length(4, 7), length(5, 8)]
+    if not all(np.nanstd(leg) < _EVEN * np.nanmean(leg) for leg in (*thighs, *shins)):
+        return False
+    left, right, *lower, trunk = map(np.nanmedian, (*thighs, *shins, length(0, 15)))
+    alike = abs(left - right) < _EVEN * left and abs(lower[0] - lower[1]) < _EVEN * lower[0]
+    return alike and 0.6 < lower[0] / left < 1.7 and 0.7 < trunk / left < 2.5

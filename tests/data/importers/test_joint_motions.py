@@ -119,3 +119,13 @@ def test_results_of_mdm_hold_several_motions(tmp_path, known):
     assert np.abs(of_pelvis(posed(second)) - of_pelvis(places)[:20]).max() < 2e-3
     with pytest.raises(InputError, match="has no motion 'b'; --person is one of 0 to 1"):
         read(tmp_path / "r.npy", results, MotionOptions(person="b"))
+
+
+def test_rotations_of_somebody_who_stands_still_are_no_joints(tmp_path, known):
+    """Arrays of the same shape (T, 55, 3); and one frame of joints is a motion, too."""
+    rotations, places = known
+    still = np.tile(rotations[:1], (4, 1, 1)) + 0.05
+    options = MotionOptions(fps=20, source_fps=20, hands="flat")
+    motion = read(tmp_path / "a.npy", still, options)
+    assert np.abs(matrices(motion.pose.rotations) - matrices(still)).max() < 1e-5
+    assert len(read(tmp_path / "b.npy", places[:1]).pose) == 1

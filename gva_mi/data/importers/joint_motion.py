@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.pose import LARGEST
 from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.joint_fit import COUNT
@@ -54,6 +55,8 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         return None
     packed = len(found) == 1 and found.shape[2:] in ((FEATURES,), (COUNT, 3))
     array = found[0] if packed else found
+    if not len(array):
+        return None
     if array.ndim == 2 and array.shape[1] == FEATURES:
         places = _of_features(array.astype(np.float64))
     elif array.ndim == 3 and array.shape[1] in _COUNTS and array.shape[2] == 3:
@@ -89,10 +92,11 @@ def _is_person(places: np.ndarray) -> bool:
     Rotations of somebody who stands still keep theirs, too, so a thigh, a shin and the way from
     pelvis to head are also compared.
     """
+    places = places[(np.abs(places) < LARGEST["transl"]).all((1, 2))]  # finite, too
     length = lambda a, b: np.linalg.norm(places[:, a] - places[:, b], axis=1)
-    thighs, shins = [length(1, 4), length(2, 5)], [length(4, 7), length(5, 8)]
-    if not all(np.nanstd(leg) < _EVEN * np.nanmean(leg) for leg in (*thighs, *shins)):
+    legs = [length(a, b) for a, b in ((1, 4), (2, 5), (4, 7), (5, 8))]
+    if not len(places) or not all(leg.std() < _EVEN * leg.mean() for leg in legs):
         return False
-    left, right, *lower, trunk = map(np.nanmedian, (*thighs, *shins, length(0, 15)))
+    left, right, *lower, trunk = map(np.median, (*legs, length(0, 15)))
     alike = abs(left - right) < _EVEN * left and abs(lower[0] - lower[1]) < _EVEN * lower[0]
     return alike and 0.6 < lower[0] / left < 1.7 and 0.7 < trunk / left < 2.5

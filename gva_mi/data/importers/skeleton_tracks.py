@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.pose import LARGEST
 from gva_mi.data.importers.bvh import read_bvh
 from gva_mi.data.importers.joint_fit import poses_from_joints
 from gva_mi.data.importers.retarget import Retargeted, retarget
@@ -29,7 +30,7 @@ def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float, list[str]]:
 
 def joints_track(places: np.ndarray, fps: float, body: TargetBody) -> tuple[Track, list[str]]:
     """Return the track on ``body`` of joints (T, 22, 3), and notes; lost frames are NaN."""
-    known = np.flatnonzero(np.isfinite(places).all((1, 2)))
+    known = np.flatnonzero((np.abs(places) < LARGEST["transl"]).all((1, 2)))
     motion = poses_from_joints(places[known], body.joints, fps)
     return _track("joints without rotations", motion, known, body), motion.notes
 

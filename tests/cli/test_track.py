@@ -99,7 +99,7 @@ def test_test_frames_are_fitted_only_on_request(video, body, subject, tmp_path, 
         rows[arguments] = json.loads((tmp_path / "metrics.json").read_text())["rows"]
         assert (
             (FITTED in out)
-            == (f"‘{FITTED.capitalize()}’" in (tmp_path / "report.html").read_text())
+            == (f"‘{FITTED}’" in (tmp_path / "report.html").read_text())
             == bool(arguments)
         )
     plain, every = rows.values()

@@ -71,7 +71,7 @@ COMMANDS = {
         f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} --fit.steps 5 --rows full",
     ),
 }  # fmt: skip
-MOMENTS = 6  # of a command, beside the first and the last
+MOMENTS = 3  # of a command, beside the first and the last
 FULL = -1  # in the place of a moment: no file can grow
 
 

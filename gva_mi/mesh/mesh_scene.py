@@ -96,7 +96,9 @@ class MeshScene:
         sensor, aspect = self._sensor(camera), pixel_aspect(camera)
         if aspect not in self._integrators:  # each keeps the mesh's topology
             # Searching for where a body intersects itself costs a fifth of a step, for few pixels.
-            kind = {"type": "mesh_normals", "pixel_aspect": aspect, "intersections": False}
+            # Its thinnest faces are so by design; the edges stay the same in all frames.
+            kind = {"type": "mesh_normals", "pixel_aspect": aspect}
+            kind |= {"intersections": False, "flat_faces": False}
             self._integrators[aspect] = mi.load_dict(kind)
         tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
         return self._integrators[aspect].view(self._scene, sensor, tiles=tiles)

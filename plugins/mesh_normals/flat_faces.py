@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-ROUNDING = 2.0**-21  # of coordinates: a face that is no higher than this has no area
+ROUNDING = 2.0**-22  # of coordinates: a face that is no higher than this has no area
 
 
 def live_sides(
@@ -34,18 +34,19 @@ def live_sides(
     owner, live = np.arange(points.size) // 3, np.ones(points.size, bool)
     ends = np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2)
     live[(3 * flat[:, None] + np.arange(3)).ravel()] = False
-    if len(flat) == 0:
+    on_line = [face for face in flat.tolist() if len(set(points[face].tolist())) == 3]
+    if not on_line:
         return ends, live, owner
     length = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1).reshape(-1, 3)
     edge = [tuple(side) for side in np.sort(ends, axis=1).tolist()]
     at: dict[tuple[int, int], list[int]] = {}  # live sides of each edge
     for side in np.flatnonzero(live).tolist():
         at.setdefault(edge[side], []).append(side)
-    for face in sorted(flat.tolist(), key=lambda f: -length[f].max()):
+    for face in sorted(on_line, key=lambda f: -length[f].max()):
         k = int(length[face].argmax())
         longest, *others = (3 * face + (k + j) % 3 for j in range(3))
         beyond = at.get(edge[longest], [])
-        if len(set(points[face])) < 3 or len(beyond) != 1:
+        if len(beyond) != 1:
             continue
         (side,) = beyond
         live[side], at[edge[longest]] = False, []

@@ -17,6 +17,9 @@
  * - intersections
    - |bool|
    - Whether lines in which surfaces intersect carry a gradient, too. (Default: true)
+ * - flat_faces
+   - |bool|
+   - Whether every image looks for faces whose corners have come to lie on a line. (Default: true)
  * - pixel_aspect
    - |float|
    - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.
@@ -68,6 +71,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         )
         self.edge_density = float(props.get("edge_density", 4.0))
         self.intersections = bool(props.get("intersections", True))
+        self.flat_faces = bool(props.get("flat_faces", True))
         self.pixel_aspect = float(props.get("pixel_aspect", 1.0))
         for name in ("edge_density", "pixel_aspect"):
             if not getattr(self, name) > 0:
@@ -181,7 +185,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         return (
             f"MeshNormals[channels={', '.join(self.channels.kinds)}, space={self.channels.space}, "
             f"edge_density={self.edge_density}, intersections={self.intersections}, "
-            f"pixel_aspect={self.pixel_aspect}]"
+            f"flat_faces={self.flat_faces}, pixel_aspect={self.pixel_aspect}]"
         )
 
     def _surface(self, meshes: list[mi.Mesh], positions: mi.Vector3f) -> MeshSurface:
@@ -191,9 +195,9 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         if known != [x.index for x in faces]:
             self._topology = (faces, Topology.of(meshes))
         surface = MeshSurface.of(self._topology[1], positions)
-        flat = surface.flat_faces()
+        flat = surface.flat_faces() if self.flat_faces else surface.topology.flat
         if not np.array_equal(flat, surface.topology.flat):
-            self._topology = (faces, Topology.of(meshes, flat, np.array(positions, np.float64).T))
+            self._topology = (faces, Topology.of(meshes, flat))
             surface = replace(surface, topology=self._topology[1])
         return surface
 

@@ -71,19 +71,18 @@ class Topology:
         return dr.select(active, first + primitive, 0)
 
     @staticmethod
-    def of(
-        meshes: Sequence[mi.Mesh], flat: np.ndarray = NONE, places: np.ndarray = NONE
-    ) -> Topology:
+    def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NONE) -> Topology:
         """Read the faces of the meshes and find the edges between them.
 
         Args:
             meshes: of a scene.
-            flat: (n,) faces without area.
-            places: (V, 3) where their vertices are; not needed if there are none.
+            flat: (n,) faces without area, beside those with two corners at one place.
         """
         corners = _Corners.of(meshes)
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
-        edges = _Edges.of(corners, *live_sides(corners.points, flat, places))
+        repeated = (corners.points == np.roll(corners.points, 1, axis=1)).any(1)
+        flat = np.union1d(flat, np.flatnonzero(repeated))
+        edges = _Edges.of(corners, *live_sides(corners.points, flat, corners.places))
         counts = [mesh.face_count() for mesh in meshes]
         mesh_of_face = np.repeat(np.arange(len(meshes)), counts).astype(np.uint32)
         corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
@@ -155,6 +154,7 @@ def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:
 class _Corners:
     """The three numberings of the corners of all meshes."""
 
+    places: np.ndarray  # (V, 3)
     vertices: np.ndarray  # (F, 3)
     points: np.ndarray  # (F, 3)
     normals: np.ndarray  # (F, 3)
@@ -165,13 +165,14 @@ class _Corners:
 
     @staticmethod
     def of(meshes: Sequence[mi.Mesh]) -> _Corners:
-        vertices, points, normals, flips = [], [], [], []
+        places, vertices, points, normals, flips = [], [], [], [], []
         V, N, outward = 0, 0, True
         for mesh in meshes:
             positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
             faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
             _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
             first = first[inverse.reshape(-1)]
+            places.append(positions)
             vertices.append(faces + V)
             points.append(first[faces] + V)
             outward &= _volume(positions, faces) >= 0
@@ -186,7 +187,7 @@ class _Corners:
                 N += len(positions) * (1 + back.any())
             V += len(positions)
             flips.append(np.full(N - before, points_inward(mesh, faces)))
-        joined = (np.concatenate(x) for x in (vertices, points, normals, flips))
+        joined = (np.concatenate(x) for x in (places, vertices, points, normals, flips))
         return _Corners(*joined, V, N, outward)
 
 

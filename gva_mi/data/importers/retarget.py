@@ -11,7 +11,8 @@ own: skeletons place these joints differently, so in the reference pose they fol
 Soles stand on the ground.
 
 The reference pose is that of zero angles, if somebody stands in it (a T-pose or an A-pose). Some
-skeletons have no such pose; then it is the frame in which the person stands straightest.
+skeletons have no such pose; then G_refᵀ A_ref is the mean over the frames in which the person
+stands straightest, because in a single one they may look or point anywhere.
 
 Lengths are scaled so that the legs are as long as the body's: the files say no unit.
 """
@@ -24,10 +25,12 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
+from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.bvh import BvhClip
 from gva_mi.data.importers.humanoid import FINGERS, SIDES, Humanoid, find_humanoid
 
+_STRAIGHT, _MANY = 1.5, 40  # times the least doubt, of as many reference poses
 _STANDS = np.radians(60)  # a limb farther off the line of the body's axis does not stand
 _UPRIGHT = np.cos(np.radians(25))  # between the axis of the trunk and an axis of coordinates
 _LIMBS = {
@@ -59,21 +62,25 @@ def retarget(where: object, clip: BvhClip, body: np.ndarray) -> Retargeted:
     """
     human = find_humanoid(where, clip.names, clip.parents)
     turns, places = clip.in_world()
-    ref, ref_turns, notes = _stance(where, human, clip, turns, places)
-    if _faces_back(ref):
+    ref, ref_turns, notes = _stances(where, human, clip, turns, places)
+    if _faces_back(_frame_of(ref, 0)):
         notes.append("left and right are those of left-handed axes; x is mirrored")
         mirror = np.array([-1.0, 1.0, 1.0])
         turns, ref_turns = (mirror[:, None] * x * mirror for x in (turns, ref_turns))
         places, ref = places * mirror, {name: x * mirror for name, x in ref.items()}
     at, own = _named(human, places), dict(zip(JOINTS, body, strict=True))
-    A_ref = _reference(ref, own)
+    stances = [_reference(_frame_of(ref, k), own) for k in range(len(ref_turns))]
     A: dict[str, np.ndarray] = {}
     for name, parent in zip(JOINTS, PARENTS, strict=True):
         if name not in human.joints:
             A[name] = A[JOINTS[parent]]
             continue
         first, second, weight = human.joints[name]
-        one, two = (turns[:, k] @ ref_turns[k].T @ A_ref[name] for k in (first, second))
+        A_ref = np.stack([stance[name] for stance in stances])
+        one, two = (
+            turns[:, k] @ nearest_rotations((ref_turns[:, k].swapaxes(1, 2) @ A_ref).mean(0))
+            for k in (first, second)
+        )
         A[name] = one if not weight else one @ to_matrices(
             weight * to_rotvecs(one.swapaxes(1, 2) @ two)
         )  # fmt: skip
@@ -100,30 +107,34 @@ def on_body(
     return to_rotvecs(np.stack(relative, 1)), pelvis
 
 
-def _stance(
+def _stances(
     where: object, human: Humanoid, clip: BvhClip, turns: np.ndarray, places: np.ndarray
 ) -> tuple[Places, np.ndarray, list[str]]:
-    """Return places and rotations (J, 3, 3) of the reference pose, and notes."""
+    """Return places (n, 3) and rotations (n, J, 3, 3) of the reference poses, and notes."""
     zero_turns, zero_places = clip.at_zero().in_world()
     at = _named(human, zero_places)
     if _doubt(at)[0, :2].max() < _STANDS:
-        return {name: x[0] for name, x in at.items()}, zero_turns[0], []
+        return at, zero_turns, []
     at = _named(human, places)
     doubt = np.nan_to_num(_doubt(at), nan=np.pi)
-    best = int(doubt.sum(1).argmin())
-    if doubt[best, :2].max() > _STANDS:
+    stands, total = doubt[:, :2].max(1) < _STANDS, doubt.sum(1)
+    if not stands.any():
         raise InputError(
             f"{where}: nobody stands in its pose of zero angles nor in any frame, so its joints "
             "cannot be compared with a body's; expected a T-pose or an A-pose in one of them"
         )
-    ref_turns = turns[best].copy()
-    if "head" in human.points:  # a single frame may look anywhere
-        straight = doubt.sum(1) < 2 * doubt[best].sum() + np.radians(5)
-        chest, head = human.joints["spine3"][0], human.points["head"]
-        ahead = (turns[straight, chest].swapaxes(1, 2) @ turns[straight, head]).mean(0)
-        ref_turns[head] = ref_turns[chest] @ nearest_rotations(ahead)
-    note = f"its pose of zero angles is nobody's; joints are compared in frame {best}"
-    return {name: x[best] for name, x in at.items()}, ref_turns, [note]
+    best = total[stands].min()
+    straight = np.flatnonzero(stands & (total <= _STRAIGHT * best + 1e-6))
+    straight = straight[np.linspace(0, len(straight) - 1, min(len(straight), _MANY)).astype(int)]
+    note = (
+        "its pose of zero angles is nobody's; joints are compared in the frames in which the "
+        f"person stands straightest: {listed(straight)}"
+    )
+    return {name: x[straight] for name, x in at.items()}, turns[straight], [note]
+
+
+def _frame_of(at: Places, frame: int) -> Places:
+    return {name: x[frame] for name, x in at.items()}
 
 
 def _named(human: Humanoid, places: np.ndarray) -> Places:

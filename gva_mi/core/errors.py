@@ -57,7 +57,7 @@ _PLAIN_WORDS = (
 )
 _LENGTHS = re.compile(
     "values to unpack|inhomogeneous|ambiguous|broadcast|reshape|invalid for input|must match|"
-    "zero-size|empty (sequence|iterable)|at least one array|[Dd]imension"
+    "zip|zero-size|empty (sequence|iterable)|at least one array|[Dd]imension"
 )
 _NO_MEMORY = re.compile("allocate memory|out of memory|failed to map segment|start new thread")
 

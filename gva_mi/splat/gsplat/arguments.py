@@ -13,8 +13,12 @@ from gva_mi.splat.gaussians import MAX_DEGREE
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
-NAMES = {  # in Camera and render; here
+NAMES = {  # in Camera, SplatOptions and render; here
     "T_camera_world": "viewmats",
+    "near": "near_plane",
+    "far": "far_plane",
+    "blur": "eps2d",
+    "radius_min": "radius_clip",
     "K": "Ks",
     "fx, fy, cx, cy": "the numbers of Ks",
     "focal lengths": "focal lengths of Ks",

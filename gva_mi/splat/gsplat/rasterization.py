@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from gva_mi.core.errors import InputError
 from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.argument_error import ArgumentError
@@ -175,7 +176,11 @@ _checked_once = functools.lru_cache(typed=True)(SplatOptions)
 def _options(**given: Any) -> SplatOptions:  # noqa: ANN401
     """Make the options; numbers that were checked before are not checked again."""
     plain = all(isinstance(value, int | float) for value in given.values())
-    return _checked_once(**given) if plain else SplatOptions(**given)
+    try:
+        return _checked_once(**given) if plain else SplatOptions(**given)
+    except InputError as error:
+        name, problem = str(error).removeprefix("SplatOptions: ").split(" ", 1)
+        raise ArgumentError("rasterization()", NAMES.get(name, name), problem) from None
 
 
 def _gaussians(

@@ -173,6 +173,7 @@ def test_errors_use_the_names_of_the_callers_arguments(arguments):
         "the numbers of Ks must be finite": {"Ks": a["Ks"] * float("inf")},
         r"means\[7, 1\] is nan, must be finite": {"means": bad},
         "width and height must be 1x1 to": {"width": 0},
+        "near_plane must be above 0 and at most .*, got 0": {"near_plane": 0.0},
         "scales must be a torch tensor, got ndarray": {"scales": a["scales"].detach().numpy()},
     }
     for message, changed in wrong.items():

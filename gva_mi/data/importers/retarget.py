@@ -25,7 +25,6 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
-from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.bvh import BvhClip
 from gva_mi.data.importers.humanoid import FINGERS, SIDES, Humanoid, find_humanoid
@@ -127,8 +126,8 @@ def _stances(
     straight = np.flatnonzero(stands & (total <= _STRAIGHT * best + 1e-6))
     straight = straight[np.linspace(0, len(straight) - 1, min(len(straight), _MANY)).astype(int)]
     note = (
-        "its pose of zero angles is nobody's; joints are compared in the frames in which the "
-        f"person stands straightest: {listed(straight)}"
+        "its pose of zero angles is nobody's; joints are compared where the person stands "
+        f"straightest, in {len(straight)} frames from {straight[0]} to {straight[-1]}"
     )
     return {name: x[straight] for name, x in at.items()}, turns[straight], [note]
 

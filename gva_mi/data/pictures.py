@@ -39,12 +39,17 @@ def read_image(path: Path, channels: int, labels: bool = False) -> np.ndarray:
     """Read a picture as 8 bits, turned as its metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3), 4 for RGBA, or 1 for a mask (H, W), 255 inside:
-    :mod:`.mattes`. With ``labels``, those of a palette are kept.
+    :mod:`.mattes`. With ``labels``, those of a palette are kept, and values of 16 bits.
     """
     from PIL import ImageOps
 
     with opened(path) as stored:
-        image = to_8_bits(ImageOps.exif_transpose(stored))
+        image = ImageOps.exif_transpose(stored)
+        if labels and channels == 1 and image.mode.startswith("I"):
+            raw = np.asarray(image)
+            if 0 <= raw.min(initial=0) <= raw.max(initial=0) <= 65535:
+                return raw.astype(np.uint16)
+        image = to_8_bits(image)
         if channels == 1:
             return matte_of(str(path), image, labels)
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))

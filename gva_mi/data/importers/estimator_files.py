@@ -19,6 +19,7 @@ from gva_mi.data.importers.lens import pinhole_K
 from gva_mi.data.importers.numbering import frame_numbers, frames_named, number_in
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.people import follow
+from gva_mi.data.importers.spellings import holds_pose, unnested
 
 ROMP = "results"  # the one key of ROMP's .npz
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
@@ -101,7 +102,18 @@ def _one_object(found: Any) -> Any:  # noqa: ANN401
 
 def read_source(source: Path, expected: str = _EXPECTED) -> Any:  # noqa: ANN401
     """Read a file's content; for a folder, return its path."""
-    return source if source.is_dir() else plain(read_objects(source, expected))
+    return source if source.is_dir() else _joined(source, plain(read_objects(source, expected)))
+
+
+def _joined(source: Path, found: Any) -> Any:  # noqa: ANN401
+    """Return the arrays of all frames of a list with a body's parameters a frame."""
+    rows = found.tolist() if isinstance(found, np.ndarray) and found.dtype.hasobject else found
+    rows = [unnested(x) for x in rows] if isinstance(rows, list) else []
+    if not rows or not all(map(holds_pose, rows)):
+        return found
+    rows = [{k: x for k, x in row.items() if np.asarray(x).dtype.kind in "biuf"} for row in rows]
+    (person,) = stacked(source, (("0", k, row) for k, row in enumerate(rows)))
+    return dict(person.arrays)
 
 
 def read_named(path: Path, expected: str) -> dict:

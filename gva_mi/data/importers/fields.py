@@ -28,7 +28,7 @@ from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
 from gva_mi.body.rotations import composed, nearest_rotations, to_matrices, to_rotvecs
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLH, SMPLX
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.spellings import SPELLINGS, WHOLE, NamedArrays, unnested
+from gva_mi.data.importers.spellings import SPELLINGS, WHOLE, NamedArrays, holds_pose, unnested
 
 SCALES = ("smpl_scaling", "body_scale")  # and "scale" where the translation is "translation"
 VPOSER = 32  # numbers of VPoser's latent code
@@ -76,6 +76,11 @@ def find_body(
         rotations, form, has_hands, from_mean = _of_parts(arrays, root, orient, components)
     else:
         names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
+        if len(several := [str(name) for name, x in found.items() if holds_pose(x)]) > 1:
+            raise InputError(
+                f"{where}: holds poses in several dictionaries, {', '.join(several[:6])}; save one "
+                "of them alone"
+            )
         raise InputError(
             f"{where}: holds no poses; expected one of {', '.join(WHOLE)}, or root_orient and "
             f"pose_body, or global_orient and body_pose; found: {names}"

@@ -67,9 +67,9 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         return None  # rotations
     if not _is_person(places):
         raise InputError(
-            f"{where}: legs change their lengths or differ, so these are no joints of a person; "
-            "features that a network was given must be multiplied by its Std.npy, and its "
-            "Mean.npy added"
+            f"{where}: {array.shape} as of HumanML3D, but legs change their lengths or differ, so "
+            "these are no joints of a person; features that a network was given must be "
+            "multiplied by its Std.npy, and its Mean.npy added"
         )
     return places
 

@@ -74,7 +74,9 @@ class NamedArrays(dict):
             return None, None
         self.taken.add(name)
         try:
-            return name, np.atleast_1d(np.asarray(self[name], np.float64))
+            array = np.asarray(self[name])
+            array = array if array.dtype.kind != "c" else array.astype(str)  # refused
+            return name, np.atleast_1d(array.astype(np.float64))
         except (ValueError, TypeError):
             raise InputError(
                 f"{self.where}: '{name}' must be numbers, got {self[name]!s:.40}"

@@ -47,6 +47,17 @@ def test_a_frame_of_noise_alone_is_read_in_the_units_of_the_others(container, tm
     assert [int(x.max()) for x in found] == [255, 0, 255] and np.array_equal(found[0] > 127, ME)
 
 
+def test_pictures_of_16_bits_are_in_one_unit(tmp_path):
+    """255 of 65535 is dark, also in a picture that holds no more; 255 of 255 is not."""
+    for full, wanted in ((65535, 1), (255, 255)):
+        folder = tmp_path / str(full)
+        folder.mkdir()
+        for k, x in enumerate((255 * OTHER, full * ME)):
+            Image.fromarray(x.astype(np.uint16)).save(folder / f"{k}.png")
+        dark, mask = masks(folder)
+        assert dark.max() == wanted and np.array_equal(mask > 127, ME)
+
+
 def test_a_film_of_noise_at_first(tmp_path):
     write_movie(tmp_path / "m.mp4", [np.stack([x] * 3, -1) for x in (NOISE, 255 * ME.astype("u1"))])
     noise, mask = masks(tmp_path / "m.mp4")

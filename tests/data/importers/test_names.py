@@ -88,8 +88,20 @@ def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
     ):  # fmt: skip
         assert np.array_equal(find_body("x", found).rotations[:, :22], rotations[:, :22])
     two = {"first": named, "second": named}
-    with pytest.raises(InputError, match="holds no poses; .*found: first, second"):
+    with pytest.raises(InputError, match="holds poses in several dictionaries, first, second"):
         find_body("x", two)
+
+
+def test_a_list_of_frames_is_a_motion(tmp_path, motion):
+    rotations, named = motion
+    frames = [{name: x[k : k + 1] for name, x in named.items()} for k in range(T)]
+    options = MotionOptions(fps=30, source_fps=30, hands="flat")
+    for found in (frames, [{"params": frame, "gender": "male"} for frame in frames]):
+        (tmp_path / "m.pkl").write_bytes(pickle.dumps(found))
+        read = read_motion(tmp_path / "m.pkl", TargetBody.read(None), options)
+        assert (
+            np.abs(matrices(read.pose.rotations[:, :22]) - matrices(rotations[:, :22])).max() < 1e-5
+        )
 
 
 def test_what_is_not_used_is_named_and_a_missing_place_is_said(motion):

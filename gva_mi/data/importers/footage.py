@@ -28,6 +28,10 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     if files is not None:
         for path in files:
             yield read_image(path, channels, labels=True)
+    elif source.suffix in (".npz", ".npy", ".pkl", ".pt"):
+        raise InputError(
+            f"{source}: expected a film, a folder of pictures, or for masks one .npy (T, H, W)"
+        )
     elif source.is_file():
         yield from _film(source, channels)
     else:

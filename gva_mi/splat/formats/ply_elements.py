@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
 
 TYPES = {  # each has two names
@@ -69,7 +70,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
     newline = rb"\r" if first and first[1] == b"\r" else rb"\r?\n"
     end = re.search(newline + rb"end_header[ \t]*" + newline, data)
     if first is None or end is None:
-        raise InputError(f"{path}: not a .ply file")
+        raise InputError(f"{path}: {known_container(path) or 'not a .ply file'}")
     head = data[: end.start()].decode("ascii", errors="replace")
     lines = [line.split() for line in head.splitlines()]
     kinds = [line[1] for line in lines if line[0:1] == ["format"] and line[2:] == ["1.0"]]

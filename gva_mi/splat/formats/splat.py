@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from gva_mi.core.atomic import atomic_write
+from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
 from gva_mi.splat.formats.stored import Stored
 from gva_mi.splat.gaussians import Gaussians
@@ -59,10 +60,9 @@ def load_splat(path: Path) -> Gaussians:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .splat") from None
-    if len(content) % ROW.itemsize:
-        raise InputError(
-            f"{path}: {len(content)} bytes; expected a .splat, {ROW.itemsize} bytes a Gaussian"
-        )
+    found = known_container(path) or f"{len(content)} bytes" * (len(content) % ROW.itemsize > 0)
+    if found:
+        raise InputError(f"{path}: {found}; expected a .splat, {ROW.itemsize} bytes a Gaussian")
     rows = np.frombuffer(content, ROW)
     if not (np.isfinite(rows["means"]).all() and np.isfinite(rows["scales"]).all()):
         raise InputError(f"{path}: holds numbers that are not finite; expected a .splat")

@@ -36,6 +36,7 @@ import numpy as np
 import torch
 
 from gva_mi.core.atomic import atomic_write
+from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.stored import Stored
@@ -110,7 +111,9 @@ def load_spz(path: Path) -> Gaussians:
         raise InputError(f"{path}: {len(content)} bytes; expected a .spz")
     magic, version, count, degree, bits, flags, *_ = (_HEADER if packed else _HEADER_4).unpack(head)
     if magic != MAGIC or version not in ((2, 3) if packed else (4,)):
-        found = f"version {version}" if magic == MAGIC else "something else"
+        kind = known_container(path)
+        other = f"something else, {kind}" if kind else "something else"
+        found = f"version {version}" if magic == MAGIC else other
         raise InputError(f"{path}: holds {found}; expected a .spz of version 2, 3 or 4")
     widths = (9, 1, 3, 3, 3 if version == 2 else 4, 3 * (degree + 1) ** 2 - 3)
     sizes = [count * width for width in widths]

@@ -7,6 +7,7 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.splat import Gaussians
+from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
@@ -98,3 +99,11 @@ def load_given(count):
     g = with_degree(diagonal(count), 1)
     unit = torch.tensor([1.0, 0, 0, 0]).repeat(count, 1)
     return replace(g, quats=unit, scales=g.covars[:, [0, 3, 5]].sqrt(), covars=None)
+
+
+@pytest.mark.parametrize("suffix", LOAD)
+def test_a_pointer_of_git_is_named(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    with pytest.raises(InputError, match="a Git LFS pointer instead of the file: git lfs pull"):
+        LOAD[suffix](path)

@@ -26,6 +26,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.importers.lens import in_pixels
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.body_prior import FOCAL, HEIGHT, HEIGHT_KNOWN, BodyPrior, SharedPrior
 from gva_mi.pose.film.film_evidence import film_evidence
@@ -40,7 +41,7 @@ from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
 MEMORY = 0.1  # seconds for which a network's errors last: these frames count as one
-FIELD = 60.0  # degrees, horizontal field of view of an unknown camera
+LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START, BODY, HAND = 8, 30, 15  # steps, at most
 _PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
@@ -83,7 +84,7 @@ def solve_film(
         fps: frames a second.
         height: of the person, metres; None: a prior of people's heights, which leaves size and
             distance uncertain by 5 %.
-        focal: focal length, pixels; None: a prior around a field of view of 60°.
+        focal: focal length, pixels; None: a prior around the main cameras of phones.
         centre: principal point, pixels; None: the middle of the picture.
         progress: called as ``progress(done, total)``.
 
@@ -142,7 +143,7 @@ class _Film:
         known = {name: getattr(landmarks, name)[:, at] for name in names}
         landmarks = Landmarks(rig.names, **known)
         noise = LandmarkNoise.of(landmarks, rig.names)
-        f = focal or size[0] / 2 / np.tan(np.radians(FIELD) / 2)
+        f = focal or in_pixels(LENS, size)
         cx, cy = centre or (size[0] / 2, size[1] / 2)
         K = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
         return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K)

@@ -10,10 +10,10 @@ axes. The products of one coordinate in frames ``k`` and ``l``, over the joints 
 
 1. ``e_k e_l = (slow² + lag² (v_k² + v_l²) / 2) κ(|k - l| / memory) + bias² + noise``
 
-with ``v`` and ``κ`` of :mod:`gva_mi.pose.prior.error_model`: linear in three squares that are not
-negative. Least squares weigh a product by ``w / (S_k S_l)``, with the size ``S`` that the model
-gives; and a film by the weight ``w`` of Student's t distribution, so that one film that went wrong
-does not decide the prior of all. Both follow the fit, which is repeated.
+with ``v``, ``κ`` and the memory of the prior: linear in three squares that are not negative. Least
+squares weigh a product by ``w / (S_k S_l)``, with the size ``S`` that the model gives; and a film
+by the weight ``w`` of Student's t distribution, so that one film that went wrong does not decide
+the prior of all. Both follow the fit, which is repeated.
 """
 
 from __future__ import annotations
@@ -34,15 +34,13 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES
 from gva_mi.pose.prior.error_model import FREEDOM, GROUPS, Stage1ErrorModel
-from gva_mi.pose.prior.film_errors import FPS
+from gva_mi.pose.prior.film_errors import FPS, MEMORY
 from gva_mi.pose.prior.inference import AXES
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l
-MEMORIES = (0.1, 0.2, 0.4, 0.8)  # seconds, candidates
-USUAL = 0.2  # of them, for the weights
 ROUNDS = 12  # of the weights
-LEAST_SLOW = 0.1  # relative to the constant part; a joint that rests errs, too
+LEAST_SLOW = 0.2  # relative to the whole error: a joint that rests errs, too
 
 
 class FilmTrack(NamedTuple):
@@ -82,22 +80,21 @@ def learn(films: Iterable[Mapping[str, FilmTrack]]) -> dict[str, Stage1ErrorMode
 def _fit(films: list[FilmTrack]) -> Stage1ErrorModel:
     from scipy.optimize import nnls
 
-    weights, fits = _weights(films), []
-    for memory in MEMORIES:
-        products, terms, _, _ = _rows(films, memory)
-        squares, off = nnls(terms * weights[:, None], products * weights)
-        fits.append((off, memory, *np.sqrt(squares).tolist()))
-    _, memory, slow, lag, bias = min(fits)
-    return Stage1ErrorModel(0.0, max(slow, LEAST_SLOW * bias), memory, bias, lag / FPS)
+    size = float(np.median([float(film.errors.square().mean()) for film in films])) ** 0.5
+    rows = products, terms, _, _ = _rows(films)
+    weights = _weights(rows, len(films))
+    squares, _ = nnls(terms * weights[:, None], products * weights)
+    slow, lag, bias = np.sqrt(squares).tolist()
+    return Stage1ErrorModel(0.0, max(slow, LEAST_SLOW * size), MEMORY, bias, lag / FPS)
 
 
-def _weights(films: list[FilmTrack]) -> np.ndarray:
+def _weights(rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], films: int) -> np.ndarray:
     """Return the weight (N,) of each row, from the sizes of errors alone (k = l)."""
     from scipy.optimize import nnls
 
-    products, terms, film, lags = _rows(films, USUAL)
+    products, terms, film, lags = rows
     sizes = np.stack([np.ones(len(terms)), terms[:, 1] / terms[:, 0]], axis=1)
-    now, of_film = lags == 0, np.ones(len(films))
+    now, of_film = lags == 0, np.ones(films)
     square = np.full(len(products), products[now].mean())
     for _ in range(ROUNDS):
         weights = of_film[film] / square
@@ -108,12 +105,10 @@ def _weights(films: list[FilmTrack]) -> np.ndarray:
     return of_film[film] / square
 
 
-def _rows(
-    films: list[FilmTrack], memory: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _rows(films: list[FilmTrack]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return eq. 1: products (N,), the terms of its squares (N, 3), numbers of films, and lags."""
     rows = []
-    model = Stage1ErrorModel(0.0, 1.0, memory * FPS, 0.0, lag=1.0)  # its growth shows the speed
+    model = Stage1ErrorModel(0.0, 1.0, MEMORY * FPS, 0.0, lag=1.0)  # its growth shows the speed
     for number, (errors, steps) in enumerate(films):
         times = torch.arange(len(errors))
         growth = torch.stack([model.growth(own, times) for own in steps.unbind(1)], 1)
@@ -129,11 +124,11 @@ def _rows(
 
 
 def table(errors: Mapping[str, Stage1ErrorModel]) -> Iterator[str]:
-    """Yield lines: slow part and bias in degrees or metres, memory and lag in seconds."""
+    """Yield lines: slow part and bias in degrees or metres, lag in seconds."""
     for name, model in errors.items():
         unit, digits = (1.0, 3) if name in AXES else (np.degrees(1), 1)
         slow, bias = (round(float(unit * x), digits) for x in (model.slow, model.bias))
-        yield f'"{name}": ({slow}, {bias}, {model.memory}, {round(model.lag, 3)}),'
+        yield f'"{name}": ({slow}, {bias}, {round(model.lag, 3)}),'
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.landmarks import LANDMARKS, Landmarks
+from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
@@ -53,7 +54,12 @@ class AvatarEffort:
     """How much work an avatar is worth."""
 
     quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a film will do
-    steps: FromOne | None = None  # of the fit; without it, by the quality
+    # Steps of the fit, before which half as many find better poses, unless it is a draft; without
+    # it, by the quality.
+    steps: FromOne | None = None
+    # Leave every 8th frame and a tenth of the film in one piece out of training, to measure the
+    # avatar there; no: all frames train it.
+    test_frames: bool = True
     seed: Seed = 0  # of the refinement and the fit
 
     def __post_init__(self) -> None:
@@ -123,17 +129,20 @@ class _Work:
         """Yield all steps in order."""
         subject, run = self.subject, self.run
         body = [self.body] if self.body else []
-        names = ("frames", "masks", "cameras.npz", "splits.json", LANDMARKS, POSES, PREPARED)
-        prepared = [subject / name for name in names]
+        names = ("frames", "masks", "cameras.npz", LANDMARKS, POSES, PREPARED)
+        prepared = [*body, *(subject / name for name in names)]
         refined, findings = subject / REFINED_POSES, subject / FINDINGS
         fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
         measured = [run / run_folder.METRICS, run / run_folder.REPORT]
         film = [asdict(self.options), self.person, self.lens]
         yield Step("prepare", film, [self.film, *body], [subject / PREPARED], self.prepare)
-        yield Step("check", None, [*prepared, *body], [findings], self.check)
-        yield Step("refine", self.refine_options, [*prepared, *body], [refined], self.refine)
-        yield Step("fit", self.fit_options.plain(), [*prepared, refined, *body], fitted, self.fit)
-        known = [*prepared, refined, *fitted, *body]
+        yield Step("check", None, prepared, [findings], self.check)
+        yield Step("refine", self.refine_options, prepared, [refined], self.refine)
+        wanted = self.choice.test_frames
+        yield Step("split", wanted, [subject / PREPARED], [subject / SPLITS], self.split)
+        known = [*prepared, subject / SPLITS, refined]
+        yield Step("fit", self.fit_options.plain(), known, fitted, self.fit)
+        known += fitted
         yield Step("evaluate", None, known, measured, self.evaluate)
         page = [self.out / FILM_REPORT]
         yield Step("report", None, [*known, findings, *measured], page, self.report)
@@ -149,7 +158,8 @@ class _Work:
     def fit_options(self) -> FitOptions:
         """The options of the fit."""
         steps = self.choice.steps or QUALITY[self.choice.quality][-1]
-        return FitOptions(seed=self.choice.seed, steps=steps)
+        first = 0 if self.choice.quality == "draft" else steps // 2
+        return FitOptions(seed=self.choice.seed, steps=steps, first_steps=first)
 
     def prepare(self, again: bool) -> None:
         """Make the subject's folder."""
@@ -180,6 +190,13 @@ class _Work:
         model, video = load_body(self.body), load_video(self.subject)
         list(refine_videos([video], model, self.refine_options))
 
+    def split(self, again: bool) -> None:
+        """Choose the frames that are left out of training."""
+        count = FilmRecord.load(self.subject).frames
+        every = Splits(list(range(count)), [])
+        splits = Splits.of_film(count) if self.choice.test_frames else every
+        write_json(self.subject / SPLITS, splits.to_json())
+
     def fit(self, again: bool) -> None:
         """Fit the avatar; go on from its last checkpoint if this very fit was begun before."""
         again = again and (self.run / run_folder.OPTIONS).exists()
@@ -193,7 +210,7 @@ class _Work:
         """Measure the avatar, also under poses that are fitted to the test frames."""
         video, poses = self.refined()
         found = Avatar.load(self.run / run_folder.AVATAR)
-        about = {"name": "full", "title": self.title, "fit_poses": True}
+        about = {"name": "full", "title": self.title, "fit_poses": bool(video.splits.test)}
         evaluate_run(self.run, found, video, load_body(self.body), poses, **about)
 
     def report(self, again: bool) -> None:

@@ -91,5 +91,5 @@ def fit_video(
             resume=resume,
             progress=progress,
         )
-    say(f"{options.steps} steps in {time.perf_counter() - start:.0f} s")
+    say(f"{options.all_steps} steps in {time.perf_counter() - start:.0f} s")
     return avatar

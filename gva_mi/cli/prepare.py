@@ -11,7 +11,7 @@ from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.data.fingerprint import PREPARED
+from gva_mi.data.fingerprint import FILM, PREPARED
 from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import prepare_folder
@@ -19,7 +19,6 @@ from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, nth_person, prepare_film
 
-FILM = "film"
 _HELP = (
     f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
     f"data set: {', '.join(DATASETS)}; "

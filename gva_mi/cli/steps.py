@@ -8,6 +8,8 @@ another one, or whose results are gone. A killed process loses at most the step 
 from __future__ import annotations
 
 import json
+import os
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,14 +80,22 @@ class StepFolder:
             self._record["finished"].pop(step.name, None)
             self._record["begun"][step.name] = made_of
             self._write()
+            begin, busy = time.perf_counter(), _cpu_seconds()
             with numbered(f"{number}/{len(steps)}"):
                 step.run(again)
+            took, busy = time.perf_counter() - begin, _cpu_seconds() - busy
+            say(f"{number}/{len(steps)} {step.name}: {took:.0f} s, {busy:.0f} s of CPU")
             del self._record["begun"][step.name]
             self._record["finished"][step.name] = made_of
             self._write()
 
     def _write(self) -> None:
         write_json(self._path, self._record)
+
+
+def _cpu_seconds() -> float:
+    """Return the CPU time of this process and of its finished workers, seconds."""
+    return sum(os.times()[:4])
 
 
 def _files(path: Path) -> list[Path]:

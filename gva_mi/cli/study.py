@@ -20,7 +20,7 @@ from gva_mi.core.options import Within, Workers, require_ranges
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
-from gva_mi.study.cases import TUNING, StudyCase, held_out
+from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, StudyFile, run_study
 from gva_mi.study.page import Table
 from gva_mi.study.pictures import ShownAvatar
@@ -36,7 +36,8 @@ class _Choice:
     """Options of both studies."""
 
     out: Path  # folder for results and subjects; missing subjects are generated
-    cases: Literal["held-out", "tuning", "all"] = "held-out"  # held-out: never tuned on
+    # held-out: never tuned on; limits: one subject's film, with one thing changed at a time.
+    cases: Literal["held-out", "tuning", "all", "limits"] = "held-out"
     # Number of the held-out set; once you tune on its results, take the next.
     held_out_set: Annotated[int, Within(1, 1000)] = 1
     error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
@@ -117,8 +118,10 @@ def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCa
     cells, page = summarise(outcomes), file.path.with_suffix(".html")
     for title, own in cells.items():
         say(title)
-        for line in _lines(tables(made.kind, own)[0]):
-            say(line)
+        written = tables(made.kind, own)
+        for table in written if summarise is refine_cells else written[:1]:
+            for line in _lines(table):
+                say(line)
     settings = {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
     say(f"figures: {file.path}; page: {page}")
@@ -150,7 +153,8 @@ def _pictures(
 def _chosen(what: _Choice) -> list[StudyCase]:
     """Return the selected cases, without those that lack a package."""
     judging = held_out(what.held_out_set)
-    cases = {"held-out": judging, "tuning": TUNING, "all": (*TUNING, *judging)}[what.cases]
+    both = (*TUNING, *judging)
+    cases = {"held-out": judging, "tuning": TUNING, "all": both, "limits": LIMITS}[what.cases]
     for name, asked, there in (
         ("error-models", what.error_models, [case.family for case in cases]),
         ("subjects", what.subjects, [case.take.person for case in cases]),

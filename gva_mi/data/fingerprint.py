@@ -28,6 +28,7 @@ SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
 # Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
 # "name" there, and the "file" of a body that is not built in.
 ABOUT, PREPARED = "synth.json", "prepare.json"
+FILM = "film"  # kind of a subject that was prepared from a film alone
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:

@@ -18,6 +18,7 @@ from pathlib import Path
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 
+SPLITS = "splits.json"
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 
 
@@ -43,7 +44,7 @@ class Splits:
         return Splits([k for k in range(frames) if k not in set(test)], test)
 
     @staticmethod
-    def of_film(step: int, share: int, frames: int) -> Splits:
+    def of_film(frames: int, step: int = TEST_EVERY, share: int = 10) -> Splits:
         """Make every ``step``-th frame a test frame, and one ``share``-th a held-out range.
 
         The range lies in the middle of the second half, where a person who turns once shows a side
@@ -69,7 +70,7 @@ class Splits:
 
 def load_splits(folder: Path, frames: int) -> Splits:
     """Read ``splits.json``; without it, every 8th frame is a test frame."""
-    path = folder / "splits.json"
+    path = folder / SPLITS
     if not path.exists():
         return Splits.every(TEST_EVERY, frames)
     expected = '{"train": [...], "test": [...]} of frame numbers'

@@ -85,6 +85,8 @@ class FitOptions:
     """Options of the fit of an avatar."""
 
     steps: FromOne = 3000  # steps of one frame each
+    # Steps of a fit before this one, which starts anew with the poses that were trained there.
+    first_steps: Every = 0
     seed: Seed = 0  # seed of all random numbers in the run
     # Seed on the naked body, as in the paper, instead of the displaced surface of a refinement.
     naked: bool = False
@@ -110,6 +112,13 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         require_ranges("fit", self)
+        if self.first_steps and not self.poses.trained:
+            raise InputError("fit: --first-steps are for trained poses; got --no-poses.trained")
+
+    @property
+    def all_steps(self) -> int:
+        """Steps of both fits."""
+        return self.first_steps + self.steps
 
     def plain(self) -> dict[str, Any]:
         """Return the options as numbers, strings and dictionaries, for a file."""

@@ -8,6 +8,7 @@
       checkpoint.pt        the last saved state, until the run is finished
       history.npz          per step: loss and its terms, Gaussians, milliseconds by LAPS
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
+      first/               the run with whose poses this one began, if it has first_steps
       poses.npz            of all frames, if poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar, written when the run is finished
       metrics.json         of its evaluation: gva_mi.study.metrics
@@ -45,6 +46,7 @@ from gva_mi.splat import Gaussians
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
+FIRST = "first"
 METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 # Columns of the history: parts of its milliseconds. Upkeep is density control, re-initialisation,
 # and binding Gaussians to the outer skin.

@@ -28,10 +28,9 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
-from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import save_poses
+from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, say
+from gva_mi.core.console import Progress, say, within
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
@@ -42,6 +41,7 @@ from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
+from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
 from gva_mi.splat import Screen, render
 
@@ -84,6 +84,9 @@ def fit(
         run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
+    if options.first_steps:
+        video = _after_first_fit(video, body, options, out, offsets, progress)
+        progress = within(progress, options.first_steps, options.steps, options.all_steps)
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = _run(video, body, options, offsets, state, out)
@@ -105,6 +108,22 @@ def fit(
     run.avatar.save(out / run_folder.AVATAR)
     run_folder.drop_state(out)
     return run.avatar
+
+
+def _after_first_fit(
+    video: Video,
+    body: BodyModel,
+    options: FitOptions,
+    out: Path,
+    offsets: Tensor | None,
+    progress: Progress | None,
+) -> Video:
+    """Return the video under the poses that a first fit trains, in a folder of the run."""
+    first, steps = out / run_folder.FIRST, options.first_steps
+    report = within(progress, 0, steps, options.all_steps)
+    alone = replace(options, steps=steps, first_steps=0)
+    fit(video, body, alone, first, offsets=offsets, resume=True, progress=report)
+    return replace(video, pose=load_poses(first / run_folder.TRAINED_POSES)[0], stage=2)
 
 
 class Run:
@@ -258,21 +277,6 @@ def _run(
         return Run(video, body, options, offsets, None)
     with expecting(out / run_folder.CHECKPOINT, "the state of this run"):
         return Run(video, body, options, offsets, state)
-
-
-@torch.no_grad()
-def smallest_pixel(video: Video, rig: Rig) -> float:
-    """Return the smallest size on the person of a pixel of the training frames, metres.
-
-    Finer detail was never seen, and finer Gaussians leave cracks between them, which the blur of a
-    pixel hides until a camera comes closer (Yu et al., *Mip-Splatting*, 2024).
-    """
-    train = list(video.splits.train)
-    pelvis = (rig.joints[0] + video.pose.transl[train]).double().numpy()
-    T = np.stack([video.cameras[k].T_camera_world for k in train])
-    depth = (T[:, 2, :3] * pelvis).sum(1) + T[:, 2, 3]
-    focal = np.array([max(video.cameras[k].fx, video.cameras[k].fy) for k in train])
-    return float(max(0.0, (depth / focal).min()))
 
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
+from gva_mi.data.fingerprint import FILM
 from gva_mi.synthetic import SynthOptions
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
@@ -32,6 +33,9 @@ class Take:
     outfit: str = "own"  # or clothes that nothing was tuned on
     bare: bool = False  # without clothes and hair
     scene: str = "white"  # or a room, filmed by a phone
+    camera: str = "stands"  # or held by hand
+    frames: int | None = None  # of the video; None: as many as the study says
+    size: int | None = None  # width and height of the pictures, pixels; None: as the study says
 
     @property
     def person(self) -> str:
@@ -47,16 +51,22 @@ class Take:
             f"{self.outfit} clothes" if self.outfit != "own" else None,
             "bare" if self.bare else None,
             self.scene if self.scene != "white" else None,
+            f"camera {self.camera}" if self.camera != "stands" else None,
+            f"{self.frames} frames" if self.frames else None,
+            f"{self.size} pixels" if self.size else None,
         ]
         return ", ".join([self.subject or f"seed {self.seed}", *filter(None, what)])
 
     def synth(self, frames: int, size: int, novel: int = 0) -> SynthOptions:
         """Return the options that make it, with so many novel poses and views."""
-        return SynthOptions(
+        made = SynthOptions(
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
-            outfit=self.outfit, frames=frames, size=size, clothes=not self.bare,
-            hair=not self.bare, novel_poses=novel, novel_views=novel, scene=self.scene,
+            outfit=self.outfit, frames=self.frames or frames, size=self.size or size,
+            clothes=not self.bare, hair=not self.bare, novel_poses=novel, novel_views=novel,
+            scene=self.scene,
         )  # fmt: skip
+        held = self.camera != "stands"  # for which no errors are invented
+        return replace(made, camera=self.camera, noise=0.0) if held else made
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ class StudyCase:
 
     @property
     def family(self) -> str:
-        """The row of the table it counts to, as ``--error-models`` takes it."""
+        """The kind of its errors, as ``--error-models`` takes it."""
         return self.noise if self.normals else NO_NORMALS
 
     @property
@@ -80,9 +90,14 @@ class StudyCase:
         return f"{self.take.name}: {self.noise} {self.draw}{without}"
 
     @property
+    def row(self) -> str:
+        """The row of the refinement's table it counts to."""
+        return self.take.name if self in LIMITS else self.family
+
+    @property
     def held_out(self) -> bool:
         """Whether nothing was tuned on it."""
-        return self not in TUNING
+        return self not in TUNING and self not in LIMITS
 
     @property
     def lacks(self) -> str | None:
@@ -126,9 +141,9 @@ TUNING = (
     StudyCase(_TUNED["outfit"], "anything", 17),
     StudyCase(_TUNED["walk"], "outliers", 18),
     StudyCase(_TUNED["everyday"], "outliers", 19),
-    StudyCase(_TUNED["filmed"], "film", 20),
-    StudyCase(_TUNED["filmed everyday"], "film", 21),
-    StudyCase(_TUNED["filmed half"], "film", 22),
+    StudyCase(_TUNED["filmed"], FILM, 20),
+    StudyCase(_TUNED["filmed everyday"], FILM, 21),
+    StudyCase(_TUNED["filmed half"], FILM, 22),
 )
 
 _JUDGED = {
@@ -167,10 +182,21 @@ HELD_OUT = (
     StudyCase(_JUDGED["13"], "anything", 1015),
     StudyCase(_JUDGED["outfit"], "anything", 1016),
     StudyCase(_JUDGED["edgar"], "bursts", 1017, normals=False),
-    StudyCase(_JUDGED["filmed"], "film", 1018),
-    StudyCase(_JUDGED["filmed everyday"], "film", 1019),
-    StudyCase(_JUDGED["filmed half"], "film", 1020),
+    StudyCase(_JUDGED["filmed"], FILM, 1018),
+    StudyCase(_JUDGED["filmed everyday"], FILM, 1019),
+    StudyCase(_JUDGED["filmed half"], FILM, 1020),
 )
+
+
+_USUAL = Take(seed=140, scene="room")
+# One subject, filmed as usual, and with one thing changed at a time: how a film should be taken.
+LIMITS = tuple(
+    StudyCase(replace(_USUAL, **changed), FILM, 60 + k)
+    for k, changed in enumerate((
+        {}, {"motion": "half"}, {"motion": "still"}, {"frames": 30}, {"frames": 120},
+        {"size": 256}, {"size": 1024}, {"outfit": "foreign"}, {"camera": "held"},
+    ))
+)  # fmt: skip
 
 
 def held_out(number: int = 1) -> tuple[StudyCase, ...]:

@@ -18,8 +18,8 @@ from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
-from gva_mi.data.fingerprint import ABOUT, PREPARED
-from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
+from gva_mi.data.ground_truth import CAMERAS, GroundTruth, load_ground_truth
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
@@ -29,14 +29,14 @@ from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.solver import solve_film
 from gva_mi.splat import Camera
 
-FILM = "film"
 FPS = 30.0  # frames a second of a synthetic subject's video
 
 
 def watch_take(take: Path, out: Path, body: BodyModel) -> None:
     """Write a copy of a synthetic subject whose masks, landmarks and poses come from its pictures.
 
-    The height and the focal length are known.
+    The height and the focal length are known. A camera that was held by hand is taken for one that
+    stands, as in any film: then the true poses are those that the first camera would have seen so.
 
     Args:
         take: a folder that ``gva-mi synth`` made.
@@ -51,6 +51,9 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
                 shutil.copytree(take / name, folder / name)
             elif (take / name).exists():
                 shutil.copy2(take / name, folder / name)
+        if any((other.T_camera_world != camera.T_camera_world).any() for other in truth.cameras):
+            save_poses(folder / "truth" / POSES, steadied(truth), truth.shape, stage=2)
+            save_cameras(folder / "truth" / CAMERAS, [camera] * len(video))
         seen: dict[int, np.ndarray] = {}
         keep = lambda k, silhouette: seen.update({k: in_8_bits(silhouette)})
         landmarks = watch_film(pictures, keep).landmarks
@@ -62,7 +65,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         solved, _ = with_face(solved, landmarks, body, FPS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)
-        save_cameras(folder / "cameras.npz", truth.cameras)
+        save_cameras(folder / CAMERAS, [camera] * len(video))
         write_json(folder / PREPARED, {"kind": FILM})
 
 
@@ -74,6 +77,16 @@ def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Came
     turned = R @ roma.rotvec_to_rotmat(rotations[:, 0])
     rotations[:, 0] = roma.rotmat_to_rotvec(turned)
     return Pose(rotations, (pelvis + pose.transl) @ R.T + t - pelvis, pose.expression)
+
+
+def steadied(truth: GroundTruth) -> Pose:
+    """Return poses that the first camera would have to see, to see what each frame's camera saw."""
+    frames = [
+        moved(truth.pose[[k]], truth.shape, truth.body, camera, truth.cameras[0])
+        for k, camera in enumerate(truth.cameras)
+    ]
+    parts = ("rotations", "transl", "expression")
+    return Pose(*(torch.cat([getattr(pose, part) for pose in frames]) for part in parts))
 
 
 def height_of(truth: GroundTruth) -> float:

@@ -16,6 +16,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PictureSide, require_ranges
 from gva_mi.core.tasks import Task
+from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.video import Video, load_video
 from gva_mi.pose.focal import follow
@@ -23,9 +24,10 @@ from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import made_with
-from gva_mi.study.filmed import FILM, height_of
+from gva_mi.study.filmed import height_of
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
+from gva_mi.study.tables import MILLIMETRES
 from gva_mi.synthetic.options import VideoFrames
 
 
@@ -93,6 +95,9 @@ def columns(figures: PoseFigures) -> dict[str, float | None]:
     names = ("body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "fingers")
     titles = (" ".join(reversed(name.split("_"))) for name in names)  # aligned body
     shown = {f"change: {t}": figures.relative(name) for t, name in zip(titles, names, strict=True)}
+    for part in ("body", "hands", "feet"):
+        before, after = figures.change(f"{part}_aligned") or (None, None)
+        shown |= {f"{MILLIMETRES}: {part}, stage 1": before, f"{MILLIMETRES}: {part}": after}
     iou, limit = figures["iou"], figures["iou_truth"]
     return shown | {
         "depth: ankles, mm": figures["ankle_depth_mm"],

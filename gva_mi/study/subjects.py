@@ -11,9 +11,9 @@ from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.fingerprint import FILM, require_same_body
 from gva_mi.study.cases import StudyCase, Take
-from gva_mi.study.filmed import FILM, watch_take
+from gva_mi.study.filmed import watch_take
 from gva_mi.synthetic import degrade, make_subject
 
 
@@ -43,7 +43,8 @@ class Filming:
         return subject
 
     def _name(self, take: Take) -> str:
-        name = f"{take.name.replace(', ', '-').replace(' ', '')}-{self.frames}-{self.size}"
+        frames, size = take.frames or self.frames, take.size or self.size
+        name = f"{take.name.replace(', ', '-').replace(' ', '')}-{frames}-{size}"
         return f"{name}-novel{self.novel}" if self.novel else name
 
 

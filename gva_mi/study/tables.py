@@ -5,7 +5,8 @@ the figures of a group are written, and which of several is the worst. Others ar
 only.
 
 A subject counts once in a cell: the figures of its cases are averaged first. The refinement study
-has a row for each error model, their mean, and the worst of each column. The avatar study has a row
+has a row for each error model (of :data:`LIMITS` for each case), their mean, and the worst of each
+column; pelvis-aligned errors in mm have a table of their own. The avatar study has a row
 for each variant, separately for held-out and tuned subjects, with the mean difference to the
 variant "full" of the same cases, because subjects differ more than variants do.
 """
@@ -48,9 +49,11 @@ def _farthest(values: Iterable[float]) -> float:
     return max(values, key=abs)
 
 
+MILLIMETRES = "aligned, mm"  # group of refinement's errors before and after
 STYLES: dict[str, tuple[str, Worst]] = {  # by the group of a figure
     "change": ("{:+.0%}", max),  # relative, of an error
     "depth": ("{:+.0f}", _farthest),
+    MILLIMETRES: ("{:.0f}", max),
     "frames": ("{:.0%}", max),
     "iou": ("{:+.3f}", min),
     "time": ("{:.2f}", max),
@@ -144,7 +147,7 @@ def _row(group: Sequence[Outcome], full: Sequence[Outcome] = ()) -> dict[str, Ce
 
 def refine_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
     """Summarise the refinement study: a row for each error model, then "mean" and "worst"."""
-    families = grouped(outcomes, lambda outcome: outcome.case.family)
+    families = grouped(outcomes, lambda outcome: outcome.case.row)
     cells = {row: _row(group) for row, group in families.items()}
     mean, worst = {}, {}
     for column in dict.fromkeys(column for row in cells.values() for column in row):
@@ -174,11 +177,15 @@ def to_json(cells: Cells) -> dict[str, dict[str, dict]]:
 
 
 def tables(kind: str, cells: Cells) -> list[Table]:
-    """Write the tables of a study: one for all columns of refinement, one a group for avatars."""
+    """Write the tables of a study: two for refinement, one a group for avatars."""
     there = {group_of(name) for row in cells.values() for name in row}
     groups = [group for group in STYLES if group in there]
     if kind == "refine":
-        return [_text_table("error model", cells, groups)]
+        changes = [group for group in groups if group != MILLIMETRES]
+        return [
+            _text_table("error model", cells, changes),
+            _text_table(MILLIMETRES, cells, (MILLIMETRES,)),
+        ]
     return [_text_table(group, cells, (group,), spread=True) for group in groups]
 
 

@@ -91,11 +91,11 @@ def subject_file(subject, name):
 
 
 def test_splits_share_no_frame_and_lose_none():
-    every, middle, film = Splits.every(8, 37), Splits.one_range(8, 64), Splits.of_film(8, 10, 60)
+    every, middle, film = Splits.every(8, 37), Splits.one_range(8, 64), Splits.of_film(60)
     assert middle.test == list(range(28, 36)) and Splits.one_range(8, 3).test == [1]
     assert film.held_out_range == list(range(42, 48)) and set(film.test) > set(range(42, 48))
     assert film.without({44}).held_out_range == [42, 43, 45, 46, 47]
-    for splits, count in ((every, 37), (middle, 64), (film, 60), (Splits.of_film(8, 10, 3), 3)):
+    for splits, count in ((every, 37), (middle, 64), (film, 60), (Splits.of_film(3), 3)):
         assert sorted(splits.train + splits.test) == list(range(count))
 
 

@@ -10,13 +10,15 @@ from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
+from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
+from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import RandomStream, torch_state
-from gva_mi.fit.train import fit, smallest_pixel
+from gva_mi.fit.train import fit
 from gva_mi.study.evaluate import evaluate
 
 STEPS = 24
@@ -197,6 +199,21 @@ def test_refined_poses_are_trained_from_where_they_are(video, body, tmp_path):
     for name in ("refined", "resumed"):
         torch.testing.assert_close(saved(name), shaky.transl, atol=1e-6, rtol=0)
     assert (saved("stage1") - shaky.transl).abs().max() > 1e-3
+
+
+def test_a_second_fit_starts_anew_with_the_poses_of_the_first(video, body, tmp_path):
+    """The first is the fit that its options alone would be; a kill in either changes nothing."""
+    few = replace(OPTIONS, steps=6)
+    both = replace(few, first_steps=9)
+    fit(video, body, replace(few, steps=9), tmp_path / "alone")
+    poses = load_poses(tmp_path / "alone" / run_folder.TRAINED_POSES)[0]
+    wanted = fit(replace(video, pose=poses, stage=2), body, few, tmp_path / "second")
+    for step in (4, 11):
+        with pytest.raises(Killed):
+            fit(video, body, both, tmp_path / "run", resume=True, progress=killed_at(step))
+    assert same(fit(video, body, both, tmp_path / "run", resume=True), wanted)
+    with pytest.raises(InputError, match="--first-steps are for trained poses"):
+        replace(both, poses=PoseOptions(trained=False))
 
 
 @pytest.mark.slow

@@ -1,12 +1,13 @@
 """The study's protocol: nothing that judges was there to choose by."""
 
 from collections import Counter
+from dataclasses import asdict
 
 import pytest
 
+from gva_mi.data.fingerprint import FILM
 from gva_mi.study import cases
-from gva_mi.study.cases import HELD_OUT, NO_NORMALS, TUNING, StudyCase, Take, held_out
-from gva_mi.study.filmed import FILM
+from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, StudyCase, Take, held_out
 from gva_mi.synthetic import STUDY
 from gva_mi.synthetic.error_models.models import ERROR_MODELS
 
@@ -39,6 +40,16 @@ def test_a_subject_has_one_take(some):
     for case in some:
         takes[case.take.person].add(case.take)
     assert all(len(several) == 1 for several in takes.values())
+
+
+def test_limits_change_one_thing_of_one_film_at_a_time():
+    usual, *others = (asdict(case.take) for case in LIMITS)
+    for other in others:
+        assert len([key for key, value in other.items() if value != usual[key]]) == 1
+    assert len({case.row for case in LIMITS}) == len(LIMITS)
+    assert not {case.take.person for case in LIMITS} & {c.take.person for c in (*TUNING, *HELD_OUT)}
+    made = [case.take.synth(48, 512) for case in LIMITS]
+    assert {m.frames for m in made} == {30, 48, 120} and {m.camera for m in made} >= {"held"}
 
 
 def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.video import load_video
 from gva_mi.pose.errors import means, pose_errors
 from gva_mi.splat.camera import Camera, look_at
-from gva_mi.study.filmed import moved, watch_take
+from gva_mi.study.filmed import moved, steadied, watch_take
 from gva_mi.synthetic import SynthOptions, make_subject
 
 
@@ -25,6 +25,19 @@ def test_moved_poses_look_the_same_to_the_other_camera(built_in_body):
         for camera, some in ((before, pose), (after, other))
     ]
     np.testing.assert_allclose(*seen, atol=1e-2)
+
+
+def test_a_steadied_pose_is_seen_by_the_first_camera_as_each_frame_s_camera_saw_it(built_in_body):
+    shape, pose = Shape(torch.tensor([0.5])), Pose.rest(2)
+    pose.rotations[1, 0] = torch.tensor([0.1, 0.4, 0.0])
+    eyes = (0.0, 1.6, 3.0), (0.1, 1.5, 3.1)
+    views = [look_at(eye, (0.0, 0.9, 0.0)) for eye in eyes]
+    cameras = [Camera(500.0, 500.0, 128.0, 128.0, T, 256, 256) for T in views]
+    still = steadied(GroundTruth(built_in_body, pose, shape, cameras))
+    before, after = (built_in_body(some, shape).joints.double().numpy() for some in (pose, still))
+    for k, camera in enumerate(cameras):
+        seen = cameras[0].project(after[k])
+        np.testing.assert_allclose(seen, camera.project(before[k]), atol=1e-2)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, _alexnet
-from gva_mi.study.scores import NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
+from gva_mi.study.scores import NETWORK_LONGEST, NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
 
 
 def test_psnr_is_its_definition():
@@ -32,6 +32,15 @@ def test_small_pictures_are_enlarged_for_the_networks_alone():
     enlarged = [x.repeat(4, 0).repeat(4, 1) for x in (a, b)]
     assert scorer(a, b).rand_vgg == scorer(*enlarged).rand_vgg > 0
     assert scorer(a, b).psnr == psnr(a, b) and scorer(a, b).ssim == ssim(a, b)
+
+
+def test_large_pictures_are_shrunk_for_the_networks_alone():
+    random = np.random.default_rng(2)
+    small = random.integers(0, 256, (2, 80, NETWORK_LONGEST // 2 + 6, 3), dtype=np.uint8)
+    large = [np.pad(x.repeat(2, 0).repeat(2, 1), ((0, 1), (0, 1), (0, 0))) for x in small]
+    scorer = Scorer(Weights())
+    assert scorer(*large).rand_vgg == scorer(*small).rand_vgg > 0
+    assert scorer(*large).psnr == psnr(*large)
 
 
 def test_networks_and_weights_are_named(tmp_path):

@@ -90,8 +90,11 @@ def test_unknown_figures_are_left_out():
 
 
 def test_cells_are_readable():
-    cells = refine_cells([refinement("white", 1, 31.0, ankles=-7.6)])["error models"]
-    (table,) = tables("refine", cells)
-    assert table.head == ("error model", "body", "ankles, mm")
-    assert table.rows[0] == ["white", "-69 %", "-8"]
+    aligned = {"aligned_foot_vertex_mm_stage1": 40.0, "aligned_foot_vertex_mm": 20.4}
+    cells = refine_cells([refinement("white", 1, 31.0, ankles=-7.6, **aligned)])["error models"]
+    changes, millimetres = tables("refine", cells)
+    assert changes.head == ("error model", "body", "aligned feet", "ankles, mm")
+    assert changes.rows[0] == ["white", "-69 %", "-49 %", "-8"]
+    assert millimetres.head == ("aligned, mm", "feet, stage 1", "feet")
+    assert millimetres.rows[0] == ["white", "40", "20"]
     assert asdict(cells["white"]["change: body"])["mean"] == pytest.approx(-0.69)

@@ -26,20 +26,19 @@ from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, require_ranges
 from gva_mi.core.provenance import versions
 from gva_mi.data.film_pictures import FilmPictures, read_film
-from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
-from gva_mi.data.splits import Splits
+from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, save_cameras
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.solver import SolvedFilm, solve_film
 from gva_mi.pose.stature import PEOPLE
 
-TEST_EVERY, HELD_OUT_SHARE = 8, 10  # test frames: every 8th, and a tenth of the film in one piece
 _LENS = (
     "the film does not say its focal length: a field of view is assumed and fitted, so distances "
     "and depth may be off by a fifth; --lens 26mm gives what the phone's data sheet says"
@@ -137,8 +136,7 @@ def prepare_film(
     save_poses(out / POSES, solved.pose, solved.shape, stage=1)
     save_cameras(out / "cameras.npz", [solved.camera] * len(pictures))
     watched.landmarks.save(out / LANDMARKS)
-    splits = Splits.of_film(TEST_EVERY, HELD_OUT_SHARE, len(pictures))
-    write_json(out / "splits.json", splits.to_json())
+    write_json(out / SPLITS, Splits.of_film(len(pictures)).to_json())
     record = FilmRecord(
         frames=len(pictures),
         fps=motion.pictures.fps,
@@ -150,7 +148,7 @@ def prepare_film(
     )
     file = None if body is None else str(body.resolve())
     name = BUILT_IN_NAME if body is None else body.stem
-    about = {"kind": "film", "film": asdict(record), "versions": versions()}
+    about = {"kind": FILM, "film": asdict(record), "versions": versions()}
     about["body"] = {"name": name, "file": file} | fingerprint(model)
     write_json(out / PREPARED, about)
     return record.notes

@@ -19,10 +19,10 @@ CHANGING = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link")
 
 
 class Counter:
-    """Counts changes within a folder, and kills its process before one of them."""
+    """Counts changes to some files of a folder, and kills its process before one of them."""
 
-    def __init__(self, folder, last):
-        self.folder, self.last, self.count = folder, last, 0
+    def __init__(self, folder, last, named):
+        self.folder, self.last, self.named, self.count = folder, last, named, 0
 
     def __call__(self, event, arguments):
         if event == "open":
@@ -39,7 +39,7 @@ class Counter:
             return
         # rmtree names files relative to the descriptor of their folder.
         inside = str(path).startswith(self.folder) or (event != "open" and arguments[-1] != -1)
-        if not inside:
+        if not inside or self.named not in str(path):
             return
         if self.count == self.last:
             os.kill(os.getpid(), signal.SIGKILL)
@@ -78,7 +78,7 @@ def run(task):
     if pid == 0:
         for number, name in enumerate(ends, start=1):
             os.dup2(ends[name][1], number if number < 3 else ends[name][1])
-        counter = Counter(task["folder"], task["last"])
+        counter = Counter(task["folder"], task["last"], task["named"])
         sys.addaudithook(counter)
         code = work(task)
         os.write(ends["changes"][1], str(counter.count).encode())

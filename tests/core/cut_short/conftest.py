@@ -66,16 +66,18 @@ class Workplace:
         shutil.copytree(self._prepared, self.folder)
         return self.contents()
 
-    def run(self, command, last=None, room=None):
+    def run(self, command, last=None, room=None, named=""):
         """Run a command, in which {} is the folder.
 
         Args:
             command: its words.
             last: kill it before this change to the disk; None: not at all.
             room: largest size of a file, bytes.
+            named: count only changes to files whose path contains it.
         """
         words = command.replace("{}", str(self.folder)).split()
-        task = {"words": words, "folder": str(self.folder), "last": last, "room": room}
+        task = {"words": words, "folder": str(self.folder), "last": last}
+        task |= {"room": room, "named": named}
         self._children.stdin.write(json.dumps(task) + "\n")
         self._children.stdin.flush()
         found = json.loads(self._children.stdout.readline())

@@ -191,15 +191,9 @@ class Run:
         if self.step % options.perceptual_every:  # most steps omit it, and others weight it more
             weights = replace(weights, perceptual=0.0)
         losses = render_losses(
-            image,
-            target.color,
-            target.mask,
-            animated.residual,
-            weights,
-            distance,
-            target.window,
-            sample.area,
-        )
+            image, target.color, target.mask, animated.residual, weights, distance,
+            target.window, sample.area,
+        )  # fmt: skip
         total = losses.total(weights, options.perceptual_every)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()

@@ -142,7 +142,7 @@ class _Work:
         yield Step("split", wanted, [subject / PREPARED], [subject / SPLITS], self.split)
         known = [*prepared, subject / SPLITS, refined]
         yield Step("fit", self.fit_options.plain(), known, fitted, self.fit)
-        known += fitted
+        known = [*known, *fitted]
         yield Step("evaluate", None, known, measured, self.evaluate)
         page = [self.out / FILM_REPORT]
         yield Step("report", None, [*known, findings, *measured], page, self.report)

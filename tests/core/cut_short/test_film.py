@@ -43,6 +43,6 @@ def test_a_film_becomes_the_same_avatar_however_often_it_is_killed(stage):
     assert ended.code == 0 and ended.out.count("was finished before") == 6, ended.err
     found = stage.contents()
     assert found.keys() == wanted.keys()
-    markers = [contents.pop("new/avatar.json") for contents in (found, wanted)]  # hashes of times
-    assert markers[0]["finished"].keys() == markers[1]["finished"].keys()
+    for steps in (contents["new/avatar.json"]["finished"] for contents in (found, wanted)):
+        del steps["report"]  # reads measured times
     assert not [file for file in wanted if found[file] != wanted[file]]

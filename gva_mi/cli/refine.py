@@ -23,7 +23,7 @@ from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import cluster
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.ground_truth import truth_of
+from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.fit.paper import REFINE
 from gva_mi.pose.job import RefineOptions
@@ -111,7 +111,7 @@ def refine_videos(
     executor: Executor | None = None,
 ) -> Iterator[Evaluation]:
     """Refine videos and write each result into its subject's folder as soon as it is ready."""
-    truths = [truth_of(video, model) for video in videos]
+    truths = [_truth(video, model) for video in videos]
     for video in videos:
         if not video.has_normals:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
@@ -123,6 +123,15 @@ def refine_videos(
             evaluation = Evaluation.of(video, model, options, refined, truth)
             write_record(evaluation, versions())
             yield evaluation
+
+
+def _truth(video: Video, model: BodyModel) -> GroundTruth | None:
+    """Read the ground truth; one that cannot be used costs the figures and not the refinement."""
+    try:
+        return truth_of(video, model)
+    except InputError as error:
+        say(f"{error}; the refinement goes on and is not measured")
+        return None
 
 
 def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:

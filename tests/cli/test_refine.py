@@ -43,6 +43,17 @@ def test_frames_without_evidence_are_listed_and_keep_their_pose(subject, cli):
 
 
 @pytest.mark.slow
+def test_a_ground_truth_of_another_length_costs_the_figures_alone(subject, cli):
+    path = subject / "truth/poses.npz"
+    with np.load(path) as file:
+        np.savez(path, **{name: x[:2] if x.ndim > 1 else x for name, x in file.items()})
+    code, out, err = cli("refine", subject, *SHORT)
+    assert code == 0, err
+    assert "goes on and is not measured" in out and (subject / "poses_refined.npz").is_file()
+    assert json.loads((subject / "refinement.json").read_text())["figures"]["vertex_mm"] is None
+
+
+@pytest.mark.slow
 def test_normals_are_read_by_the_given_convention(subject, cli):
     found = {}
     for way in ("none", "icon"):

@@ -39,5 +39,6 @@ def test_options_of_the_recording_are_refused(recording, tmp_path, cli):
 
 
 def test_a_recording_is_not_replaced_by_itself(recording, cli):
-    code, _, err = cli("synth", recording, "--like", recording, "--overwrite")
-    assert code == 2 and "is the recording itself" in err and (recording / "synth.json").exists()
+    for option, reason in (((), "is the recording itself"), (("--overwrite",), "would remove")):
+        code, _, err = cli("synth", recording, "--like", recording, *option)
+        assert code == 2 and reason in err and (recording / "synth.json").exists()

@@ -28,8 +28,8 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
         smoothing: steps of Laplacian smoothing.
 
     Returns:
-        The surface, without triangles that are outside on both sides. Unlike an offset surface it
-        may touch itself.
+        The surface, without triangles that are outside on both sides. Where more than two meet at
+        an edge, some are left out: it is a manifold, but not closed there.
     """
     import pymeshlab
     from scipy.sparse import coo_array
@@ -51,12 +51,14 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
     facets = np.where(mirrored[:, None, None], FACETS[:, ::-1], FACETS)
     faces = np.take_along_axis(corners[:, None], facets, 2)[boundary]
     surface = SurfaceMesh(points, faces).part(np.ones(len(faces), bool))
-    if not smoothing:
-        return surface
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
-    meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
-    return SurfaceMesh(np.array(meshes.current_mesh().vertex_matrix()), surface.faces)
+    meshes.meshing_repair_non_manifold_edges()  # curvature needs a manifold
+    meshes.meshing_repair_non_manifold_vertices()
+    if smoothing:
+        meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
+    mesh = meshes.current_mesh()
+    return SurfaceMesh(np.array(mesh.vertex_matrix()), mesh.face_matrix().astype(np.int64))
 
 
 def _smallest_empty_balls(points: np.ndarray, corners: np.ndarray, over: np.ndarray) -> np.ndarray:

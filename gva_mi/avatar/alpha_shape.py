@@ -58,7 +58,8 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
     if smoothing:
         meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
     mesh = meshes.current_mesh()
-    return SurfaceMesh(np.array(mesh.vertex_matrix()), mesh.face_matrix().astype(np.int64))
+    found = SurfaceMesh(np.array(mesh.vertex_matrix()), mesh.face_matrix().astype(np.int64))
+    return found.part(np.ones(len(found.faces), bool))  # without vertices that no face is left of
 
 
 def _smallest_empty_balls(points: np.ndarray, corners: np.ndarray, over: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def merge_hands(
         wrists: take the wrists, too; the track is in the camera's axes.
         from_mean: the fingers of the file are relative to MANO's mean hand.
         first: of :func:`read_hands`.
-        body: joints (55, 3) at rest, metres, by which the hands of other people are told apart;
+        body: joints (55, 3) at rest, metres, which show whose hands they are;
             None where the lens is not known.
     """
     hands, notes = read_hands(path, first)

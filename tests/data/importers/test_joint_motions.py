@@ -90,7 +90,7 @@ def features_of(places, heading):
     local = places - places[:, :1] * [1, 0, 1]
     local = np.einsum("tab,tjb->tja", R, local)
     step = np.diff(places[:, 0], axis=0, append=places[-1:, 0])
-    # The step to the next frame is told in that frame's axes.
+    # The step to the next frame is in that frame's axes.
     step = np.einsum("tab,tb->ta", np.concatenate([R[1:], R[-1:]]), step)
     features = np.zeros((T, 263))
     features[:, 0] = -np.diff(heading, append=heading[-1]) / 2

@@ -52,7 +52,7 @@ def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
 def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_path):
     """A file of MoGe-2's form: numbers of patches in, normals (1, h, w, 3) beside other arrays.
 
-    24 by 32 pixels hold 3.9 patches of 14 by 14: it is told 4, and answers x = 0.4, y = 0.
+    24 by 32 pixels hold 3.9 patches of 14 by 14: its input is 4, and it answers x = 0.4, y = 0.
     """
     nodes = [
         ("Cast", ["num_tokens"], ["tokens"], {"to": 1}),

@@ -1,0 +1,73 @@
+"""Execute the lessons, and store with the outputs what they were made from.
+
+    python notebooks/execute.py                 each lesson whose outputs are stale
+    python notebooks/execute.py notebooks/1*    these lessons
+
+Outputs are stale if a code cell, the lesson's figures (a ``.json`` file of its name) or the results
+versions of the program (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`) have changed since they
+were made. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+from traitlets.config import Config
+
+from gva_mi.core.provenance import RESULTS_VERSIONS
+
+HERE = Path(__file__).parent
+STAMP = "made_from"  # in a notebook's metadata
+
+
+def made_from(notebook, path):
+    """Return what a lesson's outputs depend on: its code, its figures, the program's results."""
+    digest = lambda content: hashlib.sha256(content).hexdigest()[:16]
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    figures = path.with_suffix(".json")
+    return {
+        "cells": [digest(source.encode()) for source in code],
+        "figures": digest(figures.read_bytes()) if figures.exists() else None,
+        "results_versions": dict(RESULTS_VERSIONS),
+    }
+
+
+def is_stale(path):
+    """Return whether a lesson's outputs were made from something else than is there now."""
+    notebook = nbformat.read(path, as_version=4)
+    return notebook.metadata.get(STAMP) != made_from(notebook, path)
+
+
+def run_cells(notebook, folder, timeout=None):
+    """Execute a notebook's cells in place, in a folder; seconds a cell, None: no limit."""
+    os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # keep the figures
+    with tempfile.TemporaryDirectory() as sockets:  # no ports, which need a network
+        kernel = {"KernelManager": {"transport": "ipc", "ip": f"{sockets}/kernel"}}
+        place = {"metadata": {"path": str(folder)}}
+        client = NotebookClient(notebook, timeout=timeout, config=Config(kernel), resources=place)
+        client.execute()
+
+
+def execute(path):
+    """Execute a lesson and write its outputs and their stamp; a failure leaves the file alone."""
+    notebook, start = nbformat.read(path, as_version=4), time.perf_counter()
+    run_cells(notebook, path.parent)
+    for cell in notebook.cells:
+        cell.metadata.pop("execution", None)  # times, which differ from run to run
+    notebook.metadata.language_info = {"name": "python"}
+    notebook.metadata[STAMP] = made_from(notebook, path)
+    nbformat.write(notebook, path)
+    print(f"{path.name}: {time.perf_counter() - start:.0f} s, {path.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    lessons = [Path(name) for name in sys.argv[1:]] or sorted(
+        filter(is_stale, HERE.glob("*.ipynb"))
+    )
+    for lesson in lessons:
+        execute(lesson)

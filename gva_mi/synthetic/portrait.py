@@ -73,7 +73,7 @@ def pose_sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.nda
         hands = hand_rotations(action.left, "left") | hand_rotations(action.right, "right")
         whole.append(Portrait(A_POSE | action.joints | hands, azimuth=azimuth))
     hands = [Portrait(hand_rotations(name, "left"), at, 0.24, *view) for name, *view in HANDS]
-    faces = [Portrait(rotations, face, 0.29, turn, 0.05, *e) for rotations, turn, *e in FACES]
+    faces = [Portrait(A_POSE | turned, face, 0.29, view, 0.05, *e) for turned, view, *e in FACES]
     render = _PortraitRenderer(body)
     rows = [render.row(whole, round(size / SHOWN), samples)]
     rows += [render.row(portraits, size, samples) for portraits in (hands, faces)]

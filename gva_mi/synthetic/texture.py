@@ -62,13 +62,13 @@ def _around_eye(
     cheek = dr.exp(-(dr.square(dx - 0.12 * outward) + dr.square(dy + 0.55)) / 0.10)
     color = dr.select(front, dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek), color)
     u = (dx - 0.05 * outward) * outward
-    arc = dy - (0.40 - 0.35 * dr.square(u - 0.08))
-    brow = _inside(0.055 + 0.03 * (0.3 - u) - dr.abs(arc), 0.02)
+    arc = dy - (0.44 - 0.30 * dr.square(u + 0.06))  # inner ends no lower than outer: no scowl
+    brow = _inside(0.038 + 0.025 * (0.3 - u) - dr.abs(arc), 0.02)
     brow *= _inside(0.40 - dr.abs(u), 0.06)
     color = dr.select(front, dr.lerp(color, like(*look.brows), 0.85 * brow), color)
     lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
     shadow = _inside(1.9 - lid, 0.9)
-    color = dr.select(front, dr.lerp(color, color * like(0.62, 0.52, 0.50), shadow), color)
+    color = dr.select(front, dr.lerp(color, color * like(0.76, 0.66, 0.64), shadow), color)
     inside = _inside(1 - lid, 0.10)
     radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
     ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
@@ -145,14 +145,22 @@ def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
 
 
 def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
-    """Hair: noise that varies fast around the head and slowly down it."""
+    """Hair: locks and strands that vary fast around the head and slowly down it, and a gloss.
+
+    The gloss is a band around the crown, where hair turns from the sky to the side, frayed by the
+    strands: without it, hair of one colour looks like felt. Ends are paler than roots.
+    """
     _, eye_y, eye_z = look.face.eyes[0]
     x, y, z = p.x, p.y - eye_y - 0.14, p.z - eye_z + 0.11
     around = dr.atan2(z, x)
     polar = dr.atan2(dr.sqrt(dr.square(x) + dr.square(z)), y)
-    strands = value_noise(type(p)(around * 40, polar * 6, 0.5)) * 0.55
-    strands += value_noise(type(p)(around * 130, polar * 12, 7.5)) * 0.45
-    return type(p)(*look.hair) * dr.maximum(1 + 0.75 * strands, 0.1)
+    noise = lambda fast, slow, which: value_noise(type(p)(around * fast, polar * slow, which))
+    strands = noise(40, 6, 0.5) * 0.55 + noise(130, 12, 7.5) * 0.45
+    shade = 1 + 0.75 * strands + 0.3 * noise(11, 3, 3.5)
+    band = dr.exp(-dr.square((y + 0.062 - 0.022 * noise(24, 1, 5.5)) / 0.022))
+    paler = 0.5 * dr.clip(-(y + 0.12) / 0.3, 0, 1)
+    gloss = 0.9 * band * (0.6 + 0.4 * strands)
+    return type(p)(*look.hair) * (dr.maximum(shade, 0.15) * (1 + paler)) + 0.06 * gloss
 
 
 def _cloth(

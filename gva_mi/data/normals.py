@@ -126,6 +126,11 @@ def read_map(path: Path) -> np.ndarray:
     return normals
 
 
+def normal_colors(normals: np.ndarray) -> np.ndarray:
+    """Return the usual colours (..., 3) of camera-space normals: ``(n + 1) / 2`` in ``opengl``."""
+    return (normals * np.float32((1, -1, -1)) + 1) / 2
+
+
 def _directions(stored: np.ndarray) -> np.ndarray:
     """Convert stored vectors (h, w, 3) to float32, zero where they are no directions."""
     if stored.dtype == np.uint8:

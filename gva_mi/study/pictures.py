@@ -21,10 +21,9 @@ from gva_mi.data.video import Frame, Video, spread
 from gva_mi.fit.camera_paths import circle
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.splat import Camera, Gaussians, look_at, render
-from gva_mi.splat.geometry import with_axes
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
 from gva_mi.study.metrics import aligned_views
-from gva_mi.study.page import Picture, Section, around, picture
+from gva_mi.study.page import Picture, Section, picture
 from gva_mi.study.regions import close_ups, person_box
 from gva_mi.study.similarity import posed_joints, similarity_to_truth
 
@@ -107,8 +106,7 @@ def _of_split(
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
     view = avatars[0].views[split]
     for k in spread(view.frames, count):
-        frame, mask = view.video[k], view.video.true_mask(k)
-        frame = frame if mask is None else replace(frame, mask=mask)
+        frame = truly_cut(view.video, k)
         for what, box in _boxes(view, frame, avatars[0].avatar):
             times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
             row = [box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)]
@@ -183,28 +181,10 @@ def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
     return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))
 
 
-def overview(avatar: Avatar, video: Video, turned: int = 3) -> np.ndarray:
-    """Show the method in one picture: a frame, its normals, the Gaussians, and new views."""
-    from PIL import Image
-
-    frame = video[(video.splits.test or video.splits.train)[0]]
-    parts = [cut_out(frame)]
-    if frame.normals is not None:
-        shown = np.where(frame.mask[..., None] > 0.5, (frame.normals + 1) / 2, 1)
-        parts.append(to_8bit(shown))
-    with torch.no_grad():
-        whole = with_axes(avatar(frame.pose))
-        thin = replace(whole, scales=whole.scales / 3)
-        image = render(thin, frame.camera, background=torch.ones(3))
-    parts.append(to_8bit(image.color.numpy()))
-    parts += list(turntable(avatar, frame, turned + 1))[1:]
-    scaled, height = [], 480
-    for part in parts:
-        cut = part[around(part.min(-1) < 250, len(parts[0]) // 50)]
-        width = max(1, round(cut.shape[1] * height / cut.shape[0]))
-        resized = Image.fromarray(cut).resize((width, height), Image.Resampling.LANCZOS)
-        scaled.append(np.asarray(resized))
-    return np.concatenate(scaled, axis=1)
+def truly_cut(video: Video, index: int) -> Frame:
+    """Return a frame, with the ground-truth mask where it is known."""
+    frame, mask = video[index], video.true_mask(index)
+    return frame if mask is None else replace(frame, mask=mask)
 
 
 def joints_of(avatar: Avatar, frame: Frame) -> np.ndarray:

@@ -21,8 +21,9 @@ from gva_mi.fit.run_folder import Snapshot
 from gva_mi.study import page
 from gva_mi.study.evaluate import REGIONS
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
+from gva_mi.study.overview import overview
 from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
-from gva_mi.study.pictures import ShownAvatar, dots, overview, picture_sections, turntable
+from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
 from gva_mi.study.refinement import OVERLAYS
 from gva_mi.study.refinement_report import errors_table
 from gva_mi.study.surface import PARTS, TEXTURES, SurfaceFigures
@@ -42,7 +43,8 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str, body: Body
         body: the fitted body model.
     """
     metrics, history = load_metrics(run), run_folder.load_history(run)
-    write_image(run / run_folder.OVERVIEW, overview(avatar, video))
+    shown = ShownAvatar.of(avatar, video, body)
+    write_image(run / run_folder.OVERVIEW, overview(shown, video))
     width, height = metrics.training.size
     page.write_page(
         run / run_folder.REPORT,
@@ -54,7 +56,7 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str, body: Body
         headlines=_headlines(metrics),
         sections=[
             _turning(avatar, video),
-            *picture_sections([("", {"render": ShownAvatar.of(avatar, video, body)})], SHOWN),
+            *picture_sections([("", {"render": shown})], SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run_folder.load_snapshots(run), metrics.surface),
             _curves(history),

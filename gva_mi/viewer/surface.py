@@ -13,6 +13,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig, moved_by
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
+from gva_mi.data.normals import normal_colors
 from gva_mi.mesh.coarse_body import collapse
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import CLAY
@@ -58,8 +59,8 @@ class SurfaceRenderer:
             self._coarse = _Mesh(MeshScene(faces, vertices[kept]), kept)
 
     def normals(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
-        """Draw camera-space normals (OpenCV axes) as ``(n + 1) / 2``; a layer (H, W, 4)."""
-        return self._layer(lambda n: (n + 1) / 2, surface, camera, fine)
+        """Draw camera-space normals in their usual colours; a layer (H, W, 4)."""
+        return self._layer(normal_colors, surface, camera, fine)
 
     def shaded(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
         """Draw clay, lit from the camera; a layer (H, W, 4)."""

@@ -50,7 +50,7 @@ def test_the_surface_is_the_posed_body(body, known, motion, turning):
     assert np.allclose(found.joints, truth.joints[0].numpy(), atol=2e-5)
 
 
-def test_normals_are_in_camera_axes(known, motion, surfaces, camera):
+def test_normals_are_drawn_with_y_up_and_z_toward_the_viewer(known, motion, surfaces, camera):
     camera = camera.resized(192, 192)
     surface = posed_surface(known, motion[0])
     faces = known.rig.faces
@@ -59,7 +59,7 @@ def test_normals_are_in_camera_axes(known, motion, surfaces, camera):
     truth = vertex_normals(surface.vertices, faces).numpy() @ camera.T_camera_world[:3, :3].T
     columns, rows = camera.project(surface.vertices.double().numpy()).astype(int).T
     seen &= layer[rows, columns, 3] == 1
-    error = np.abs(2 * layer[rows, columns, :3] - 1 - truth)[seen]
+    error = np.abs(2 * layer[rows, columns, :3] - 1 - truth * (1, -1, -1))[seen]
     assert seen.sum() > 1000 and np.median(error) < 0.05 and error.mean() < 0.12
 
 

@@ -14,6 +14,8 @@ Differences from the paper (``surface="alpha"`` and ``random`` of the options ar
 * The "spherical shell" around the outermost Gaussians is an offset surface, not an alpha shape:
   always watertight and without inner sheets (:mod:`gva_mi.avatar.offset_surface`). The shrunk rest
   body inside it keeps the surface from entering through holes.
+* At rest, the surface would join the legs, and arms and trunk. It is made with the limbs spread
+  (:mod:`gva_mi.avatar.spread_limbs`).
 * Laplacian smoothing shrinks, arms most. Taubin's filter keeps the volume.
 * What bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which the
   body model knows best: there, points are drawn on the body's own surface.
@@ -45,6 +47,7 @@ from gva_mi.avatar.canonical import (
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 from gva_mi.avatar.rig import Rig
 from gva_mi.avatar.skin_weights import Skin, diffused
+from gva_mi.avatar.spread_limbs import SpreadLimbs
 from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
 from gva_mi.core.options import Share, Within, require_ranges
@@ -122,13 +125,14 @@ def reinitialise(
     if solid is None:
         raise ValueError("reinitialise(): too few opaque Gaussians to be a surface")
     means = G.means.detach()[solid].double().numpy()
-    floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
     rig = avatar.rig
-    surface = mesh_gaussians(means[~floats], rig, options)
+    floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
+    on_surface = solid[torch.from_numpy(~floats)]
+    weights = G.weights[on_surface].double().numpy()
+    surface = mesh_gaussians(means[~floats], rig, options, weights)
     whole = with_fingers(surface, rig) if options.surface == "offset" else surface
     density = wanted_density(whole, rig, options)
     samples = resample(whole, options.count or len(G), density, rng)
-    on_surface = solid[torch.from_numpy(~floats)]
     body = rig.skin(avatar.options.skinning)
     skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
@@ -150,13 +154,28 @@ def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndar
     return distance > distance.mean() + sigmas * distance.std()
 
 
-def mesh_gaussians(points: np.ndarray, rig: Rig, options: ReinitOptions) -> SurfaceMesh:
-    """Wrap points (N, 3), and the rest body inside them, in a smooth surface."""
+def mesh_gaussians(
+    points: np.ndarray, rig: Rig, options: ReinitOptions, weights: np.ndarray | None = None
+) -> SurfaceMesh:
+    """Wrap points (N, 3), and the rest body inside them, in a smooth surface.
+
+    ``weights`` (N, 55) are the points' skinning weights; None: those of the body beneath.
+    """
+    from scipy.spatial import cKDTree
+
     # Between points that are further apart than alpha, the surface would sink onto the filler.
-    alpha = max(options.alpha, np.percentile(mean_distance(points, 6), 95))
+    reach = lambda x: max(options.alpha, np.percentile(mean_distance(x, 6), 95))
     if options.surface == "alpha":
-        return alpha_shape(points, alpha, options.smoothing)
-    return offset_surface(points, _filler(rig, options.filler_depth), alpha, options.smoothing)
+        return alpha_shape(points, reach(points), options.smoothing)
+    filler, own = _filler(rig, options.filler_depth), rig.weights.double().numpy()
+    if weights is None:
+        weights = own[cKDTree(filler.vertices).query(points)[1]]
+    both = np.vstack([points, filler.vertices]), np.vstack([weights, own])
+    spread = SpreadLimbs.of(rig, *both)
+    outer, inner = np.split(spread.points, [len(points)])
+    filled = SurfaceMesh(inner, filler.faces)
+    found = offset_surface(outer, filled, reach(outer), options.smoothing)
+    return SurfaceMesh(spread.at_rest(found.vertices), found.faces)
 
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:

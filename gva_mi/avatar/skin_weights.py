@@ -111,7 +111,7 @@ class Skin:
         X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
         square = np.einsum("nki,nkj->nij", X, X)
         flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
-        shares = np.einsum("nij,nkj->nik", _inverse(square + flat[:, None, None] * np.eye(3)), X)
+        shares = np.einsum("nij,nkj->nik", inverse(square + flat[:, None, None] * np.eye(3)), X)
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
         planes = csr_array((shares.ravel(), columns, rows), (3 * len(nearest), len(vertices)))
@@ -147,7 +147,7 @@ class Skin:
         return torch.from_numpy(share).to(self.weights), torch.from_numpy(nearest)
 
 
-def _inverse(A: np.ndarray) -> np.ndarray:
+def inverse(A: np.ndarray) -> np.ndarray:
     """Invert matrices (N, 3, 3) by cofactors: bits of LAPACK depend on the processor."""
     a, b, c = A[:, 0], A[:, 1], A[:, 2]
     columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)

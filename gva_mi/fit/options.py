@@ -19,6 +19,11 @@ from gva_mi.splat import SplatOptions
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 
+# Adam's epsilon of means: about a tenth of the gradient of a Gaussian in plain view. Gaussians that
+# are hidden in all frames, as in an armpit, have a hundredth of it, all noise. With the 1e-15 of
+# 3DGS they move as far as others, and burst out of the surface once an arm is raised.
+NOISE = 1e-5
+
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
 FromOne = Annotated[int, Within(1, 1_000_000)]

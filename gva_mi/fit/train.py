@@ -38,7 +38,7 @@ from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, render_losses
-from gva_mi.fit.options import FitOptions, Rates
+from gva_mi.fit.options import NOISE, FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import smallest_pixel
@@ -275,14 +275,14 @@ def _run(
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
     """Make Adam with one named group, and one learning rate, per kind of parameter."""
+    # With 3DGS's tiny epsilon, Gaussians that are seldom seen learn their colour as fast as others.
     groups = [
-        {"name": name, "params": [parameter], "lr": getattr(rates, name)}
-        for name, parameter in avatar.canonical.named_parameters()
+        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE if k == "means" else 1e-15}
+        for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
         groups.append(
             {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
         )
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
-    # With 3DGS's tiny epsilon, Gaussians that are seldom seen move as far as others.
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

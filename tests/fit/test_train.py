@@ -1,5 +1,6 @@
 """A fit comes closer to unseen frames, is reproducible, and resumes to the bit."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,9 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.errors import InputError
-from gva_mi.fit import run_folder
+from gva_mi.fit import run_folder, train
 from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.options import FitOptions, Schedule
+from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.renders import smallest_pixel
@@ -100,6 +101,19 @@ def test_the_naked_option_ignores_offsets(video, body, tmp_path):
     naked = fit(video, body, replace(one, naked=True), tmp_path / "naked", offsets=offsets)
     assert same(naked, fit(video, body, one, tmp_path / "plain"))
     assert not same(naked, fit(video, body, one, tmp_path / "displaced", offsets=offsets))
+
+
+def test_gaussians_that_only_noise_pulls_stay_where_they_are(known):
+    """Hidden Gaussians have a hundredth of the gradient of visible ones, and move by a fifth."""
+    avatar = copy.deepcopy(known)
+    optimizer, start = train._optimizer(avatar, Rates()), avatar.canonical.means.detach().clone()
+    for _ in range(20):
+        avatar.canonical.means.grad = torch.full_like(start, 2e-4)
+        avatar.canonical.means.grad[::2] = 2e-6
+        optimizer.param_groups[0]["lr"] = 1e-3
+        optimizer.step()
+    moved = (avatar.canonical.means - start).detach().abs()
+    assert moved[1::2].min() > 0.9 * 20e-3 and moved[::2].max() < 0.2 * 20e-3
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):

@@ -1,8 +1,9 @@
-"""Pictures of the gallery that several commands make: what a motion and an export look like.
+"""Pictures of the documentation that show the avatar of the demo.
 
-    python docs/gallery_pictures.py RUN OUT
+    python docs/gallery_pictures.py DEMO OUT
 
-RUN is the folder of a finished fit; ``motions.png`` and ``exports.png`` are written into OUT.
+DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``check.png``, ``motions.png`` and
+``exports.png`` are written into OUT.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ import numpy as np
 from PIL import Image
 
 from gva_mi.data.pictures import read_image
+from gva_mi.study.page import around
 
-SIZE = ("200", "280")  # pixels of one picture
+SIZE = ("240", "340")  # pixels of one picture
 SHOWN = 6
+MARGIN = 8  # pixels around the person
 
 
 def gva_mi(*words: str | Path) -> None:
@@ -27,10 +30,20 @@ def gva_mi(*words: str | Path) -> None:
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
-def in_a_row(pictures: list[Path], out: Path) -> None:
-    """Lay pictures side by side, in few colours, for they are part of the documentation."""
-    row = np.concatenate([read_image(path, 3) for path in pictures], axis=1)
-    Image.fromarray(row).quantize(128, dither=Image.Dither.NONE).save(out, optimize=True)
+def in_a_row(pictures: list[Path]) -> np.ndarray:
+    """Lay pictures side by side, each cut to what is not white, all to the same rows."""
+    images = [read_image(path, 3) for path in pictures]
+    drawn = [image.min(-1) < 250 for image in images]
+    rows = around(np.any(drawn, axis=0), MARGIN)[0]
+    cut = [
+        image[rows, around(inside, MARGIN)[1]] for image, inside in zip(images, drawn, strict=True)
+    ]
+    return np.concatenate(cut, axis=1)
+
+
+def save(image: np.ndarray, out: Path) -> None:
+    """Write a picture in few colours, because it is part of the documentation."""
+    Image.fromarray(image).quantize(200, dither=Image.Dither.NONE).save(out, optimize=True)
 
 
 def motions(run: Path, folder: Path) -> list[Path]:
@@ -55,7 +68,11 @@ def exports(run: Path, folder: Path) -> list[Path]:
 
 
 if __name__ == "__main__":
-    run, out = map(Path, sys.argv[1:])
-    with tempfile.TemporaryDirectory() as folder:
-        in_a_row(motions(run, Path(folder)), out / "motions.png")
-        in_a_row(exports(run, Path(folder)), out / "exports.png")
+    demo, out = map(Path, sys.argv[1:])
+    save(read_image(demo / "overview.png", 3), out / "overview.png")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        gva_mi("check", demo / "subject", "--sheet", folder / "check.png")
+        save(read_image(folder / "check.png", 3), out / "check.png")
+        save(in_a_row(motions(demo, folder)), out / "motions.png")
+        save(in_a_row(exports(demo, folder)), out / "exports.png")

@@ -21,8 +21,11 @@ from gva_mi.splat.kernels.sh import C0
 # For 8,000 points, not 20,000, on a large body without a face.
 COARSE = ReinitOptions(alpha=0.05, filler_depth=0.04, face_gain=0.0)
 RED, BLUE, MAGENTA = (0.9, 0.1, 0.1), (0.1, 0.1, 0.9), (0.9, 0.1, 0.9)
-LEG = ("hip", "knee", "ankle", "foot")
-LEGS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in LEG]
+LIMBS = [
+    JOINTS.index(f"{side}_{name}")
+    for side in ("left", "right")
+    for name in ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
+]
 FLOATERS = np.array([[1.5, 0, 0], [0, 1.6, 0.2], [-1, -1, 0.9], [0.5, 0.3, 1.2]])
 
 
@@ -72,9 +75,9 @@ def dense_samples(vertices, body):
 
 @pytest.fixture(scope="module")
 def plain_body(body):
-    """The small body without fingers and legs, which a surface is not made between."""
+    """The small body without fingers and limbs: as an egg, it has none to be spread."""
     body = copy.deepcopy(body)
-    body.weights[:, 25:] = body.weights[:, LEGS] = 0
+    body.weights[:, 25:] = body.weights[:, LIMBS] = 0
     body.weights.div_(body.weights.sum(1, keepdim=True))
     return body
 

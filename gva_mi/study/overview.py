@@ -57,7 +57,7 @@ def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarr
 def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:
     """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
     frames = {k: truly_cut(view.video, k) for k in view.frames}
-    boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[::2]]
+    boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
     if view.details is not None:
         found = [(k, box) for k in frames for what, box in view.details.boxes(k) if what == "hands"]
         boxes += sorted(found, key=lambda hand: hand[1].top)[:1]

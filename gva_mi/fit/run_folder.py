@@ -24,6 +24,7 @@ import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,7 +38,7 @@ from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
 from gva_mi.core.atomic import atomic_write, part_of
-from gva_mi.core.errors import InputError, expecting, reason_of
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
 from gva_mi.core.provenance import versions
 from gva_mi.data.identity import differing, identity
@@ -172,34 +173,40 @@ def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
 
 
 def save_state(out: Path, state: dict[str, Any]) -> None:
-    """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them."""
+    """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them.
+
+    A digest follows them, of these bytes and of the run's options, so that a state that was changed
+    by hand or belongs to another run is refused when it is opened, and not somewhere in training.
+    """
     whole = io.BytesIO()  # torch's own writer hides a full disk
     torch.save(state, whole)
     with atomic_write(out / CHECKPOINT) as unfinished:
-        unfinished.write_bytes(whole.getbuffer())
+        unfinished.write_bytes(whole.getvalue() + _digest(out, whole.getbuffer()))
 
 
 def load_state(out: Path) -> dict[str, Any] | None:
-    """Read the checkpoint; None if there is none yet; an InputError if it is damaged."""
+    """Read the checkpoint; None without one; an InputError unless it is as it was saved."""
     path = out / CHECKPOINT
     if not path.exists():
         return None
     try:
-        return torch.load(path, weights_only=True)
-    except Exception as error:
-        raise InputError(f"{path}: not a readable checkpoint ({reason_of(error)})") from None
+        whole = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    content = memoryview(whole)[: -sha256().digest_size]
+    if whole[len(content) :] != _digest(out, content):
+        raise InputError(
+            f"{path}: not as this run saved it: cut short, changed, of another run or of an older "
+            "version; --overwrite starts the fit again"
+        )
+    return torch.load(io.BytesIO(content), weights_only=True)
 
 
-def require_state(state: dict[str, Any], steps: int) -> None:
-    """Raise a ValueError for a state that no run of so many steps has saved."""
-    step, history = state["step"], state["history"]
-    if type(step) is not int or not 0 < step < steps:
-        raise ValueError(f"the step is {step} of {steps}")
-    if odd := [name for name, values in history.items() if len(values) != step]:
-        raise ValueError(f"the history of '{odd[0]}' has {len(history[odd[0]])} of {step} steps")
-    count = len(state["avatar"]["canonical.means"])
-    if any(x.shape != (count,) for x in state["gradients"]):
-        raise ValueError(f"'gradients' must be ({count},)")
+def _digest(out: Path, content: memoryview) -> bytes:
+    options = out / OPTIONS
+    digest = sha256(options.read_bytes() if options.is_file() else b"")
+    digest.update(content)
+    return digest.digest()
 
 
 def drop_state(out: Path) -> None:

@@ -31,7 +31,6 @@ from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, say, within
-from gva_mi.core.errors import expecting
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
@@ -89,7 +88,7 @@ def fit(
         progress = within(progress, options.first_steps, options.steps, options.all_steps)
     offsets = None if options.naked else offsets
     with one_torch_thread():
-        run = _run(video, body, options, offsets, state, out)
+        run = Run(video, body, options, offsets, state)
         chosen = options.seed, options.random_background, options.window, options.mask_error
         samples = FrameSampler(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
@@ -144,7 +143,6 @@ class Run:
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
-            run_folder.require_state(state, options.steps)
             self.avatar = Avatar.from_record(state["avatar"])
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
@@ -158,9 +156,6 @@ class Run:
         if state is not None:
             self.poses.load_state(state["poses"])
             self.optimizer.load_state_dict(state["optimizer"])
-            for x, moments in self.optimizer.state.items():
-                if any(moment.shape not in ((), x.shape) for moment in moments.values()):
-                    raise ValueError(f"'optimizer' must hold {tuple(x.shape)} of each kind")
             self.gradients.total, self.gradients.views = state["gradients"]
 
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
@@ -256,21 +251,6 @@ class Run:
         for group in self.optimizer.param_groups:
             if group["name"] == "means":
                 group["lr"] = rates.means ** (1 - done) * rates.means_end**done
-
-
-def _run(
-    video: Video,
-    body: BodyModel,
-    options: FitOptions,
-    offsets: Tensor | None,
-    state: dict[str, Any] | None,
-    out: Path,
-) -> Run:
-    """Start a run, or restore it from its checkpoint."""
-    if state is None:
-        return Run(video, body, options, offsets, None)
-    with expecting(out / run_folder.CHECKPOINT, "the state of this run"):
-        return Run(video, body, options, offsets, state)
 
 
 def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:

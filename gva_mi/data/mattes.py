@@ -6,7 +6,7 @@ Picture                                    Inside
 with alpha that is somewhere below 255     its alpha
 a palette, used in black and white alone   white, wherever in the palette it stands
 a palette of greys                         its luminance
-any other palette                          the one label beside 0; 255 beside others is a border
+any other palette                          its labels; 255 beside others is a border, and zero
 grey, and RGB that is grey                 its luminance
 one colour before black, hard or soft      how much of that colour
 more colours                               refused: a photograph, or a drawing of labels
@@ -33,10 +33,10 @@ DARK = 64  # black, after JPEG
 _BORDER = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
 
 
-def matte_of(where: str, image: Image.Image, labels: bool = False) -> np.ndarray:
+def matte_of(where: str, image: Image.Image) -> np.ndarray:
     """Convert an 8-bit picture to a mask (H, W) 8-bit, 255 inside; ``where`` names it in errors.
 
-    With ``labels``, a palette's labels are returned as they are.
+    Labels of a palette are returned as they are: :mod:`.mask_units` says what they mean.
     """
     if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
         image.mode == "P" and "transparency" in image.info
@@ -45,7 +45,7 @@ def matte_of(where: str, image: Image.Image, labels: bool = False) -> np.ndarray
         if alpha.min(initial=255) < 255:
             return alpha
     if image.mode in ("P", "PA"):
-        return _of_palette(where, image, labels)
+        return _of_palette(image)
     if image.mode in ("1", "L", "LA", "La"):
         return np.asarray(image.convert("L"))
     return matte_of_pixels(where, np.asarray(image.convert("RGB")))
@@ -74,20 +74,13 @@ def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
     )
 
 
-def _of_palette(where: str, image: Image.Image, as_they_are: bool) -> np.ndarray:
-    """Convert a palette picture: by colour if all that is used is grey, else by label."""
+def _of_palette(image: Image.Image) -> np.ndarray:
+    """Return the values of a palette picture: colours if all that is used is grey, else labels."""
     labels = np.array(image if image.mode == "P" else image.getchannel(0))
     colors = np.asarray(image.convert("RGB"))
     if (colors == colors[..., :1]).all():
         return np.ascontiguousarray(colors[..., 0])
     used = np.unique(labels[labels > 0])
     if len(used) > 1 and used[-1] == _BORDER:
-        labels[labels == _BORDER], used = 0, used[:-1]
-    if as_they_are:
-        return labels
-    if len(used) > 1:
-        raise InputError(
-            f"{where}: a mask of labels {', '.join(map(str, used[:10]))}, such as of several "
-            "people; expected 255 inside the one person"
-        )
-    return (labels > 0) * np.uint8(255)
+        labels[labels == _BORDER] = 0
+    return labels

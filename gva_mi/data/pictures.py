@@ -35,23 +35,23 @@ _WITH_ALPHA = {  # with libvpx-vp9 and yuva420p
 }  # fmt: skip
 
 
-def read_image(path: Path, channels: int, labels: bool = False) -> np.ndarray:
-    """Read a picture as 8 bits, turned as its metadata say.
+def read_image(path: Path, channels: int) -> np.ndarray:
+    """Read a picture, turned as its metadata say.
 
-    ``channels`` is 3 for RGB (H, W, 3), 4 for RGBA, or 1 for a mask (H, W), 255 inside:
-    :mod:`.mattes`. With ``labels``, those of a palette are kept, and values of 16 bits.
+    ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
+    (H, W), of 8 bits (:mod:`.mattes`) or 16, which :mod:`.mask_units` interprets.
     """
     from PIL import ImageOps
 
     with opened(path) as stored:
         image = ImageOps.exif_transpose(stored)
-        if labels and channels == 1 and image.mode.startswith("I"):
+        if channels == 1 and image.mode.startswith("I"):
             raw = np.asarray(image)
             if 0 <= raw.min(initial=0) <= raw.max(initial=0) <= 65535:
                 return raw.astype(np.uint16)
         image = to_8_bits(image)
         if channels == 1:
-            return matte_of(str(path), image, labels)
+            return matte_of(str(path), image)
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
 
 

@@ -18,7 +18,6 @@
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)
 ``other_views``         a data set's other cameras, held out
 ``footage``             pictures and masks of films, folders and arrays
-``mask_units``          units and labels of a video's masks
 ``normal_maps``         normals of another program
 ``prompts``             boxes and points on the person, for Segment Anything
 ``by_networks``         masks and normals by networks

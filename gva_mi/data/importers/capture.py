@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.data.importers.footage import Pictures, mask_meaning, masks
-from gva_mi.data.importers.mask_units import MaskMeaning
 from gva_mi.data.importers.tracks import Track
+from gva_mi.data.mask_units import MaskMeaning
 from gva_mi.data.video import Splits
 
 

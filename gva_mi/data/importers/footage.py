@@ -9,8 +9,8 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
-from gva_mi.data.importers.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.importers.numbering import by_number
+from gva_mi.data.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.mattes import matte_of_pixels
 from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
 
@@ -21,13 +21,13 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     """Yield the pictures of a film, a folder or files, turned as their metadata say.
 
-    ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W), 8-bit: :mod:`gva_mi.data.mattes`,
-    with labels as they are.
+    ``channels`` is 3 for RGB (H, W, 3), or 1 for the values of masks (H, W):
+    :mod:`gva_mi.data.mattes`.
     """
     files = files_of(source)
     if files is not None:
         for path in files:
-            yield read_image(path, channels, labels=True)
+            yield read_image(path, channels)
     elif source.suffix in (".npz", ".npy", ".pkl", ".pt"):
         raise InputError(
             f"{source}: expected a film, a folder of pictures, or for masks one .npy (T, H, W)"

@@ -22,10 +22,10 @@ from gva_mi.core.files import read_arrays, read_json
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.footage import files_of
-from gva_mi.data.importers.mask_units import MaskMeaning
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, make_track
+from gva_mi.data.mask_units import MaskMeaning
 
 _SMPL = (
     "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",

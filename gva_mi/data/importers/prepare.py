@@ -43,7 +43,6 @@ from gva_mi.data.importers.footage import (
 )
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.lens import filmed_with
-from gva_mi.data.importers.mask_units import require_person
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
 from gva_mi.data.importers.numbering import first_number
 from gva_mi.data.importers.other_views import known_names, write_views
@@ -53,6 +52,7 @@ from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
+from gva_mi.data.mask_units import require_person
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import POSES, save_cameras, spread

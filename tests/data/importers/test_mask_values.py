@@ -102,7 +102,7 @@ def test_labels_of_others_and_of_nobody_known_are_refused_by_name(container, tmp
     with pytest.raises(InputError, match="masks of labels 0-2, and nothing says which is"):
         list(masks(given))
     if container == "palettes":
-        with pytest.raises(InputError, match="a mask of labels 1, 2, such as of several people"):
+        with pytest.raises(InputError, match="masks of labels 0-2, and nothing says which is"):
             read_mask(given, 0)
 
 

@@ -18,23 +18,32 @@ from dataclasses import replace
 from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians
 from gva_mi.splat.kernels.sh import basis
 
-_HERE, _THERE = ((0.3, y, z) for y, z in ((0.5, 0.7), (-0.5, -0.7)))  # any direction, and turned
-_SIGNS = [
-    1.0 if a * b > 0 else -1.0
-    for a, b in zip(basis(MAX_DEGREE, *_HERE), basis(MAX_DEGREE, *_THERE), strict=True)
-]  # of the coefficients of spherical harmonics
+_SOMEWHERE = (0.3, 0.5, 0.7)  # any direction in which no basis function is zero
 
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
     """Turn Gaussians (torch tensors) half a turn about x, without rounding; its own inverse."""
+    return with_signs(gaussians, (1, -1, -1))
+
+
+def with_signs(gaussians: Gaussians, signs: tuple[int, int, int]) -> Gaussians:
+    """Change the signs of the axes x, y, z of Gaussians (torch tensors), without rounding.
+
+    An odd number of changes mirrors the scene; each ellipsoid is its own mirror image in the planes
+    of its axes, so that it keeps a rotation.
+    """
+    x, y, z = (float(sign) for sign in signs)
+    there = tuple(sign * c for sign, c in zip(signs, _SOMEWHERE, strict=True))
+    pairs = zip(basis(MAX_DEGREE, *_SOMEWHERE), basis(MAX_DEGREE, *there), strict=True)
+    of_colors = [1.0 if a * b > 0 else -1.0 for a, b in pairs]
     turned = {
-        "means": (1.0, -1.0, -1.0),
-        "quats": (1.0, 1.0, -1.0, -1.0),
-        "covars": (1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
+        "means": (x, y, z),
+        "quats": (1.0, y * z, x * z, x * y),
+        "covars": (1.0, x * y, x * z, 1.0, y * z, 1.0),
     }
     arrays = gaussians.arrays()
     changed = {k: x * x.new_tensor(turned[k]) for k, x in arrays.items() if k in turned}
     if gaussians.sh is not None:
         sh = gaussians.sh
-        changed["sh"] = sh * sh.new_tensor(_SIGNS[: sh.shape[1]])[:, None]
+        changed["sh"] = sh * sh.new_tensor(of_colors[: sh.shape[1]])[:, None]
     return replace(gaussians, **changed)

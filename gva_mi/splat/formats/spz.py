@@ -20,8 +20,9 @@ harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5
 ============  ==============================  ===========================  ======================
 
 Version 2 stores quaternions xyz in 3 × 8 bits. Harmonics keep all 8 bits here; Niantic's own
-program drops three or four. In a file y is up and z points to the viewer. Readers of this package
-return, and its writers take, the axes of the .ply of 3DGS (:mod:`gva_mi.splat.axes`).
+program drops three or four. In a file y is up and z points to the viewer, if no extension of Adobe
+says otherwise. Readers of this package return, and its writers take, the axes of the .ply of 3DGS
+(:mod:`gva_mi.splat.axes`).
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ import torch
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.splat.axes import half_turned
+from gva_mi.splat.axes import half_turned, with_signs
 from gva_mi.splat.formats.stored import Stored
 from gva_mi.splat.gaussians import Gaussians
 
@@ -50,8 +51,11 @@ _HEADER_4 = struct.Struct(
 )  # the last two: number of streams, and offset of their sizes
 _ANTIALIASED = 1  # the flag of opacities fitted with Mip-Splatting's filter
 _EXTENDED = 2  # the flag of extensions: behind the streams, in version 4 before them
-_OTHER_MEANING = (b"\x01\x00\xbe\xad", b"\x03\x00\xbe\xad")  # Adobe's, of harmonics and axes
-_EXTENSIONS = 256  # bytes that are looked at
+_HARMONICS, _AXES = 0xADBE0001, 0xADBE0003  # Adobe's extensions: another range, other axes
+_SYSTEMS = (
+    "RUB LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
+)  # where x, y, z point: right, up, down, back to the viewer, ...; without a number the usual ones
+_EXTENSIONS = 4096  # bytes that are looked at
 _MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
 _HALF = np.sqrt(0.5)  # bound of all components but the largest
@@ -129,18 +133,14 @@ def load_spz(path: Path) -> Gaussians:
     else:
         streams = _of_version_4(path, content, sizes)
         more = content[_HEADER_4.size : _HEADER_4.unpack(head)[-1]][:_EXTENSIONS]
-    if flags & _EXTENDED and any(tag in more for tag in _OTHER_MEANING):
-        raise InputError(
-            f"{path}: an extension gives it other axes or another range of harmonics, which is not "
-            "read; expected a .spz without one"
-        )
+    signs = _signs(path, more if flags & _EXTENDED else b"")
     if any(len(stream) != size for stream, size in zip(streams, sizes, strict=True)):
         raise InputError(f"{path}: cut short, {count} Gaussians were announced")
     rows = [
         np.frombuffer(stream, "u1").reshape(count, width)
         for stream, width in zip(streams, widths, strict=True)
     ]
-    found = half_turned(_gaussians(rows, bits, version))
+    found = with_signs(_gaussians(rows, bits, version), signs)
     return replace(found, antialiased=bool(flags & _ANTIALIASED))
 
 
@@ -159,6 +159,31 @@ def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
         opacities=tensor(opacities[:, 0] / 255),
         sh=tensor(np.concatenate([dc[:, None], higher], axis=1)),
     )
+
+
+def _signs(path: Path, extensions: bytes) -> tuple[int, int, int]:
+    """Return the signs that lead from a file's axes to those of a .ply: right, down, forward.
+
+    ``extensions`` are records of a type, a length, and so many bytes.
+    """
+    system, at = 0, 0
+    while at + 8 <= len(extensions):
+        kind, length = struct.unpack_from("<II", extensions, at)
+        if kind == _AXES and length == 4 and at + 12 <= len(extensions):
+            (system,) = struct.unpack_from("<I", extensions, at + 8)
+        elif kind in (_HARMONICS, _AXES):
+            raise InputError(
+                f"{path}: Adobe's extension {kind:#x} of {length} bytes says that its harmonics or "
+                "axes mean something else, which is not read; expected a .spz without it"
+            )
+        at += 8 + length
+    axes = _SYSTEMS[system] if system < len(_SYSTEMS) else f"number {system}"
+    if axes[0] not in "LR" or axes[1] not in "UD" or axes[2] not in "BF":
+        raise InputError(
+            f"{path}: an extension says that its axes are {axes}; expected y up or down, such as "
+            "RUB (right, up, back) or RDF"
+        )
+    return tuple(1 if axis in "RDF" else -1 for axis in axes)
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:

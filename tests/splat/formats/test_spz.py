@@ -116,6 +116,29 @@ def test_each_version_byte_by_byte(version, pack, quats, wanted, tmp_path):
     assert np.abs(g.quats[0].numpy() - unit).max() < 0.005
 
 
+@pytest.mark.parametrize("system, name, axes", [
+    (0, "RUB", (1, -1, -1)), (6, "RDF", (1, 1, 1)), (7, "LUF", (-1, -1, 1)),
+    (3, "LUB", (-1, -1, -1)),
+    (12, "RFU", None), (99, "number 99", None),
+])  # fmt: skip
+def test_axes_are_those_that_an_extension_names(system, name, axes, tmp_path):
+    """Other extensions are passed over; the numbers are those of Niantic's own program."""
+    path = tmp_path / "a.spz"
+    save_spz(path, some_gaussians())
+    usual = load_spz(path).means * torch.tensor([1, -1, -1])  # as they are stored
+    content = bytearray(gzip.decompress(path.read_bytes()))
+    content[14] = 2
+    content += struct.pack("<II3f", 0xADBE0002, 12, 1, 2, 3) + struct.pack(
+        "<III", 0xADBE0003, 4, system
+    )
+    path.write_bytes(gzip.compress(bytes(content)))
+    if axes is None:
+        with pytest.raises(InputError, match=f"its axes are {name}; expected y up or down"):
+            load_spz(path)
+    else:
+        assert torch.equal(load_spz(path).means, usual * torch.tensor(axes))
+
+
 def test_other_files_are_explained(tmp_path):
     path = tmp_path / "a.spz"
 
@@ -142,7 +165,7 @@ def test_other_files_are_explained(tmp_path):
     path.write_bytes(gzip.compress(bytes(content)))
     assert len(load_spz(path)) == 400  # what follows is no extension unless the header says so
     content[14] = 2
-    refused(gzip.compress(bytes(content)), "an extension gives it other axes or another range")
+    refused(gzip.compress(bytes(content)), "Adobe's extension 0xadbe0001 of 0 bytes says that its")
     whole = bytes_of(4, version_4, bytes(4))
     refused(whole[:-12], "damaged|cut short")
     refused(whole[:60], "holds 6 streams")

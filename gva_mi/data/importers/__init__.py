@@ -12,7 +12,8 @@
 ``lens``                focal lengths: assumed, recorded (``quicktime``), or given
 ``distortion``          pictures without their lens's distortion
 ``estimators``          one record for each pose estimator (``estimator_record``), and
-                        the readers of their files (``estimator_files``, ``smplx_json``)
+                        the readers of their files (``estimator_files``, ``people_files``,
+                        ``frame_files``, ``smplx_json``)
 ``motions``             AMASS, AIST++ and what estimators saw, as driving poses
 ``capture``             people with their pictures, masks and splits
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)

@@ -1,12 +1,14 @@
-"""Recognise and open the files of pose estimators, and yield the people in them.
+"""Open the files of pose estimators, look what they hold, and join frames to people.
 
-Each reader yields one :class:`SeenPerson` a person, with arrays (n, ...) under the file's own
-names. :mod:`.estimators` says what they mean.
+Readers (:mod:`.people_files`, :mod:`.frame_files`, :mod:`.smplx_json`) yield one
+:class:`SeenPerson` a person, with arrays (n, ...) under the file's own names. :mod:`.estimators`
+says what they mean.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.pickles.reader import read_objects
-from gva_mi.data.importers.lens import pinhole_K
-from gva_mi.data.importers.numbering import frame_numbers, frames_named, number_in
+from gva_mi.data.importers.numbering import frames_named
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.people import follow
 from gva_mi.data.importers.spellings import holds_pose, unnested
@@ -24,6 +25,7 @@ from gva_mi.data.importers.spellings import holds_pose, unnested
 ROMP = "results"  # the one key of ROMP's .npz
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
 _EXPECTED = "what a pose estimator wrote"
+_PICTURE = re.compile(r"\d\D*\.(png|jpe?g|bmp|webp)$", re.I)  # a numbered one
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,16 @@ def read_source(source: Path, expected: str = _EXPECTED) -> Any:  # noqa: ANN401
 
 
 def _joined(source: Path, found: Any) -> Any:  # noqa: ANN401
-    """Return the arrays of all frames of a list with a body's parameters a frame."""
+    """Return the arrays of all frames of a list with a body's parameters a frame.
+
+    A dictionary by the names of consecutive pictures is such a list.
+    """
     rows = found.tolist() if isinstance(found, np.ndarray) and found.dtype.hasobject else found
+    if isinstance(rows, dict) and all(_PICTURE.search(str(name)) for name in rows):
+        numbers = frames_named(list(rows)).tolist()
+        in_order = [row for _, row in sorted(zip(numbers, rows.values(), strict=True),
+                                             key=lambda pair: pair[0])]  # fmt: skip
+        rows = in_order if np.ptp(numbers) == len(set(numbers)) - 1 == len(rows) - 1 else None
     rows = [unnested(x) for x in rows] if isinstance(rows, list) else []
     if not rows or not all(map(holds_pose, rows)):
         return found
@@ -153,92 +163,3 @@ def any_holds(found: Any, *names: str) -> bool:  # noqa: ANN401
     """Whether one of a file's people, or frames, has all these names."""
     whole = isinstance(found, dict) and all(isinstance(p, dict) for p in found.values())
     return whole and any(holds(person, *names) for person in found.values())
-
-
-def wham(where: str, found: dict) -> Iterator[SeenPerson]:
-    """Read WHAM's file: one dictionary per person."""
-    for name, person in found.items():
-        ids = person["frame_ids" if "frame_ids" in person else "frame_id"]
-        yield SeenPerson(str(name), frame_numbers(ids), person)
-
-
-def wham_world(where: str, found: dict) -> Iterator[SeenPerson]:
-    """Read WHAM's people in world axes; frames without numbers are consecutive."""
-    for name, person in found.items():
-        if _is_placed(person):
-            every = np.arange(len(person["pose_world"]))
-            ids = person.get("frame_ids", person.get("frame_id", every))
-            yield SeenPerson(str(name), frame_numbers(ids), person)
-
-
-def is_wham_world(found: Any) -> bool:  # noqa: ANN401
-    return isinstance(found, Mapping) and any(map(_is_placed, found.values()))
-
-
-def _is_placed(person: Any) -> bool:  # noqa: ANN401
-    return isinstance(person, Mapping) and person.get("pose_world") is not None
-
-
-def phalp(where: str, found: dict) -> list[SeenPerson]:
-    """Read PHALP's (4D-Humans') file: one dictionary per frame, with lists of people."""
-    rows = []
-    for k, name in enumerate(sorted(found)):
-        frame = found[name]
-        number, tracked = int(frame.get("time", k)), frame.get("tracked_ids", frame["tid"])
-        tracked = {int(i) for i in tracked}
-        for person, smpl, camera in zip(frame["tid"], frame["smpl"], frame["camera"], strict=False):
-            if int(person) in tracked:
-                some = {key: smpl[key] for key in ("global_orient", "body_pose", "betas")}
-                rows.append((str(int(person)), number, some | {"camera": camera}))
-    return stacked(where, rows)
-
-
-def pymafx(where: str, found: dict) -> Iterator[SeenPerson]:
-    """Read PyMAF-X's batches of parameters; all people follow one another."""
-    frames = frame_numbers(found["frame_ids"])
-    names = ("body_pose", "shape", "left_hand_pose", "right_hand_pose", "jaw_pose", "leye_pose",
-             "reye_pose", "expression")  # fmt: skip
-    arrays = {
-        name: np.concatenate([np.asarray(batch[name]) for batch in found["smplx_params"]])
-        for name in names
-        if all(name in batch for batch in found["smplx_params"])
-    } | {"orig_cam_t": np.asarray(found["orig_cam_t"])}
-    for name, x in arrays.items():
-        if len(x) != len(frames):
-            raise InputError(f"{where}: '{name}' has {len(x)} rows for {len(frames)} frame_ids")
-    people = [str(p) for p in np.ravel(found.get("person_ids", ()))]
-    people = np.array(people if len(people) == len(frames) else ["0"] * len(frames))
-    for name in dict.fromkeys(people.tolist()):
-        rows = np.flatnonzero(people == name)
-        yield SeenPerson(name, frames[rows], {key: x[rows] for key, x in arrays.items()})
-
-
-def hybrik(where: str, found: dict) -> Iterator[SeenPerson]:
-    """Read HybrIK's person: matrices of SMPL's 24 joints or SMPL-X's 55, and a box per frame."""
-    frames = frames_named(np.ravel(found["img_path"]))
-    n = len(frames)
-    shapes = {"pred_thetas": (n, -1, 3, 3), "pred_betas": (n, -1), "bbox": (n, 4)}
-    arrays = {name: np.reshape(found[name], shape) for name, shape in shapes.items()}
-    arrays |= {name: np.broadcast_to(np.ravel(found[name]), n) for name in ("width", "height")}
-    yield SeenPerson("0", frames, arrays | {"pred_cam_root": found["pred_cam_root"]})
-
-
-def tram_files(found: Any) -> list[Path]:  # noqa: ANN401
-    return files_in(found, "hps/hps_track_*.npy", "hps_track_*.npy")
-
-
-def tram_camera(found: Path) -> dict:
-    """Read TRAM's lens and camera path (``pred_cam_R``, ``pred_cam_T``) from above ``hps/``."""
-    above = found if tram_files(found)[0].parent != found else found.parent
-    return read_named(above / "camera.npy", "img_focal and img_center, as TRAM writes")
-
-
-def tram(where: str, found: Path) -> Iterator[SeenPerson]:
-    """Read TRAM's folder: one file per person."""
-    about = tram_camera(found)
-    K = pinhole_K(np.ravel(about["img_focal"])[0], about["img_center"])
-    for path in tram_files(found):
-        person = read_source(path, "pred_rotmat, pred_trans and frame, as TRAM writes")
-        frames = frame_numbers(person["frame"])
-        pose = np.reshape(person["pred_rotmat"], (len(frames), -1, 3, 3))
-        yield SeenPerson(str(number_in(path)), frames, {**person, "pred_rotmat": pose, "K": K})

@@ -16,6 +16,7 @@ from gva_mi.body.pose import SMPLX_FIELDS
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import estimator_files as files
 from gva_mi.data.importers import frame_files as frames
+from gva_mi.data.importers import people_files as people
 from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers.estimator_files import SeenPerson, any_holds, holds
 from gva_mi.data.importers.estimator_record import (
@@ -83,18 +84,18 @@ def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN40
 def _gvhmr(name: str) -> Callable[[str, dict], Iterable[SeenPerson]]:
     """Return a reader of one of GVHMR's two parameter sets (camera or world) of one person."""
 
-    def people(where: str, found: dict) -> Iterable[SeenPerson]:
+    def one(where: str, found: dict) -> Iterable[SeenPerson]:
         person = found[name]
         yield SeenPerson(
             "0", np.arange(len(person["body_pose"])), {**person, "K": found.get("K_fullimg")}
         )
 
-    return people
+    return one
 
 
 def _along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
     """Transform TRAM's people to the world of its camera path."""
-    about = files.tram_camera(found)
+    about = people.tram_camera(found)
     if not holds(about, "pred_cam_R", "pred_cam_T"):
         return None
     R, T = (np.asarray(about[f"pred_cam_{x}"], np.float64) for x in "RT")
@@ -122,7 +123,17 @@ KINDS: dict[str, Estimator] = {
     "wham": Estimator(
         "people with pose, trans and frame_ids",
         lambda x: any(any_holds(x, "pose", "trans", key) for key in ("frame_ids", "frame_id")),
-        files.wham, lens_of_wham, {"pose": "pose", "transl": "trans", "betas": "betas?"},
+        people.wham, lens_of_wham, {"pose": "pose", "transl": "trans", "betas": "betas?"},
+    ),
+    "prompthmr": Estimator(
+        "people with smplx_cam, and a camera",
+        lambda x: people.of_prompthmr(x, "smplx_cam"), people.prompthmr("smplx_cam"), own_K,
+    ),
+    "vibe": Estimator(
+        "people with pose, orig_cam and frame_ids",
+        lambda x: any_holds(x, "pose", "orig_cam", "frame_ids"), people.vibe,
+        focal_of(lambda info: people.FAR_SHARE * info.size[0]),
+        {"pose": "pose", "transl": "place", "betas": "betas?"}, needs_video=True,
     ),
     "gvhmr": Estimator(
         "smpl_params_incam and K_fullimg",
@@ -130,7 +141,7 @@ KINDS: dict[str, Estimator] = {
     ),
     "4dhumans": Estimator(
         "frames with tid, smpl and camera",
-        lambda x: any_holds(x, "tid", "smpl", "camera"), files.phalp,
+        lambda x: any_holds(x, "tid", "smpl", "camera"), people.phalp,
         focal_of(lambda info: 5000 / 256 * max(info.size)),
         {"global_orient": "global_orient", "body_pose": "body_pose", "betas": "betas",
          "transl": "camera"},
@@ -138,18 +149,18 @@ KINDS: dict[str, Estimator] = {
     ),
     "pymafx": Estimator(
         "smplx_params, orig_cam_t and frame_ids",
-        lambda x: holds(x, "smplx_params", "orig_cam_t", "frame_ids"), files.pymafx,
+        lambda x: holds(x, "smplx_params", "orig_cam_t", "frame_ids"), people.pymafx,
         focal_of(lambda info: FAR_FOCAL), _PYMAFX, needs_video=True,
     ),
     "hybrik": Estimator(
         "pred_thetas, pred_cam_root and bbox",
-        lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), files.hybrik, lens_of_hybrik,
+        lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), people.hybrik, lens_of_hybrik,
         {"pose": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"}, of_pelvis=True,
         needs_video=True, first=1,
     ),
     "tram": Estimator(
         "a folder with hps/hps_track_0.npy and camera.npy",
-        lambda x: bool(files.tram_files(x)), files.tram, own_K,
+        lambda x: bool(people.tram_files(x)), people.tram, own_K,
         {"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
         along_path=_along_path, up=None,
     ),
@@ -183,8 +194,12 @@ KINDS: dict[str, Estimator] = {
 }  # fmt: skip
 WORLDS = {  # of people in the estimator's own world
     "wham": Estimator(
-        "people with pose_world", files.is_wham_world, files.wham_world, no_lens,
+        "people with pose_world", people.is_wham_world, people.wham_world, no_lens,
         {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"}, up="y",
+    ),
+    "prompthmr": Estimator(
+        "people with smplx_world", lambda x: people.of_prompthmr(x, "smplx_world"),
+        people.prompthmr("smplx_world"), no_lens, up="y",
     ),
     "gvhmr": Estimator(
         "smpl_params_global", lambda x: holds(x, "smpl_params_global"),

@@ -27,7 +27,7 @@ from gva_mi.data.importers.estimator_files import (
 )
 from gva_mi.data.importers.lens import lens_of
 from gva_mi.data.importers.numbering import frames_named
-from gva_mi.data.importers.spellings import SPELLINGS, holds_pose, unnested
+from gva_mi.data.importers.spellings import NamedArrays, holds_pose, unnested
 from gva_mi.data.importers.target import PELVIS
 
 # From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.
@@ -162,7 +162,7 @@ def parameters(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
     """Read one person from a file, or from one file per frame, by :mod:`.spellings`."""
     if isinstance(found, dict):
         found = unnested(found)
-        if not any(found.get(name) is not None for name in (*SPELLINGS["transl"], "Th")):
+        if not NamedArrays(where, found).holds("transl"):
             raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
         yield SeenPerson("0", None, found)
         return

@@ -32,7 +32,7 @@ import numpy as np
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import read_source
-from gva_mi.data.importers.fields import axis_angles
+from gva_mi.data.importers.joint_rotations import axis_angles
 from gva_mi.data.importers.numbering import counted_from_0
 
 SIDES = ("left", "right")

@@ -12,7 +12,6 @@ one usual lens: :mod:`.one_lens`. Estimators whose file does not say the lens ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,8 +25,9 @@ from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
-from gva_mi.data.importers.estimator_record import Estimator, VideoInfo
+from gva_mi.data.importers.estimator_record import Estimator, VideoInfo, lens_by_name
 from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
+from gva_mi.data.importers.frame_rate import FASTEST, rate_of
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.joint_motion import RATE, joints_in
 from gva_mi.data.importers.lens import through_lens
@@ -43,11 +43,9 @@ from gva_mi.data.importers.world import LEANS, UP, Upward, upright
 
 HANDS = ("relaxed", "flat")
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
-RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
-AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
-FASTEST = 10_000.0  # frames a second
 MOST_FRAMES = 1_000_000  # of one motion, after resampling
 FrameRate = Annotated[float, Within(0, FASTEST, "low")]
+_SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
 
 
 @dataclass(frozen=True)
@@ -152,6 +150,10 @@ def _resampled(
     if (lean := upward.lean(up)) >= LEANS:
         notes.append(f"the person leans {lean:.0f} degrees from that axis; --up takes another")
     rotations, places = upright(rotations, places, up)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    if len(steps) and (speed := np.median(steps) * options.fps) > _SPRINT:
+        notes.append(f"doubtful: the pelvis goes {speed:.0f} m in a second: in centimetres or "
+                     "millimetres? Translations must be metres")  # fmt: skip
     betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
     expression, of_face = body.expression(track.form, expression)
     notes = [*notes, *varied, *of_face]
@@ -171,7 +173,7 @@ def _read(
     where = str(path)
     if path.suffix.lower() == ".bvh":
         track, fps, notes = bvh_track(path, body)
-        return track, _rate(where, {"fps": fps}, options), None, notes
+        return track, rate_of(where, {"fps": fps}, options.source_fps), None, notes
     found = from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
@@ -187,7 +189,7 @@ def _read(
     if kind is not None and (kind != "parameters" or isinstance(found, Path)):
         record = WORLDS[kind] if world else KINDS[kind]
         track, notes = _estimated(kind, record, path, found, options.person, body)
-        return track, _rate(where, {}, options), record.up, notes
+        return track, rate_of(where, {}, options.source_fps), record.up, notes
     if isinstance(found, Path):
         poses = [n for n in ("poses_refined.npz", "poses.npz") if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
@@ -201,9 +203,11 @@ def _read(
             "camera.npy"
         )
     found = unnested(found)
-    track = make_track(where, "0", None, found, np.eye(3), body)
+    K = lens_by_name(where, found, VideoInfo((1000, 1000), 1.0))
+    K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
+    track, notes = _before_one_lens(make_track(where, "0", None, found, K, body))
     own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
-    return track, _rate(where, found, options), own, []
+    return track, rate_of(where, found, options.source_fps), own, notes
 
 
 def _estimated(
@@ -230,12 +234,17 @@ def _estimated(
             axes = standing if placed is None else "in the world of its camera's path"
             tracks = tracks if placed is None else placed
         track, notes = choose(str(path), tracks, person, None)
-        if not is_one_lens(track.K):
-            K = usual_lens(track.K)
-            track = through_lens(track, K)
-            notes.append(f"seen through another lens in each frame; placed before one of "
-                         f"{K[0, 0]:.0f} pixels")  # fmt: skip
-    return track, [f"{kind}, {axes}", *notes]
+    track, of_lens = _before_one_lens(track)
+    return track, [f"{kind}, {axes}", *notes, *of_lens]
+
+
+def _before_one_lens(track: Track) -> tuple[Track, list[str]]:
+    """Return a track placed before one usual lens, if it has another in each frame, and notes."""
+    if is_one_lens(track.K):
+        return track, []
+    K = usual_lens(track.K)
+    note = f"seen through another lens in each frame; placed before one of {K[0, 0]:.0f} pixels"
+    return through_lens(track, K), [note]
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -266,24 +275,3 @@ def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptio
             f"{where}: {gap:.3g} s in a row without numbers, in frames "
             f"{listed(np.flatnonzero(~known))}; --gap {options.gap:g} of gva-mi motion allows less"
         )
-
-
-def _rate(where: str, found: Mapping[str, Any], options: MotionOptions) -> float:
-    """Return the source's frames per second; 120.00004 becomes 120."""
-    if options.source_fps is not None:
-        return options.source_fps
-    name = next((name for name in RATES if name in found), None)
-    if name is None and "smpl_scaling" in found:
-        return AIST_RATE
-    if name is None:
-        raise InputError(
-            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps of "
-            "gva-mi motion"
-        )
-    try:
-        rate = float(np.ravel(found[name])[0])
-    except (ValueError, TypeError, IndexError):
-        rate = np.nan
-    if not 0 < rate <= FASTEST:
-        raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate

@@ -29,7 +29,7 @@ from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import SeenPerson, followed
 from gva_mi.data.importers.lens import lens_in, lens_of
 from gva_mi.data.importers.numbering import number_in
-from gva_mi.data.importers.spellings import SPELLINGS
+from gva_mi.data.importers.spellings import SPELLINGS, plain_name
 
 NAMES = {name for names in SPELLINGS.values() for name in names}
 _EXPECTED = "SMPL-X's parameters of a frame (.json)"
@@ -40,7 +40,7 @@ def is_osx(found: Any) -> bool:  # noqa: ANN401
     files = _files(found)
     first = read_json(files[0], _EXPECTED) if files else None
     params = first.get("smplx_param", first) if isinstance(first, dict) else None
-    return isinstance(params, dict) and {"root_pose", "body_pose"} <= set(params)
+    return isinstance(params, dict) and {"root_pose", "body_pose"} <= set(map(plain_name, params))
 
 
 def osx(where: str, found: Path) -> list[SeenPerson]:
@@ -57,8 +57,8 @@ def parameters(where: Path, params: Mapping[str, Any] | None = None) -> dict[str
     """Return a frame's parameters, flat, with its place as ``transl``; by default a file's own."""
     params = read_json(where, _EXPECTED) if params is None else params
     row = {
-        key: np.ravel(np.asarray(value, np.float64))
-        for key, value in params.items() if key in NAMES
+        plain_name(key): np.ravel(np.asarray(value, np.float64))
+        for key, value in params.items() if plain_name(key) in NAMES
     }  # fmt: skip
     place = next((name for name in SPELLINGS["transl"] if name in row), None)
     if place is None:

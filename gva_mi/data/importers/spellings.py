@@ -1,11 +1,13 @@
 """Names under which programs write a body's arrays, and where these lie in a file.
 
-The first name that a file holds is taken. Arrays may lie in a dictionary of their own, such as
+The first name that a file holds is taken, also in camel case or behind the name of a model
+(``smplx_body_pose``, ``bodyPose``). Arrays may lie in a dictionary of their own, such as
 ``params``, or be the file's only one, without a name.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +15,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 
-WHOLE = ("poses", "pose", "fullpose", "full_pose", "smpl_poses", "thetas", "smpl_thetas")
+WHOLE = ("poses", "pose", "fullpose", "full_pose", "thetas")
 SPELLINGS = {  # by our names; the first that a file holds is taken
     "global_orient": ("global_orient", "root_orient", "root_pose", "global_rot"),
     "body_pose": ("body_pose", "pose_body"),
@@ -21,12 +23,16 @@ SPELLINGS = {  # by our names; the first that a file holds is taken
     "right_hand_pose": ("right_hand_pose", "rhand_pose", "pose_rhand", "right_hand", "rhand"),
     "hands": ("pose_hand", "hand_pose"), "jaw_pose": ("jaw_pose", "pose_jaw"),
     "leye_pose": ("leye_pose",), "reye_pose": ("reye_pose",), "eyes": ("pose_eye", "eye_pose"),
+    "face": ("head_pose",),  # of Meshcapade's .smpl: jaw and eyes
     "transl": (
-        "trans", "transl", "smpl_trans", "translation", "global_body_translation", "root_trans",
-        "global_transl", "cam_trans",
+        "trans", "transl", "translation", "global_body_translation", "root_trans", "global_transl",
+        "cam_trans", "body_translation", "root_translation", "root_pos", "root_position", "tran",
+        "global_t", "Th",
     ),
-    "betas": ("betas", "beta", "shape", "shapes", "smpl_betas", "body_shape"),
-    "expression": ("expression", "expressions", "expr", "exp", "face_expr"),
+    "betas": ("betas", "beta", "shape", "shapes", "body_shape", "shape_parameters"),
+    "expression": (
+        "expression", "expressions", "expr", "exp", "face_expr", "expression_parameters",
+    ),
 }  # fmt: skip
 # Names of what is neither pose nor shape: lens, time, boxes.
 OTHERS = {
@@ -36,6 +42,7 @@ OTHERS = {
     "intrinsics",
     "focal",
     "focal_length",
+    "focal_l",
     "princpt",
     "bbox",
     "width",
@@ -48,6 +55,8 @@ OTHERS = {
     "offsets",
 }
 _DEEP = 3  # dictionaries in dictionaries
+_MODEL = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
+_CAMEL = re.compile("(?<=[a-z0-9])(?=[A-Z])")
 # By the numbers of a row, or of a frame's joints, what programs write without names.
 _NO_POSES = {
     (263,): "HumanML3D's features of a motion",
@@ -64,12 +73,12 @@ class NamedArrays(dict):
     def __init__(self, where: str, found: Mapping[str, Any]) -> None:
         super().__init__({k: x for k, x in found.items() if x is not None})
         self.where, self.taken = where, set()
+        self._own = {plain_name(k): k for k in reversed(self)}  # the first of a plain name
 
     def take(self, *names: str) -> tuple[str, np.ndarray] | tuple[None, None]:
         """Return name and numbers (float64, 1-D at least) of the first of ``names`` that is there;
         spellings of a part that is ours count as its names."""
-        names = [name for ours in names for name in SPELLINGS.get(ours, (ours,))]
-        name = next((name for name in names if name in self), None)
+        name = self._first(names)
         if name is None:
             return None, None
         self.taken.add(name)
@@ -82,9 +91,28 @@ class NamedArrays(dict):
                 f"{self.where}: '{name}' must be numbers, got {self[name]!s:.40}"
             ) from None
 
+    def holds(self, *names: str) -> bool:
+        """Whether one of ``names`` is there, or a spelling of it."""
+        return self._first(names) is not None
+
+    def cover(self, *names: str) -> None:
+        """Count ``names`` and their spellings as taken, because other arrays hold the same."""
+        spelled = {name for ours in names for name in SPELLINGS[ours]}
+        self.taken |= {own for plain, own in self._own.items() if plain in spelled}
+
+    def _first(self, names: tuple[str, ...]) -> str | None:
+        spelled = [name for ours in names for name in SPELLINGS.get(ours, (ours,))]
+        found = (name if name in self else self._own.get(name) for name in spelled)
+        return next((name for name in found if name is not None), None)
+
     def unused(self) -> tuple[str, ...]:
         """Return the names of arrays of numbers that were not taken."""
         return tuple(str(k) for k, x in self.items() if k not in self.taken and is_numbers(x))
+
+
+def plain_name(name: object) -> str:
+    """Return a name in lower case with underscores, without that of a model before it."""
+    return _MODEL.sub("", _CAMEL.sub("_", str(name)).lower())
 
 
 def is_numbers(x: Any) -> bool:  # noqa: ANN401
@@ -94,9 +122,10 @@ def is_numbers(x: Any) -> bool:  # noqa: ANN401
 
 def holds_pose(found: Any) -> bool:  # noqa: ANN401
     """Whether a file's content has the poses of a body by name."""
-    names = (*WHOLE, *SPELLINGS["body_pose"])
+    names = {*WHOLE, *SPELLINGS["body_pose"]}
     return isinstance(found, Mapping) and any(
-        found.get(name) is not None and not isinstance(found[name], Mapping) for name in names
+        plain_name(name) in names and x is not None and not isinstance(x, Mapping)
+        for name, x in found.items()
     )
 
 

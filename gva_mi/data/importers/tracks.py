@@ -92,7 +92,7 @@ def make_track(
         of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
     """
     of = find_body(where, found, None if body is None else body.components)
-    count = len(of.rotations)
+    joints, form, count = of.joints, of.joints.form, len(of.joints.rotations)
     frames = np.arange(count) if frames is None else frames
     K = np.broadcast_to(K, (count, 3, 3)) if K.shape in ((3, 3), (1, 3, 3)) else K
     if len(frames) != count or K.shape != (count, 3, 3):
@@ -108,11 +108,11 @@ def make_track(
     places = of.transl
     if places is None:
         places = np.zeros((count, 3))
-        notes.append("the source has no translation: the person stays in place")
+        notes.append("the source has no translation by a known name: the person stays in place")
     of_mean = False
     if not of_pelvis:
-        of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(of.form))
-        pelvis = np.array(PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
+        of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(form))
+        pelvis = np.array(PELVIS[form]) if body is None else body.pelvises(form, betas)
         if of.about_origin is not None:
             pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
         places = places + pelvis
@@ -120,8 +120,8 @@ def make_track(
         more = f" and {len(unused) - 12} more" if len(unused) > 12 else ""
         notes.append(f"not used of the source: {', '.join(unused[:12])}{more}")
     return Track(
-        person, frames, of.rotations, places, betas, K, of.form, of.has_hands, of.from_mean_hand,
-        of.expression, of_mean, tuple(notes),
+        person, frames, joints.rotations, places, betas, K, form, joints.has_hands,
+        joints.from_mean_hand, of.expression, of_mean, tuple(notes),
     )  # fmt: skip
 
 

@@ -80,6 +80,19 @@ def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk, joblib_dump):
         assert len(read_motion(tmp_path / name, TargetBody.read(None), options).pose) == 3
 
 
+def test_prompthmr_in_its_world(tmp_path, walk):
+    rotations, transl = walk(6)
+    world = {"pose": torch.from_numpy(rotations.reshape(6, 165)), "shape": torch.zeros(6, 10),
+             "trans": torch.from_numpy(transl)}  # fmt: skip
+    person = {"track_id": 1, "frames": np.arange(6), "smplx_cam": {}, "smplx_world": world}
+    found = {"camera": {"img_focal": 900.0, "img_center": [450.0, 450.0]}, "people": {1: person}}
+    torch.save(found, tmp_path / "results.pkl")
+    motion = read_motion(tmp_path / "results.pkl", TargetBody.read(None), OF_ESTIMATORS)
+    assert same(motion.pose.rotations[:, :22], rotations[:, :22])
+    moves_alike(motion, rotations, transl)
+    assert "prompthmr, in the axes of its world" in motion.notes
+
+
 def test_tram_follows_its_cameras_path(tmp_path, before_camera):
     """A camera that turns and walks: the person's path is that of the world all the same."""
     rotations, places, _, _ = before_camera

@@ -87,6 +87,33 @@ def gvhmr(folder, rotations, transl):
     return folder / "hmr4d_results.pt", "gvhmr, SMPL-X", CENTRED(70), SMPLX + transl
 
 
+def prompthmr(folder, rotations, transl):
+    """Hands and face are at rest, whatever they did."""
+    R = matrices(rotations)
+    R[:, 22:] = np.eye(3)
+    person = {"rotmat": tensor(R), "pose": tensor(flat(rotations, slice(0, 25))),
+              "shape": torch.zeros(FRAMES, 10), "trans": tensor(transl)}  # fmt: skip
+    frames = {"track_id": 3, "frames": np.arange(FRAMES), "bboxes": np.ones((FRAMES, 4))}
+    camera = {"pred_cam_R": R[:, 0], "pred_cam_T": transl, "img_focal": np.float32(70),
+              "img_center": CENTRED(70)[:2, 2]}  # fmt: skip
+    found = {"camera": camera, "people": {3: frames | {"smplx_cam": person}}, "has_tracks": True}
+    source = dumped(folder / "results.pkl", found)
+    return source, "prompthmr, SMPL-X", CENTRED(70), SMPLX + transl
+
+
+def vibe(folder, rotations, transl):
+    """PARE's names, too. A point x is drawn sx (x + tx) half widths from the middle."""
+    K = CENTRED(5000 / 224 * WIDTH)
+    sx = 2 * 5000 / 224 / transl[:, 2]
+    cam = np.stack([sx, sx * WIDTH / HEIGHT, transl[:, 0], transl[:, 1]], axis=1)
+    drawn = (cam[:, :2] * cam[:, 2:] + 1) * [WIDTH / 2, HEIGHT / 2]
+    assert np.allclose(drawn, (K @ transl[..., None])[:, :2, 0] / transl[:, 2:])
+    person = {"pred_cam": np.ones((FRAMES, 3)), "orig_cam": cam, "betas": np.zeros((FRAMES, 10)),
+              "pose": flat(of_smpl(rotations), slice(0, 24)), "bboxes": np.ones((FRAMES, 4)),
+              "verts": np.zeros((FRAMES, 9, 3)), "frame_ids": np.arange(FRAMES)}  # fmt: skip
+    return dumped(folder / "vibe_output.pkl", {1: person}), "vibe, SMPL", K, SMPL + transl
+
+
 def four_d_humans(folder, rotations, transl):
     R, found = matrices(rotations), {}
     for k in range(FRAMES):
@@ -323,8 +350,8 @@ def scaled(folder, rotations, transl, name, key):
 
 
 WRITTEN = {f.__name__: f for f in (
-    wham, gvhmr, four_d_humans, pymafx, hybrik, tram, multihmr, smplifyx, smplerx, osx,
-    fork_of_smplest_x, parameters, parameters_a_frame, parameters_of_smpl,
+    wham, gvhmr, prompthmr, vibe, four_d_humans, pymafx, hybrik, tram, multihmr, smplifyx, smplerx,
+    osx, fork_of_smplest_x, parameters, parameters_a_frame, parameters_of_smpl,
 )} | {f"romp {form}": partial(romp, form=form) for form in ("frames", "video", "bev")} | {
     "hybrik of SMPL-X": partial(hybrik, joints=55),
     "smplifyx with PCA": partial(smplifyx, components=12),

@@ -98,7 +98,7 @@ def test_easymocap_with_hands(tmp_path, filmed, seen, thetas, world, prepared, c
     stands(folder, rotations, seen[1], filmed.K, joints=55)
     pca = filmed.easymocap(tmp_path / "pca", (*people[:2], poses[:, :78]))
     code, _, err = cli("prepare", "auto", pca, tmp_path / "b", *filmed.BUILT_IN_BODY)
-    assert code == 2 and "'poses' has 78 numbers a frame; expected 165 (SMPL-X), 156" in err
+    assert code == 2 and "'poses' has 78 numbers a frame; expected axis-angle, 165" in err
 
 
 def test_views_of_cameras_of_different_sizes(tmp_path, filmed, thetas, world, prepared):

@@ -40,6 +40,10 @@ SPELLED = {
                     left_hand_pose="pose_lhand", right_hand_pose="pose_rhand"),
     "OSX's": dict(global_orient="root_pose", left_hand_pose="lhand_pose",
                   right_hand_pose="rhand_pose"),
+    "a network's": {name: f"smplx_{name}" for name in (
+        "global_orient", "body_pose", "jaw_pose", "left_hand_pose", "right_hand_pose")},
+    "camel case": dict(global_orient="globalOrient", body_pose="bodyPose", jaw_pose="jawPose",
+                       left_hand_pose="leftHandPose", right_hand_pose="rightHandPose"),
     "mixed": dict(body_pose="pose_body", left_hand_pose="left_hand", right_hand_pose="right_hand"),
 }  # fmt: skip
 
@@ -48,9 +52,9 @@ SPELLED = {
 def test_parts_under_other_names_are_the_same_joints(name, motion):
     rotations, named = motion
     found = find_body("x", renamed(named, **SPELLED[name]))
-    assert found.form == "SMPL-X" and found.has_hands and not found.unused
+    assert found.joints.form == "SMPL-X" and found.joints.has_hands and not found.unused
     for joints in (slice(0, 23), slice(25, 55)):
-        assert np.array_equal(found.rotations[:, joints], rotations[:, joints])
+        assert np.array_equal(found.joints.rotations[:, joints], rotations[:, joints])
 
 
 def test_the_root_may_lie_in_the_bodys_pose_in_any_form(motion):
@@ -60,13 +64,56 @@ def test_the_root_may_lie_in_the_bodys_pose_in_any_form(motion):
     for body in (smpl.reshape(T, 72), smpl, matrices(smpl), matrices(smpl).reshape(T, 216),
                  rotations[:, :22].reshape(T, 66)):  # fmt: skip
         found = find_body("x", {"body_pose": body, "beta": np.ones((1, 10))})
-        assert np.abs(matrices(found.rotations[:, :22]) - matrices(rotations[:, :22])).max() < 1e-9
-        assert found.form == "SMPL" and found.betas.shape == (10,)
+        assert (
+            np.abs(matrices(found.joints.rotations[:, :22]) - matrices(rotations[:, :22])).max()
+            < 1e-9
+        )
+        assert found.joints.form == "SMPL" and found.betas.shape == (10,)
     for whole, root in (("poses", smpl[:, 1:].reshape(T, 69)), ("pose", rotations[:, 1:22])):
         found = find_body("x", {whole: root, "global_orient": rotations[:, 0]})
-        assert np.array_equal(found.rotations[:, :22], rotations[:, :22])
-    with pytest.raises(InputError, match="'body_pose' has 63 numbers a frame; expected 165"):
+        assert np.array_equal(found.joints.rotations[:, :22], rotations[:, :22])
+    with pytest.raises(InputError, match="'body_pose' has 63 numbers a frame; expected axis"):
         find_body("x", {"body_pose": rotations[:, 1:22].reshape(T, 63)})
+
+
+@pytest.mark.parametrize("joints, form", [(22, "SMPL-X"), (24, "SMPL")])
+def test_hands_and_jaw_may_lie_beside_a_whole_pose(joints, form, motion):
+    rotations, named = motion
+    whole = np.concatenate([rotations[:, :22], np.ones((T, joints - 22, 3))], axis=1)
+    parts = {name: named[name] for name in ("jaw_pose", "left_hand_pose", "right_hand_pose")}
+    found = find_body("x", {"bodyPose": whole, **parts})
+    assert found.joints.form == form and found.joints.has_hands and not found.unused
+    for part in (slice(0, 23), slice(25, 55)):
+        assert np.array_equal(found.joints.rotations[:, part], rotations[:, part])
+
+
+def test_parts_that_a_whole_pose_repeats_are_not_called_unused(motion):
+    """AMASS of SMPL-X and GRAB hold both, GRAB with hands as components."""
+    rotations, named = motion
+    whole = {"fullpose": rotations.reshape(T, 165), **named, "right_hand_pose": np.ones((T, 24))}
+    found = find_body("x", whole)
+    assert np.array_equal(found.joints.rotations, rotations) and not found.unused
+
+
+@pytest.mark.parametrize("change, words", [
+    (lambda x: {**x, "transl": np.zeros((3, T))}, r"'transl' must be \(6, 3\), got \(3, 6\)"),
+    (lambda x: {**x, "body_pose": x["body_pose"].T}, r"'body_pose' must be \(6, 63\)"),
+    (lambda x: {name: np.degrees(part) for name, part in x.items()}, "rotations in degrees"),
+    (lambda x: {"poses": np.zeros((T, 22, 6))}, "132 numbers a frame, such as two columns"),
+    (lambda x: {"poses": np.zeros((T, 24, 4))}, "96 numbers a frame, such as quaternions"),
+])  # fmt: skip
+def test_rows_for_columns_and_other_rotations_are_refused(change, words, motion):
+    with pytest.raises(InputError, match=words):
+        find_body("x", change(motion[1]))
+
+
+def test_axes_of_length_1_do_not_count(motion):
+    """A batch of one motion, and a list of single people as NLF returns it."""
+    rotations, _ = motion
+    smpl = np.concatenate([rotations[:, :22], np.zeros((T, 2, 3))], axis=1).reshape(T, 72)
+    for pose in (smpl[None], smpl[:, None], matrices(smpl.reshape(T, 1, 24, 3))):
+        found = find_body("x", {"pose": pose, "trans": np.ones((T, 1, 3))})
+        assert np.allclose(matrices(found.joints.rotations[:, :22]), matrices(rotations[:, :22]))
 
 
 def test_a_single_frame_may_lack_its_axis(motion):
@@ -74,8 +121,8 @@ def test_a_single_frame_may_lack_its_axis(motion):
     frame = {"global_orient": rotations[0, 0], "body_pose": rotations[0, 1:22],
              "left_hand_pose": rotations[0, 25:40]}  # fmt: skip
     found = find_body("x", frame)
-    assert np.array_equal(found.rotations[0, :22], rotations[0, :22])
-    assert np.array_equal(found.rotations[0, 25:40], rotations[0, 25:40])
+    assert np.array_equal(found.joints.rotations[0, :22], rotations[0, :22])
+    assert np.array_equal(found.joints.rotations[0, 25:40], rotations[0, 25:40])
 
 
 def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
@@ -86,7 +133,7 @@ def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
         {"params": named, "gender": "neutral"}, {"smplx": packed, "fps": 30},
         {"result": {"smpl_params": named}, "joints": np.zeros((T, 144, 2))},
     ):  # fmt: skip
-        assert np.array_equal(find_body("x", found).rotations[:, :22], rotations[:, :22])
+        assert np.array_equal(find_body("x", found).joints.rotations[:, :22], rotations[:, :22])
     two = {"first": named, "second": named}
     with pytest.raises(InputError, match="holds poses in several dictionaries, first, second"):
         find_body("x", two)
@@ -104,18 +151,44 @@ def test_a_list_of_frames_is_a_motion(tmp_path, motion):
         )
 
 
+def test_a_dictionary_by_pictures_is_a_motion_and_one_by_people_is_not(tmp_path, motion):
+    rotations, named = motion
+    options = MotionOptions(fps=30, source_fps=30, hands="flat")
+    order = [3, 1, 0, 2, 5, 4]
+    for name in ("{:06d}.png", "{}"):
+        frames = {name.format(k): {n: x[k : k + 1] for n, x in named.items()} for k in order}
+        (tmp_path / "m.pkl").write_bytes(pickle.dumps(frames))
+        read = lambda: read_motion(tmp_path / "m.pkl", TargetBody.read(None), options)
+        if name == "{}":
+            with pytest.raises(InputError, match="holds poses in several dictionaries"):
+                read()
+        else:
+            found = read().pose.rotations[:, :22]
+            assert np.abs(matrices(found) - matrices(rotations[:, :22])).max() < 1e-5
+
+
+def test_a_place_in_other_units_is_doubted(tmp_path, motion):
+    path = np.outer(np.arange(T), [40.0, 0, 0])  # 4 cm a frame, in millimetres
+    for scale, doubts in ((0.001, 0), (1, 1)):
+        np.savez(tmp_path / "m.npz", **motion[1], trans=scale * path, fps=30)
+        notes = read_motion(tmp_path / "m.npz", TargetBody.read(None), MotionOptions(fps=30)).notes
+        assert sum("doubtful: the pelvis goes 1200 m in a second" in n for n in notes) == doubts
+
+
 def test_what_is_not_used_is_named_and_a_missing_place_is_said(motion):
     _, named = motion
     more = {"dmpls": np.zeros((T, 8)), "markers": np.zeros((T, 41, 3)), "K": np.eye(3),
             "gender": "male", "fps": 30.0, "leye_pose": np.zeros((T, 3))}  # fmt: skip
     track = make_track("x", "0", None, named | more, np.eye(3))
     assert track.notes == (
-        "the source has no translation: the person stays in place",
+        "the source has no translation by a known name: the person stays in place",
         "not used of the source: dmpls, markers",
     )
 
 
-@pytest.mark.parametrize("name", ["global_body_translation", "smpl_trans", "root_trans"])
+@pytest.mark.parametrize("name", [
+    "global_body_translation", "smpl_trans", "root_trans", "bodyTranslation", "tran", "Th",
+])  # fmt: skip
 def test_translations_under_other_names_move_the_body(name, motion):
     _, named = motion
     moves = np.outer(np.arange(T), [0.1, 0, 0])

@@ -89,6 +89,22 @@ def test_who_stands_still_is_one_person_and_does_not_move(kind, tmp_path):
     assert any("another lens in each frame" in note for note in motion.notes)
 
 
+def test_a_lens_a_frame_of_parameters_by_name_is_no_motion(tmp_path):
+    """As of SMPLer-X, in one file with K, or with CLIFF's names and one axis."""
+    pose = {"pose": np.tile([np.pi] + 71 * [0.0], (6, 1))}
+    pelvis = np.array([-0.0018, -0.2233, 0.0282])
+    np.savez(tmp_path / "K.npz", **pose, transl=STANDS - pelvis, K=lenses())
+    K = np.array([np.diag([focal, focal, 1]) for focal in lenses()[:, 0, 0]])
+    K[:, :2, 2] = 500  # as if of pictures of 1000 by 1000, whose size no file says
+    places = seen_alike(STANDS, lenses(), K)
+    np.savez(tmp_path / "focal.npz", **pose, global_t=places - pelvis, focal_l=K[:, 0, 0])
+    for name in ("K.npz", "focal.npz"):
+        options = MotionOptions(fps=30, source_fps=30)
+        motion = read_motion(tmp_path / name, TargetBody.read(None), options)
+        assert motion.pose.transl.norm(dim=1).max() < 1e-4
+        assert any("another lens in each frame" in note for note in motion.notes)
+
+
 def test_who_walks_goes_as_far_as_before_the_usual_lens(tmp_path):
     """The depth of a step follows from the lens that is supposed, the sideways one does not."""
     boxes = BOXES + np.outer(np.arange(6), [0, 90])

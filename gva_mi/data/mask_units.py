@@ -3,8 +3,9 @@
 One mask alone says little: a person who has left the picture has an empty one, and a segmenter's
 noise of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
 
-Whole numbers from 0 to at most 127 are labels. The only label beside 0 is the person's; of several,
-the one under the person's joints: :func:`gva_mi.data.importers.people.label_under`.
+Few whole numbers that never come near the unit are labels, and so are those beside a border of 255,
+which is nobody's. The only label beside 0 is the person's; of several, the one under the person's
+joints: :func:`gva_mi.data.importers.people.label_under`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from gva_mi.core.errors import InputError
 BARELY = 127  # 8-bit masks above this are inside
 _MOST = 64  # labels; more values are those of a soft and dim mask
 _FEW = 6  # values that are named
+_NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
+_BORDER = 255  # round each object of PASCAL VOC's and others' drawings of labels
 
 
 @dataclass(frozen=True)
@@ -60,23 +63,43 @@ class MaskMeaning:
 
 def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
     """Return what the values of a video's masks (H, W) mean."""
-    full, whole, found = 1, True, set()
+    full, found = 1, set()  # of labels; None: they are none
     for mask in masks:
         if mask.dtype.kind == "b":
             return MaskMeaning(1)
         most = mask.max(initial=0)
         full = max(full, _full(mask.dtype, most))
-        if mask.dtype == np.uint8 and most > BARELY:
-            return MaskMeaning(255)  # no later mask of 8 bits says more
-        whole = whole and most <= BARELY and len(found) <= _MOST
-        whole = whole and (mask.dtype.kind in "iu" or bool((mask == np.floor(mask)).all()))
-        if whole and mask.min(initial=0) >= 0:
-            found |= set(np.flatnonzero(np.bincount(mask.ravel().astype(np.uint8))).tolist())
-    if full == 1 or not whole or len(found) > _MOST:
+        counts = None if found is None else _whole_numbers(mask)
+        if full > 1 and most >= _NEARLY * full and not (counts and _drop_border(counts)):
+            if mask.dtype == np.uint8 or full > 255:
+                return MaskMeaning(full)  # no later mask says more
+            counts = None
+        found = None if counts is None else found | set(counts)
+        found = None if found is None or len(found) > _MOST else found
+    if full == 1 or found is None:
         return MaskMeaning(full)
     labels = tuple(sorted(found))
     people = tuple(x for x in labels if x) if 0 in labels and len(labels) == 2 else labels
     return MaskMeaning(255, labels, people[0] if len(people) == 1 else None)
+
+
+def _drop_border(counts: dict[int, int]) -> bool:
+    """Remove the border's value from the counts of a drawing of labels; False if it is none."""
+    labels = [count for value, count in counts.items() if 0 < value <= BARELY]
+    if max(counts) != _BORDER or any(BARELY < value < _BORDER for value in counts):
+        return False
+    return sum(labels) > counts[_BORDER] and bool(counts.pop(_BORDER))
+
+
+def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
+    """Count the values of a mask, if they are whole numbers from 0 on, else None."""
+    if mask.dtype == np.uint8:
+        counts = np.bincount(mask.ravel(), minlength=256)
+        return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
+    if not (mask >= 0).all() or (mask.dtype.kind == "f" and (mask != np.floor(mask)).any()):
+        return None
+    values, counts = np.unique(mask, return_counts=True)
+    return dict(zip(map(int, values), map(int, counts), strict=True))
 
 
 def _full(dtype: np.dtype, most: float) -> int:

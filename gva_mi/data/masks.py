@@ -19,7 +19,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
-from gva_mi.data.mask_units import BARELY, MaskMeaning, meaning_of
+from gva_mi.data.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.pictures import read_image
 
 
@@ -33,9 +33,9 @@ def read_mask(folder: Path, index: int) -> np.ndarray | None:
     if mask.ndim != 2:
         raise InputError(f"{path}: a mask must be (H, W), got {mask.shape}")
     if mask.dtype.kind in "iu":
-        most, meaning = mask.max(initial=0), MaskMeaning()
-        if mask.dtype != np.uint8 or 0 < most <= BARELY:  # else no other mask says more
-            meaning = _meaning(folder, folder.stat().st_mtime_ns, mask.dtype)
+        if not mask.any():
+            return mask.astype(np.float32)
+        meaning = _meaning(folder, folder.stat().st_mtime_ns, mask.dtype)
         return meaning.inside(str(path), mask).astype(np.float32) / 255
     if mask.dtype.kind not in "bf":
         raise InputError(f"{path}: a mask must be Boolean or numbers, got {mask.dtype}")

@@ -87,7 +87,8 @@ def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
 
 def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
     """Open a stack of masks (T, H, W) of any number type."""
-    stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
+    one = [axis for axis in (1, 3) if stack.ndim == 4 and stack.shape[axis] == 1]
+    stack = stack.squeeze(one[-1]) if one else stack  # the channels of a network's masks
     if stack.ndim != 3 or stack.dtype.kind not in "bufi":
         raise InputError(f"{path}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
     return stack

@@ -72,6 +72,28 @@ def test_a_subjects_own_masks_are_in_one_unit_too(container, tmp_path):
     assert read_mask(folder, 0).max() == 1 and np.array_equal(read_mask(folder, 1) > 0.5, ME)
 
 
+RING = np.indices(SHAPE).sum(0) % 7 == 0  # pixels here and there
+
+
+@pytest.mark.parametrize("drawn", [
+    [200 * ME, 0 * ME], [128 * ME, 128 * ME], [np.uint16(43690) * ME, 256 * OTHER * 0],
+    [np.where(ME & RING, 255, ME)] * 2,
+], ids=["a label above half", "grey", "16 bits", "a label within a border"])  # fmt: skip
+@pytest.mark.parametrize("container", ["arrays", "array"])
+def test_few_numbers_below_the_unit_are_labels(drawn, container, tmp_path):
+    """Else a person is half transparent, or the border is taken for the person."""
+    given = stored(tmp_path / "m", [np.asarray(x, np.uint16) for x in drawn], container)
+    ring = RING & (drawn[0].max() == 255)
+    for k, mask in enumerate(masks(given)):
+        assert np.array_equal(mask, 255 * ((drawn[k] > 0) & ~ring))
+
+
+def test_masks_with_an_axis_of_channels_are_a_stack(tmp_path):
+    for axis in (1, 3):
+        np.save(tmp_path / "m.npy", np.expand_dims(np.stack([ME, ME]), axis))
+        assert all(np.array_equal(mask > 127, ME) for mask in masks(tmp_path / "m.npy"))
+
+
 PEOPLE = 2 * ME + OTHER  # two people, by number
 ALONE = {"me": 2 * ME, "other": 1 * OTHER}  # where one is alone in the picture
 

@@ -105,6 +105,8 @@ def arrays_in(
 ) -> Iterator[tuple[str, bytes]]:
     """Yield name and ``.npy`` content of the arrays in an ``.npz``, or of ``only`` some of them."""
     names = [name.removesuffix(".npy") for name in file.namelist() if name.endswith(".npy")]
+    if not names and any(name.rsplit("/")[-1] == "data.pkl" for name in file.namelist()):
+        raise Refused("a file of torch; gsplat's export_splats writes its splats as .ply")
     if not names:
         raise Damaged("a zip without arrays")
     for name in names:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
-
 SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
 # x264 writes its settings into the file, the number of threads among them: always use one.
 LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
@@ -143,12 +142,27 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
     """Yield the frames of a film."""
     count = 0
     with decoding(path), open_film(path) as container:
-        for frame in container.decode(video=0):
+        for frame in _with_alpha(container):
             require_size(str(path), frame.width, frame.height)
             yield frame
             count += 1
     if not count:
         raise InputError(f"{path}: holds no picture")
+
+
+def _with_alpha(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """Yield the frames of a film; with their alpha, which FFmpeg's own decoder of VP9 drops."""
+    import av
+
+    stream = container.streams.video[0]
+    decoder = {"vp8": "libvpx", "vp9": "libvpx-vp9"}.get(stream.codec_context.name)
+    alpha = ("alpha_mode", "1") in {(key.lower(), x) for key, x in stream.metadata.items()}
+    if not alpha or decoder not in av.codecs_available:
+        yield from container.decode(stream)
+        return
+    decoder = av.CodecContext.create(decoder, "r")
+    for packet in container.demux(stream):
+        yield from decoder.decode(packet)
 
 
 def open_film(path: Path) -> av.container.InputContainer:

@@ -71,7 +71,7 @@ def load_splat(path: Path) -> Gaussians:
     return Gaussians(
         means=tensor(rows["means"]),
         quats=(tensor(rows["quats"]) - 128) / 128,
-        scales=tensor(rows["scales"]),
+        scales=tensor(np.abs(rows["scales"])),  # viewers square them
         opacities=rgba[:, 3],
         colors=rgba[:, :3],
     )

@@ -95,7 +95,12 @@ def _harmonics(gaussians: Gaussians) -> Tensor:
 
 
 def _finite(gaussians: Gaussians) -> Tensor:
-    """Whether all numbers of each Gaussian are finite in float32, (N,)."""
-    arrays = gaussians.arrays().values()
-    rows = [torch.isfinite(x.detach().float())[:, None].flatten(1).all(1) for x in arrays]
+    """Whether all numbers of each Gaussian are finite in float32, (N,).
+
+    So are those of its rotation, which a quaternion of no length has not.
+    """
+    arrays = gaussians.arrays()
+    rows = [torch.isfinite(x.detach().float())[:, None].flatten(1).all(1) for x in arrays.values()]
+    if "quats" in arrays:
+        rows.append(arrays["quats"].detach().abs().sum(1) > 0)
     return torch.stack(rows).all(0)

@@ -7,7 +7,7 @@ from PIL import Image
 from gva_mi import InputError
 from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_alpha_film, write_movie
 
 SHAPE, FRAMES = (48, 64), 5
 ME, OTHER = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
@@ -86,6 +86,15 @@ def test_few_numbers_below_the_unit_are_labels(drawn, container, tmp_path):
     ring = RING & (drawn[0].max() == 255)
     for k, mask in enumerate(masks(given)):
         assert np.array_equal(mask, 255 * ((drawn[k] > 0) & ~ring))
+
+
+def test_a_film_of_vp9_keeps_its_alpha(tmp_path):
+    """FFmpeg's own decoder drops it, and a person in colours is no mask."""
+    color = np.stack([200 * ME, 90 * OTHER, 0 * ME, 255 * ME], axis=-1).astype(np.uint8)
+    write_alpha_film(tmp_path / "m.webm", [color, color])
+    found = list(masks(tmp_path / "m.webm"))
+    assert len(found) == 2
+    assert all(((mask > 127) != ME).mean() < 0.01 for mask in found)
 
 
 def test_masks_with_an_axis_of_channels_are_a_stack(tmp_path):

@@ -80,9 +80,10 @@ def test_numbers_that_are_not_finite_are_refused_or_left_out(tmp_path, name):
     save, load = FORMATS[name]
     good = load_given(4)
     for field, value in (("means", torch.nan), ("quats", torch.inf), ("scales", -torch.inf),
-                         ("opacities", torch.nan), ("sh", torch.nan), ("means", 1e39)):  # fmt: skip
+                         ("opacities", torch.nan), ("sh", torch.nan), ("means", 1e39),
+                         ("quats", torch.zeros(4))):  # fmt: skip
         array = getattr(good, field).double().clone()
-        array[2].view(-1)[-1] = value
+        array[2].view(-1)[-1 if isinstance(value, float) else slice(4)] = value
         bad = replace(good, **{field: array})
         (tmp_path / "a").write_text("older")
         with pytest.raises(InputError, match="a: 1 of 4 Gaussians hold NaN .* number 2; expected"):

@@ -28,6 +28,7 @@ from gva_mi.core.tasks import run
 from gva_mi.data.video import Video
 from gva_mi.pose.job import RefineOptions
 from gva_mi.pose.observed_video import ObservedVideo, Refined, simplified_body
+from gva_mi.pose.one_lens import as_filmed, before_one_lens
 
 
 def refine(
@@ -71,7 +72,11 @@ def refine_all(
         The results in the order of the tasks, each as soon as it is done.
     """
     simplified = cache(partial(simplified_body, body))  # shared by videos with equal options
-    videos = [ObservedVideo.of(video, simplified, options) for video, options in tasks]
+    given = [(before_one_lens(video, body), video) for video, _ in tasks]
+    videos = [
+        ObservedVideo.of(video, simplified, options)
+        for (video, _), (_, options) in zip(given, tasks, strict=True)
+    ]
     first = [video.first_task() for video in videos]
     steps = sum(task.steps for task in first if task is not None)
     later = sum(video.clip_steps for video in videos)
@@ -89,5 +94,6 @@ def refine_all(
         executor,
         within(progress, steps, later, steps + later),
     )
-    for video, of_video, tasks in zip(videos, known, second, strict=True):
-        yield video.finished(of_video, [next(found) for _ in tasks])
+    for video, lenses, of_video, tasks in zip(videos, given, known, second, strict=True):
+        refined = video.finished(of_video, [next(found) for _ in tasks])
+        yield as_filmed(refined, *lenses, body)

@@ -72,8 +72,9 @@ def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN40
     if isinstance(found, Mapping) and _OF_MHR & set(map(str, found)):
         raise InputError(
             f"{where}: holds parameters of MHR, as SAM 3D Body writes, which is another body than "
-            "SMPL-X; MHR's own conversion, convert_sam3d_output_to_smplx, fits SMPL-X to it: save "
-            "its result_parameters by name (.npz)"
+            "SMPL-X; convert_sam3d_output_to_smplx of tools/mhr_smpl_conversion in MHR's "
+            "repository, not in its pip package, fits SMPL-X to it: save its result_parameters by "
+            "name (.npz)"
         )
     if deep and isinstance(found, Mapping | list | tuple):
         inner = found.values() if isinstance(found, Mapping) else found

@@ -34,7 +34,9 @@ _NO_ANGLES = {  # of a row: numbers of other rotations, whose order programs do 
     for k, words in ((4, "quaternions"), (6, "two columns or rows of matrices (6D)"))
 }  # fmt: skip
 _FINGERS = 3 * (LEFT_HAND.stop - LEFT_HAND.start)  # numbers of a hand in axis-angle
-_WHOLE_TURN = 2 * np.pi  # no unwrapping makes a limb's rotation more than that
+# Some programs add whole turns to a limb's rotation, but not so many; in degrees, arms that hang
+# down are turned by more than this.
+_TURNS = 4 * 2 * np.pi
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def find_rotations(
         return None
     found = found if found.has_hands else _with_parts(arrays, found, form, components)
     turns = np.linalg.norm(found.rotations[:, 1:], axis=2)
-    if (largest := float(np.nanmax(np.nanmedian(turns, axis=0), initial=0))) > _WHOLE_TURN:
+    if (largest := float(np.nanmax(np.nanmedian(turns, axis=0), initial=0))) > _TURNS:
         raise InputError(
             f"{arrays.where}: a limb is turned by {largest:.0f} radians in most frames, such as by "
             "rotations in degrees; expected axis-angle in radians"

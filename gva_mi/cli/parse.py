@@ -164,7 +164,7 @@ def _number(
             number = None
         if number not in within:
             form = "a whole number" if kind is int else "a number"
-            refusals.append(f"must be {form} {within}, got {words[0]}")
+            refusals.append(f"must be {form} {within}, got {words[0] or 'nothing'}")
             raise ValueError(refusals[-1])
         return number
 

@@ -48,7 +48,7 @@ class CameraPath:
     turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
     # Angle of the cameras above the middle of the person.
     elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
-    distance: Annotated[float, Within(0, 100, "low")] = 1.0  # factor; 1: the whole motion fits
+    distance: Annotated[float, Within(0.01, 100)] = 1.0  # factor; 1: the whole motion fits
     # Width and height, pixels.
     size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
         512,

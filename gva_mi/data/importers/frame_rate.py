@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within
 from gva_mi.data.importers.spellings import plain_name
 
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
 AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
-FASTEST = 10_000.0  # frames a second
+FPS = Within(0.001, 10_000)  # frames a second
 
 
 def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
@@ -35,6 +36,6 @@ def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
         rate = float(np.ravel(found[name])[0])
     except (ValueError, TypeError, IndexError):
         rate = np.nan
-    if not 0 < rate <= FASTEST:
+    if rate not in FPS:
         raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate

@@ -30,7 +30,7 @@ from gva_mi.data.importers.tracks import Track
 from gva_mi.data.pictures import opened
 
 RECORDED = "recorded"  # in the place of a focal length: what the file says
-PIXELS = Within(0, 1e6, "low", "pixels")
+PIXELS = Within(1, 1e6, unit="pixels")
 MILLIMETRES = Within(1, 2000, unit="mm")  # of 35 mm film: from fisheye lenses to telescopes
 EXPECTED = f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
 CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'

@@ -27,7 +27,7 @@ from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source
 from gva_mi.data.importers.estimator_record import Estimator, VideoInfo, lens_by_name
 from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
-from gva_mi.data.importers.frame_rate import FASTEST, rate_of
+from gva_mi.data.importers.frame_rate import FPS, rate_of
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.joint_motion import RATE, joints_in
 from gva_mi.data.importers.lens import through_lens
@@ -44,7 +44,7 @@ from gva_mi.data.importers.world import LEANS, UP, Upward, upright
 HANDS = ("relaxed", "flat")
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
 MOST_FRAMES = 1_000_000  # of one motion, after resampling
-FrameRate = Annotated[float, Within(0, FASTEST, "low")]
+FrameRate = Annotated[float, FPS]
 _SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
 
 

@@ -42,7 +42,7 @@ class PrepareOptions:
     # pictures' names, and the count.
     first: Annotated[int, Within(0, 1_000_000_000)] | None = None
     # Focal length in pixels, for an estimator's file without one.
-    focal: Annotated[float, Within(0, 1e6, "low", "pixels")] | None = None
+    focal: Annotated[float, Within(1, 1e6, unit="pixels")] | None = None
     # True focal length, if the estimator assumed another: in pixels; of 35 mm film, such as 26mm;
     # or recorded, the value in the video's file. The person moves so that the picture stays the
     # same.

@@ -15,7 +15,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film import Film
-from gva_mi.data.importers.footage import files_of
+from gva_mi.data.importers.footage import files_of, uneven_pixels
 from gva_mi.data.importers.lens import recorded_35mm
 from gva_mi.data.pictures import opened, read_image
 
@@ -69,6 +69,8 @@ def read_film(
         sizes, times = source.sizes, source.times
         if source.hdr:
             notes.append(f"the film is HDR ({source.hdr}): its colours were mapped to sRGB")
+        if (note := uneven_pixels(path)) is not None:
+            notes.append(note)
         if times is None:
             times = np.arange(len(source)) / (fps or MOST)
             notes.append(f"the film records no times: taken as {fps or MOST:g} pictures a second")

@@ -10,7 +10,7 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.check.problems import Problem, doubt, error
-from gva_mi.data.importers.one_lens import seen_alike, usual_lens
+from gva_mi.data.importers.one_lens import ONE_LENS, seen_alike, usual_lens
 from gva_mi.splat import Camera
 
 # A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large
@@ -34,7 +34,10 @@ def check_intrinsics(cameras: Sequence[Camera]) -> Iterator[Problem]:
                     "height, or scaled in one direction", "fx, fy in pixels")  # fmt: skip
     at = np.array([(c.cx / c.width, c.cy / c.height) for c in cameras])
     off = (np.abs(at - 0.5) > OFF_CENTRE).any(1)
-    if off.any():
+    focal = np.array([c.fx for c in cameras])
+    # Estimators that look at a person's box have another lens in each frame, with the box's axis.
+    of_boxes = (np.abs(focal / np.median(focal) - 1) > ONE_LENS).mean() > 0.5
+    if off.any() and not of_boxes:
         first = int(off.argmax())
         scaled = centred(cameras[first]) is not cameras[first]
         yield doubt(

@@ -12,7 +12,7 @@ from gva_mi.core.files import read_array
 from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.mattes import matte_of_pixels
-from gva_mi.data.pictures import decoded, pixels_of, read_image, steps_of
+from gva_mi.data.pictures import decoded, open_film, pixels_of, read_image, steps_of
 
 Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in order
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -115,6 +115,20 @@ def count_of(source: Pictures) -> int:
     """Return how many pictures a film, a folder or files hold, without decoding them."""
     files = files_of(source)
     return len(steps_of(source)[0]) + 1 if files is None else len(files)
+
+
+def uneven_pixels(source: Pictures) -> str | None:
+    """Return a note if a film is meant to be shown wider or narrower than its pictures are."""
+    if isinstance(source, tuple) or not source.is_file():
+        return None
+    with open_film(source) as film:
+        ratio = float(film.streams.video[0].sample_aspect_ratio or 1)
+    if abs(np.log(ratio or 1)) < 0.01:
+        return None
+    return (
+        f"the film's pixels are not square but {ratio:.3g} times as wide as high, and people in it "
+        "are squeezed; convert it first: ffmpeg -i FILM -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
+    )
 
 
 def uneven_rate(source: Pictures) -> str | None:

@@ -39,6 +39,7 @@ from gva_mi.data.importers.footage import (
     folder_of,
     pictures,
     raw_masks,
+    uneven_pixels,
     uneven_rate,
 )
 from gva_mi.data.importers.hand_merge import merge_hands
@@ -122,7 +123,8 @@ def prepare_folder(
     save_poses(out / POSES, pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
     notes += _doubts(out, replace(track, betas=None).where(inside), pose, shape, cameras, body)
-    notes += [note for note in (capture.note, uneven_rate(capture.frames)) if note]
+    of_film = uneven_rate(capture.frames), uneven_pixels(capture.frames)
+    notes += [note for note in (capture.note, *of_film) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
     record["body"] = {"name": body.name, "file": file} | fingerprint(body.model)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from gva_mi import InputError
 from gva_mi.data.film import Film
-from gva_mi.data.importers.footage import masks, pictures, uneven_rate
+from gva_mi.data.importers.footage import masks, pictures, uneven_pixels, uneven_rate
 
 SIZE = (32, 48)  # H, W
 MATRIX = {  # the first four numbers of a track's matrix, 16.16 fixed point: clockwise degrees
@@ -22,13 +22,14 @@ def shown(k=0):
     return np.stack([x * 4 + k, y * 6 + k, 0 * x + 20 + 5 * k], axis=-1).astype(np.uint8)
 
 
-def film(path, count=4, codec="libx264rgb", form="rgb24", moments=None, key=12):
+def film(path, count=4, codec="libx264rgb", form="rgb24", moments=None, key=12, aspect=1):
     """Pictures without loss, at so many milliseconds each."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=25)
         stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], form
         stream.options = {"crf": "0", "g": str(key)}
         stream.codec_context.time_base = Fraction(1, 1000)
+        stream.codec_context.sample_aspect_ratio = Fraction(aspect)
         for k in range(count):
             picture = av.VideoFrame.from_ndarray(shown(k), "rgb24")
             picture.pts = 40 * k if moments is None else moments[k]
@@ -77,6 +78,12 @@ def test_ten_bits_are_read_as_eight(tmp_path):
         for k, image in enumerate(found):  # 4:2:0 halves the colour's resolution
             off = np.abs(image[2:-2, 2:-2].astype(int) - shown(k)[2:-2, 2:-2])
             assert off.max() <= 8 and off.mean() < 3
+
+
+def test_pixels_that_are_not_square_are_said(tmp_path):
+    squeezed = film(tmp_path / "wide.mp4", 2, codec="libx264", form="yuv420p", aspect="4/3")
+    assert "not square but 1.33 times as wide as high" in uneven_pixels(squeezed)
+    assert uneven_pixels(film(tmp_path / "a.mp4", 2)) is None and uneven_pixels(tmp_path) is None
 
 
 def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):

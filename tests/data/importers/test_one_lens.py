@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.data.check.numbers import check_poses
+from gva_mi.data.check.numbers import check_intrinsics, check_poses
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
@@ -141,6 +141,18 @@ def jumps(places, K):
     cameras = {k: Camera.from_matrices(x, T, *SIZE) for k, x in enumerate(K)}
     return [p for p in check_poses(pose, Shape(torch.zeros(10)), body, cameras)
             if p.what == "jumps"]  # fmt: skip
+
+
+def test_check_takes_no_axis_of_a_box_for_a_mistake():
+    """Who stands at the picture's border, in SMPLer-X's form; but K of another size is named."""
+    beside = lenses(BOXES + [0, -300])
+    cameras = lambda K: [Camera.from_matrices(x, np.eye(4), *SIZE) for x in K]
+    assert np.abs(beside[:, 0, 2] / 900 - 0.5).min() > 0.2
+    assert not list(check_intrinsics(cameras(beside)))
+    halved = np.tile(np.diag([600.0, 600, 1]), (6, 1, 1))
+    halved[:, :2, 2] = 225
+    (problem,) = check_intrinsics(cameras(halved))
+    assert problem.what == "principal point"
 
 
 def test_check_takes_no_lens_for_a_jump():

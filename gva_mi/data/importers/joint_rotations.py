@@ -74,8 +74,8 @@ def find_rotations(
     else:
         return None
     found = found if found.has_hands else _with_parts(arrays, found, form, components)
-    turns = np.linalg.norm(found.rotations[:, 1:], axis=2)
-    if (largest := float(np.nanmax(np.nanmedian(turns, axis=0), initial=0))) > _TURNS:
+    turns = np.nan_to_num(np.linalg.norm(found.rotations[:, 1:], axis=2))
+    if (largest := float(np.median(turns, axis=0).max())) > _TURNS:
         raise InputError(
             f"{arrays.where}: a limb is turned by {largest:.0f} radians in most frames, such as by "
             "rotations in degrees; expected axis-angle in radians"
@@ -93,10 +93,12 @@ def _is_body(pose: np.ndarray) -> bool:
 
 def _whole(where: str, name: str, pose: np.ndarray) -> tuple[JointRotations, int]:
     """Return the joints of a pose with all of them in a row, (T, 3 J), and their number."""
+    if not pose.size:
+        raise InputError(f"{where}: '{name}' must be numbers (T, 3 J), got {pose.shape}")
     rows = pose[None] if pose.ndim == 1 else pose
     if rows.ndim > 2 and len(rows) == 1 and rows[0].size not in _NUMBERS:
         rows = rows[0]  # a batch of one motion
-    numbers, axes = rows[0].size if rows.size else 0, [n for n in rows.shape[1:] if n > 1]
+    numbers, axes = rows[0].size, [n for n in rows.shape[1:] if n > 1]
     if numbers not in _NUMBERS or (len(axes) > 1 and axes[-1] != 3):
         other = f", such as {_NO_ANGLES[numbers]}" if numbers in _NO_ANGLES else ""
         raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -116,6 +117,11 @@ def make_track(
         if of.about_origin is not None:
             pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
         places = places + pelvis
+    kept = betas is not None and betas.any() and body is not None and form == body.form
+    if kept and (gender := _gender(found.get("gender"))) not in ("", _gender(body.name)):
+        notes.append(
+            f"betas are of a {gender} body, and not of {body.name}; give its file as --body"
+        )
     if unused := sorted(set(of.unused) - OTHERS):
         more = f" and {len(unused) - 12} more" if len(unused) > 12 else ""
         notes.append(f"not used of the source: {', '.join(unused[:12])}{more}")
@@ -123,6 +129,12 @@ def make_track(
         person, frames, joints.rotations, places, betas, K, form, joints.has_hands,
         joints.from_mean_hand, of.expression, of_mean, tuple(notes),
     )  # fmt: skip
+
+
+def _gender(text: object) -> str:
+    """Return which of the models of women and men a text names; "" for neither."""
+    said = re.search("(fe)?male", str(text).lower())
+    return "" if said is None else said[0]
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:

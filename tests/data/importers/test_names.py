@@ -98,7 +98,7 @@ def test_parts_that_a_whole_pose_repeats_are_not_called_unused(motion):
 @pytest.mark.parametrize("change, words", [
     (lambda x: {**x, "transl": np.zeros((3, T))}, r"'transl' must be \(6, 3\), got \(3, 6\)"),
     (lambda x: {**x, "body_pose": x["body_pose"].T}, r"'body_pose' must be \(6, 63\)"),
-    (lambda x: {name: np.degrees(part) for name, part in x.items()}, "rotations in degrees"),
+    (lambda x: {name: np.degrees(3 * part) for name, part in x.items()}, "rotations in degrees"),
     (lambda x: {"poses": np.zeros((T, 22, 6))}, "132 numbers a frame, such as two columns"),
     (lambda x: {"poses": np.zeros((T, 24, 4))}, "96 numbers a frame, such as quaternions"),
 ])  # fmt: skip
@@ -232,6 +232,17 @@ def test_the_face_is_kept_for_smplx_and_named_for_other_bodies(name, tmp_path, m
     assert not other.pose.expression.any()
     assert any("the face's expression is left out: coefficients of SMPL-X" in n
                for n in other.notes)  # fmt: skip
+
+
+def test_betas_of_a_man_are_not_kept_for_another_model_without_a_word(tmp_path, motion):
+    betas = {"betas": np.ones(10)}
+    for file, gender, notes in (
+        ("SMPLX_NEUTRAL", np.array("male"), 1), ("SMPLX_FEMALE", np.array(b"male"), 1),
+        ("SMPLX_MALE", "male", 0), ("SMPLX_NEUTRAL", "neutral", 0),
+    ):  # fmt: skip
+        body = TargetBody.read(body_of_smplx(tmp_path / f"{file}.npz"))
+        track = make_track("x", "0", None, motion[1] | betas | {"gender": gender}, np.eye(3), body)
+        assert sum("betas are of a male body, and not of" in n for n in track.notes) == notes
 
 
 ROWS = {

@@ -20,11 +20,9 @@ Every file is written atomically: after a kill it is the old one or the new one,
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,7 +35,6 @@ from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
-from gva_mi.core.atomic import atomic_write, part_of
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
 from gva_mi.core.provenance import versions
@@ -170,49 +167,6 @@ def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
     known = load_options(run)["sources"] if (run / OPTIONS).exists() else {}
     name = known.get(what)
     return None if name is None else subject / str(name)  # an absolute name stays as it is
-
-
-def save_state(out: Path, state: dict[str, Any]) -> None:
-    """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them.
-
-    A digest follows them, of these bytes and of the run's options, so that a state that was changed
-    by hand or belongs to another run is refused when it is opened, and not somewhere in training.
-    """
-    whole = io.BytesIO()  # torch's own writer hides a full disk
-    torch.save(state, whole)
-    with atomic_write(out / CHECKPOINT) as unfinished:
-        unfinished.write_bytes(whole.getvalue() + _digest(out, whole.getbuffer()))
-
-
-def load_state(out: Path) -> dict[str, Any] | None:
-    """Read the checkpoint; None without one; an InputError unless it is as it was saved."""
-    path = out / CHECKPOINT
-    if not path.exists():
-        return None
-    try:
-        whole = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    content = memoryview(whole)[: -sha256().digest_size]
-    if whole[len(content) :] != _digest(out, content):
-        raise InputError(
-            f"{path}: not as this run saved it: cut short, changed, of another run or of an older "
-            "version; --overwrite starts the fit again"
-        )
-    return torch.load(io.BytesIO(content), weights_only=True)
-
-
-def _digest(out: Path, content: memoryview) -> bytes:
-    options = out / OPTIONS
-    digest = sha256(options.read_bytes() if options.is_file() else b"")
-    digest.update(content)
-    return digest.digest()
-
-
-def drop_state(out: Path) -> None:
-    """Remove the checkpoint of a finished run, also one that a kill left half-written."""
-    for path in (out / CHECKPOINT, part_of(out / CHECKPOINT)):
-        path.unlink(missing_ok=True)
 
 
 def save_snapshot(

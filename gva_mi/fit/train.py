@@ -34,7 +34,7 @@ from gva_mi.core.console import Progress, say, within
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
-from gva_mi.fit import run_folder
+from gva_mi.fit import checkpoint, run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import NOISE, FitOptions, Rates
@@ -80,9 +80,9 @@ def fit(
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
     run_folder.prepare(out, options.plain(), video, resume, sources)
     if (out / run_folder.AVATAR).exists():
-        run_folder.drop_state(out)
+        checkpoint.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
-    state = run_folder.load_state(out)
+    state = checkpoint.load_state(out)
     if options.first_steps:
         video = _after_first_fit(video, body, options, out, offsets, progress)
         progress = within(progress, options.first_steps, options.steps, options.all_steps)
@@ -98,14 +98,14 @@ def fit(
                     run.step, options.steps, loss=figures["loss"], gaussians=figures["gaussians"]
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
-                run_folder.save_state(out, run.state())
+                checkpoint.save_state(out, run.state())
         run.clamp_scales()  # also those that the last step split
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
         save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2, focal=video.focal)
     run.avatar.save(out / run_folder.AVATAR)
-    run_folder.drop_state(out)
+    checkpoint.drop_state(out)
     return run.avatar
 
 

@@ -14,7 +14,7 @@ from gva_mi.body.pose import save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.fit import run_folder
+from gva_mi.fit import checkpoint
 
 cases = SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name("cases.py"))))
 
@@ -55,7 +55,7 @@ def run(known, turning, tmp_path):
     (folder / "options.json").write_text(json.dumps(options))
     np.savez(folder / "history.npz", loss=np.arange(3.0), gaussians=np.arange(3))
     state = {"step": 2, "avatar": known.record(), "history": {"loss": [1.0, 2.0]}}
-    run_folder.save_state(folder, state)
+    checkpoint.save_state(folder, state)
     return folder
 
 

@@ -94,11 +94,16 @@ def test_tables_list_every_source_error_family_and_extra():
     assert not [extra for extra in extras if f"\n| `{extra}` | " not in installation]
 
 
-def test_python_programs_run():
+@pytest.mark.parametrize(
+    ("name", "end"),
+    [("splatting.md", "## Conventions"), ("plugins.md", "\n## "), ("gradients.md", "## Five")],
+)
+def test_python_programs_run(name, end):
     """Programs of plugins.md below its first heading are run by tests/plugins."""
-    for name, end in (("splatting.md", "## Conventions"), ("plugins.md", "\n## ")):
-        text = (ROOT / "docs" / name).read_text().partition(end)[0]
-        (program,) = [block for kind, block in BLOCKS.findall(text) if kind == "python"]
+    text = (ROOT / "docs" / name).read_text().partition(end)[0]
+    programs = [block for kind, block in BLOCKS.findall(text) if kind == "python"]
+    assert programs
+    for program in programs:
         exec(compile(program, name, "exec"), {})
 
 

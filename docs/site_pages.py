@@ -107,9 +107,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     lessons = {path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")}
     sources = lessons | set(AT_THE_TOP)
-    for file in files.documentation_pages():
-        folder = Path(file.abs_src_path).parent
-        found = (source_of(folder, link) for link in links(file.content_string))
+    pages = [(Path(f.abs_src_path).parent, f.content_string) for f in files.documentation_pages()]
+    pages += [(ROOT / "notebooks", shown(lesson)) for lesson in lessons]
+    for folder, text in pages:
+        found = (source_of(folder, link) for link in links(text))
         sources.update(source for source in found if source)
     for source in sorted(sources):
         text = (ROOT / source).read_text() if source in AT_THE_TOP else shown(source)

@@ -3,13 +3,14 @@
     python notebooks/execute.py                 each lesson whose outputs are stale
     python notebooks/execute.py notebooks/1*    these lessons
 
-Outputs are stale if a code cell, the lesson's figures (a ``.json`` file of its name) or the results
-versions of the program (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`) have changed since they
-were made. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
+Outputs are stale if a code cell, a file that a cell names, or the results versions of the program
+(:data:`gva_mi.core.provenance.RESULTS_VERSIONS`) have changed since they were made. Of a page, only
+the tables count. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
 """
 
 import hashlib
 import os
+import re
 import sys
 import tempfile
 import time
@@ -26,15 +27,24 @@ STAMP = "made_from"  # in a notebook's metadata
 
 
 def made_from(notebook, path):
-    """Return what a lesson's outputs depend on: its code, its figures, the program's results."""
-    digest = lambda content: hashlib.sha256(content).hexdigest()[:16]
+    """Return what outputs depend on: code, files that it names, the program's results."""
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
-    figures = path.with_suffix(".json")
+    named = {name for source in code for name in re.findall(r'"([\w./-]+\.(?:json|md))"', source)}
+    there = sorted(name for name in named if (path.parent / name).is_file())
     return {
-        "cells": [digest(source.encode()) for source in code],
-        "figures": digest(figures.read_bytes()) if figures.exists() else None,
+        "cells": [_digest(source.encode()) for source in code],
+        "figures": {name: _digest(_figures_of(path.parent / name)) for name in there} or None,
         "results_versions": dict(RESULTS_VERSIONS),
     }
+
+
+def _digest(content):
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _figures_of(path):
+    lines = path.read_bytes().splitlines()
+    return b"\n".join(x for x in lines if path.suffix != ".md" or x.startswith(b"|"))
 
 
 def is_stale(path):

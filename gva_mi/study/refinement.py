@@ -32,6 +32,7 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import REFINED_POSES, spread
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.page import around
@@ -111,13 +112,14 @@ def overlays(
     }
     if (truth := evaluation.truth) is not None:
         poses["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
+    scenes = {id(model): MeshScene(model.faces, model.v_template) for model, *_ in poses.values()}
     seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
     part = around(seen, margin=int(len(seen) * margin))
     for frame in video.frames(shown):
         k, pictures = frame.index, {"the picture": frame.image[part]}
         for name, (model, pose, shape, cameras) in poses.items():
             vertices = model(pose[k], shape).vertices[0]
-            pictures[name] = overlay(frame.image, cameras[k], vertices, model.faces)[part]
+            pictures[name] = overlay(frame.image, cameras[k], vertices, scenes[id(model)])[part]
         yield k, pictures
 
 

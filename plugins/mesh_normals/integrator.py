@@ -79,7 +79,12 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         self._topology: tuple[list[mi.UInt32], Topology] | None = None
 
     def view(
-        self, scene: mi.Scene, sensor: mi.Sensor, spp: int = 1, tiles: Sequence[Tile] = ()
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor,
+        spp: int = 1,
+        tiles: Sequence[Tile] = (),
+        instanced: mi.Mesh | None = None,
     ) -> MeshView:
         """Return a sensor's image and its derivatives, without automatic differentiation.
 
@@ -90,6 +95,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             tiles: parts of the view that are rendered in place of it, at one ray for a pixel; the
                 image then has one row, with the pixels of one tile after the other, and edges have
                 as many samples as in a picture of the finest.
+            instanced: the only mesh, where the scene holds it as an instance, at its own place.
 
         Raises:
             ValueError: a shape that is no mesh, or a sensor or a film that cannot be used.
@@ -97,14 +103,14 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         if spp < 1:
             raise ValueError(f"mesh_normals: spp must be at least 1, got {spp}")
         with dr.suspend_grad():
-            meshes = meshes_of(scene)
+            meshes = meshes_of(scene) if instanced is None else [instanced]
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
             surface = self._surface(meshes, positions)
             projection = SensorProjection.of(sensor, self.pixel_aspect)
             film = sensor.film()
             filter = MultiCrop.of(tiles, film) if tiles else PixelFilter.of(film, spp)
-            traced = without_ellipsoids(scene)
+            traced = without_ellipsoids(scene) if instanced is None else scene
             caster = RayCaster(traced, surface, projection, self.channels)
             density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)
             return MeshView.of(caster, filter, density, self.intersections)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
+from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter, column_and_row
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,15 @@ class MultiCrop(PixelFilter):
         """Return the positions of the pixels' rays in the view (eq. 1)."""
         if rays is None:
             rays = dr.arange(mi.UInt32, self.width)
-        q = mi.Point2f(0)
+        corner, scale, columns, start = mi.Point2f(0), mi.Float(1), mi.UInt32(1), mi.UInt32(0)
         for grid in self.grids:
             here = rays >= grid.start
-            pixel = dr.select(here, rays - grid.start, 0)
-            y = pixel // grid.columns
-            x = pixel - y * grid.columns
-            at = grid.corner + mi.Point2f(x + 0.5, y + 0.5) / grid.scale
-            q = dr.select(here, at, q)
-        return q
+            corner = dr.select(here, grid.corner, corner)
+            scale = dr.select(here, grid.scale, scale)
+            columns = dr.select(here, grid.columns, columns)
+            start = dr.select(here, grid.start, start)
+        x, y = column_and_row(rays - start, columns)
+        return corner + mi.Point2f(x + 0.5, y + 0.5) / scale
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
         """Eq. 3 of the rays; 1 of the points, whose weights depend on the tile."""

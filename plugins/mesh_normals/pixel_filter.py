@@ -81,8 +81,7 @@ class PixelFilter:
             rays = dr.arange(mi.UInt32, self.width * self.height * self.spp)
         pixel = rays // self.spp
         k = mi.Float(rays - pixel * self.spp)
-        y = pixel // self._columns
-        x = pixel - y * self._columns
+        x, y = column_and_row(pixel, self._columns)
         shift_y = 0.5 + k * GOLDEN
         return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
 
@@ -248,6 +247,15 @@ def lattice(spp: int) -> tuple[np.ndarray, np.ndarray]:
     """Places (x, y) of the samples in a pixel, as :meth:`PixelFilter.positions` has them."""
     k = np.arange(spp)
     return (k + 0.5) / spp, (0.5 + k * GOLDEN) % 1
+
+
+def column_and_row(pixel: mi.UInt32, columns: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    """Return where pixels lie, counted row by row: exactly, by float64 numbers.
+
+    A kernel divides these in packets, and integers one by one.
+    """
+    y = mi.UInt32((mi.Float64(pixel) + 0.5) * dr.rcp(mi.Float64(columns)))
+    return pixel - y * columns, y
 
 
 def _total(mass: np.ndarray, count: int) -> np.ndarray:

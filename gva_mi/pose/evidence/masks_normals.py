@@ -204,9 +204,9 @@ def mean_loss(
 ) -> Tensor:
     """Return the mean over frames of eq. 1, close-ups included; differentiable in the vertices.
 
-    The gradient is computed with the loss, while the scene shows each body, because moving the mesh
-    a second time would dominate the cost of a step. For the same reason close-ups are rendered
-    together with the whole person.
+    The gradient, if one is needed, is computed with the loss, while the scene shows each body:
+    moving the mesh a second time would cost as much as a rendering. For the same reason close-ups
+    are rendered together with the whole person.
 
     Args:
         scene: in which the bodies are rendered.
@@ -236,18 +236,20 @@ class _MeanLoss(torch.autograd.Function):
         silhouette: float,
     ) -> Tensor:
         losses, gradients, of_outlines = [], [], []
+        differentiated = any(ctx.needs_input_grad)
         for body, views in zip(vertices.detach().unbind(), frames, strict=True):
-            with torch.enable_grad():
-                body = body.contiguous().requires_grad_()
+            with torch.set_grad_enabled(differentiated):
+                body = body.contiguous().requires_grad_(differentiated)
                 images = scene.render_together(body, [seen.camera for _, seen in views])
                 loss = sum(
                     weight * seen.loss(image, silhouette, focal)
                     for (weight, seen), image in zip(views, images, strict=True)
                 )
-                if outlines is not None:
+                if differentiated and outlines is not None:
                     whole = views[0][1].silhouette_loss(images[0])
                     of_outlines += torch.autograd.grad(whole, body, retain_graph=True)
-                gradients += torch.autograd.grad(loss, body)
+                if differentiated:
+                    gradients += torch.autograd.grad(loss, body)
             losses.append(float(loss.detach()))
         means = [torch.stack(x) / len(frames) for x in (gradients, of_outlines) if x]
         ctx.save_for_backward(*means)

@@ -104,10 +104,7 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
         seen = image.color, image.alpha
         for name, loss in weights.items():
             with clock(name):
-                losses = render_losses(
-                    target.before_background(image), target.color, target.mask,
-                    animated.residual, loss, distance, target.window, sample.area,
-                )  # fmt: skip
+                losses = render_losses(image, target, animated.residual, loss, distance)
                 grad = torch.autograd.grad(losses.total(loss), seen)
         leaves = tuple(g.arrays().values())
         with clock("splatting, back"):

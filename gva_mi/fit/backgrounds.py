@@ -1,4 +1,4 @@
-"""Compositing of a person and a render on the same background: Dr.Jit kernels, one lane per pixel.
+"""Compare a render with a person on the same background: Dr.Jit kernels, one lane per pixel.
 
 In a box of a picture, with P the picture, S the person's mask, B what is behind the person, b a
 colour, and U where the mask is uncertain; outside the box the background is b:
@@ -6,15 +6,19 @@ colour, and U where the mask is uncertain; outside the box the background is b:
     1. background = B where U, else b
     2. target     = P where U, else S P + (1 - S) b
     3. image      = C + (1 - A) background          C, A: colour and alpha of a render
+    4. error      = Σ |image - target| / n          over pixels and channels
 
-And the adjoint of 3, for a gradient g of the image:
+And the adjoint of 4, which is computed with it:
 
-    4. grad_C = g,    grad_A = -Σ_c g_c background_c
+    5. grad_C = sign(image - target) / n,    grad_A = -Σ_c grad_C,c background_c
 
-A pixel is read as one integer of four bytes: P with S, and B with U.
+A pixel is read as one integer of four bytes: P with S, and B with U. Nothing of eq. 1 to 3 is
+stored, because that takes longer than computing it.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import drjit as dr
 import torch
@@ -24,36 +28,33 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.data.crop import Box
-from gva_mi.jit.rowwise import flat_array, load_columns, store_columns, to_tensors
+from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.packets import memory
+from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
+from gva_mi.jit.tensors import tensor_of
 
 
-def composite_target(
-    person: Tensor, behind: Tensor, color: Tensor, box: Box, part: Box
-) -> tuple[Tensor, Tensor, Tensor]:
+@dataclass(frozen=True)
+class Cutout:
+    """A person cut out of a picture, and the colour of a new background."""
+
+    person: Tensor  # (h, w, 4) uint8, P and S
+    behind: Tensor  # (h, w, 4) uint8, B and U (zero or not)
+    box: Box  # their place in the whole picture
+    color: Tensor  # (3,) in [0, 1], b
+
+
+@exclusive
+def composite_target(cutout: Cutout, part: Box) -> tuple[Tensor, Tensor, Tensor]:
     """Composite a person on a background (eq. 1 and 2) in a part of a picture.
-
-    Args:
-        person: (h, w, 4) uint8, P and S.
-        behind: (h, w, 4) uint8, B and U (zero or not).
-        color: (3,) in [0, 1], b.
-        box: their place in the whole picture.
-        part: place of the results; contains ``box``.
 
     Returns:
         The target (H, W, 3), the background (H, W, 3), and the mask (H, W) in [0, 1].
     """
-    pixel, inside = _in_box(box, part)
-    *P, S = _bytes(dr.gather(UInt32, _pixels(person), pixel, inside))
-    *B, U = _bytes(dr.gather(UInt32, _pixels(behind), pixel, inside))
-    b = [dr.opaque(Float, value) for value in color.tolist()]
-    on_color = [dr.lerp(b_c, P_c, S) for b_c, P_c in zip(b, P, strict=True)]
-    here = lambda unsure, sure: [dr.select(U > 0, u, s) for u, s in zip(unsure, sure, strict=True)]
     count = part.width * part.height
-    found = [
-        store_columns(here(P, on_color), count, Float),
-        store_columns(here(B, b), count, Float),
-        S,
-    ]
+    target, background, S = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
+    found = [store_columns(target, count, Float), store_columns(background, count, Float), S]
     dr.eval(found)
     target, background, mask = (
         x.view(part.height, part.width, -1) for x in to_tensors(found, count)
@@ -62,59 +63,108 @@ def composite_target(
 
 
 def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
-    """Composite a render on a background (eq. 3).
+    """Composite a render on a background (eq. 3), differentiable.
 
     Args:
         color: (H, W, 3) of a render on black, C.
         alpha: (H, W) of the render, A.
-        background: (H, W, 3), constant.
+        background: (H, W, 3).
+    """
+    return torch.addcmul(color, 1 - alpha[..., None], background)
+
+
+def absolute_error(color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float) -> Tensor:
+    """Return eq. 4, a scalar.
+
+    Args:
+        color: (H, W, 3) of a render of this part on black, C.
+        alpha: (H, W) of the render, A.
+        cutout: the person.
+        part: of the picture.
+        count: n.
 
     Returns:
-        (H, W, 3), differentiable in the render both ways.
+        Differentiable once in the render.
     """
-    return _CompositeRender.apply(color, alpha, background.detach())
+    return _AbsoluteError.apply(color, alpha, cutout, part, count)
 
 
-class _CompositeRender(torch.autograd.Function):
+class _AbsoluteError(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: FunctionCtx, color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
-        ctx.save_for_backward(background)
-        ctx.save_for_forward(background)
-        C, A, B = (flat_array(x) for x in (color, alpha, background))
-        through = 1 - dr.gather(type(A), A, dr.arange(UInt32, color.numel()) // 3)
-        return _done(dr.fma(through, B, C), color.shape)
+    @exclusive
+    def forward(
+        ctx: FunctionCtx, color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float
+    ) -> Tensor:
+        C, A = flat_array(color), flat_array(alpha)
+        target = [memory(type(A), width * alpha.numel()) for width in (1, 3, 1)]
+        found = _compare(C, A, *_arrays(cutout, part), dr.opaque(type(A), 1 / count), target)
+        dr.sync_thread()
+        error, by_color, by_alpha = (tensor_of(x) for x in found)
+        ctx.by_color, ctx.by_alpha = by_color.view(color.shape), by_alpha.view(alpha.shape)
+        return error.sum()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, Tensor, None]:
-        (background,) = ctx.saved_tensors
-        pixel = dr.arange(UInt32, grad.shape[0] * grad.shape[1])
-        g, B = (load_columns(flat_array(x), 3, pixel) for x in (grad, background))
-        grad_alpha = -sum(x * y for x, y in zip(g, B, strict=True))
-        return grad, _done(grad_alpha, grad.shape[:2]), None
-
-    @staticmethod
-    def jvp(ctx: FunctionCtx, dcolor: Tensor, dalpha: Tensor, _: None) -> Tensor:
-        (background,) = ctx.saved_tensors
-        return torch.addcmul(dcolor, dalpha[..., None], background, value=-1)
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor | None, ...]:
+        found = ctx.by_color, ctx.by_alpha
+        return *(found if grad == 1 else (grad * x for x in found)), None, None, None
 
 
-def _done(numbers: Array, shape: torch.Size) -> Tensor:
-    dr.eval(numbers)
-    return to_tensors([numbers], len(numbers))[0].view(shape)
+@Frozen
+def _compare(
+    C: Array,
+    A: Array,
+    pixels: list[UInt32],
+    color: list[Float],
+    place: list[Array],
+    unit: Array,
+    target: list[Array],
+) -> list[Array]:
+    """Write eq. 4 of each pixel, and eq. 5."""
+    F, lane = type(A), dr.arange(UInt32, dr.width(A))
+    wanted, background, _ = _composite(pixels, color, place, lane)
+    through, C = 1 - A, load_columns(C, 3, lane)
+    off = [dr.fma(through, F(b), c) - F(t) for c, b, t in zip(C, background, wanted, strict=True)]
+    grad = [dr.select(x > 0, unit, dr.select(x < 0, -unit, 0)) for x in off]
+    error, by_color, by_alpha = target
+    dr.scatter(error, unit * sum(dr.abs(x) for x in off), lane)
+    for c, value in enumerate(grad):
+        dr.scatter(by_color, value, 3 * lane + c)
+    dr.scatter(by_alpha, -sum(g * F(b) for g, b in zip(grad, background, strict=True)), lane)
+    dr.eval(target)
+    return target
 
 
-def _in_box(box: Box, part: Box) -> tuple[UInt32, Array]:
-    """Return the pixel of ``box`` at each pixel of ``part``, and whether there is one."""
-    lane = dr.arange(UInt32, part.width * part.height)
-    # Sizes are opaque, or every box would compile kernels of its own. Floats are divided in
-    # packets, integers one by one.
-    number = lambda value: dr.opaque(Int32, value)
-    row = Int32(dr.floor((Float64(lane) + 0.5) * dr.opaque(Float64, 1 / part.width)))
-    column = Int32(lane) - row * number(part.width) - number(box.left - part.left)
-    row = row - number(box.top - part.top)
-    inside = (row >= 0) & (row < number(box.height)) & (column >= 0) & (column < number(box.width))
-    return UInt32(row * number(box.width) + column), inside
+def _composite(
+    pixels: list[UInt32], color: list[Float], place: list[Array], lane: UInt32
+) -> tuple[Lane, Lane, Float]:
+    """Evaluate eq. 1 and 2 in some pixels of a part: target, background and mask."""
+    pixel, inside = _in_box(place, lane)
+    *P, S = _bytes(dr.gather(UInt32, pixels[0], pixel, inside))
+    *B, U = _bytes(dr.gather(UInt32, pixels[1], pixel, inside))
+    on_color = [dr.lerp(b_c, P_c, S) for b_c, P_c in zip(color, P, strict=True)]
+    here = lambda unsure, sure: [dr.select(U > 0, u, s) for u, s in zip(unsure, sure, strict=True)]
+    return here(P, on_color), here(B, color), S
+
+
+def _arrays(cutout: Cutout, part: Box) -> tuple[list[UInt32], list[Float], list[Array]]:
+    """Return what :func:`_composite` reads; opaque, or every box would compile its own kernels."""
+    box = cutout.box
+    numbers = part.width, box.left - part.left, box.top - part.top, box.width, box.height
+    place = [dr.opaque(Float64, 1 / part.width), *(dr.opaque(Int32, x) for x in numbers)]
+    color = [dr.opaque(Float, x) for x in cutout.color.tolist()]
+    return [_pixels(cutout.person), _pixels(cutout.behind)], color, place
+
+
+def _in_box(place: list[Array], lane: UInt32) -> tuple[UInt32, Array]:
+    """Return the pixel of a cutout at some pixels of a part, and whether there is one."""
+    # Floats are divided in packets, integers one by one.
+    per_row, columns, left, top, width, height = place
+    row = Int32(dr.floor((Float64(lane) + 0.5) * per_row))
+    column = Int32(lane) - row * columns - left
+    row = row - top
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    return UInt32(row * width + column), inside
 
 
 def _pixels(image: Tensor) -> UInt32:

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -31,7 +32,9 @@ from gva_mi.core.options import Weight, require_ranges
 from gva_mi.fit.ssim import ssim
 from gva_mi.splat import Image
 
-Window = tuple[slice, slice]  # rows and columns of a part of an image
+if TYPE_CHECKING:
+    from gva_mi.fit.samples import SampleTarget
+
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 
 
@@ -66,39 +69,28 @@ class Losses:
 
 
 def render_losses(
-    image: Image,
-    target: Tensor,
-    mask: Tensor,
-    residual: Tensor,
-    options: LossOptions,
-    distance: Distance,
-    window: Window = (slice(None), slice(None)),
-    area: int | None = None,
+    image: Image, target: SampleTarget, residual: Tensor, options: LossOptions, distance: Distance
 ) -> Losses:
     """Compute the terms of Eq. 9 for one render.
 
     Args:
-        image: the render, color (H, W, 3) and alpha (H, W).
-        target: the person on the render's background, (H, W, 3).
-        mask: the person, (H, W) in [0, 1].
+        image: the render on black, color (H, W, 3) and alpha (H, W).
+        target: the person, and the render's background. The perceptual and the SSIM term, which
+            cost more than the render on the whole image, see its window.
         residual: the residual MLP's shifts, (N, 3) in metres.
         options: a term of weight 0 is left out.
         distance: ``|VGG(C) - VGG(I)|``, see :mod:`gva_mi.fit.perceptual`.
-        window: the part of the image for the perceptual and the SSIM term, which cost more than
-            the render on the whole image.
-        area: pixels of the person's box, by which the sums of |C - I| and |A - S| are divided;
-            None: those of the image.
 
     Returns:
         The terms, each a scalar.
     """
-    zero = torch.zeros((), dtype=target.dtype)
-    color, seen = image.color[window], target[window]
-    share = 1.0 if area is None else mask.numel() / area
-    return Losses(
-        recon=(image.color - target).abs().mean() * share,
-        perceptual=distance(color, seen) if options.perceptual else zero,
-        residual=residual.abs().mean() if options.residual and residual.numel() else zero,
-        alpha=(image.alpha - mask).abs().mean() * share if options.alpha else zero,
-        ssim=1 - ssim(color, seen) if options.ssim else zero,
-    )
+    zero = torch.zeros((), dtype=residual.dtype)
+    perceptual = similarity = alpha = zero
+    if options.perceptual or options.ssim:
+        seen = target.in_window(image)
+        perceptual = distance(*seen) if options.perceptual else zero
+        similarity = 1 - ssim(*seen) if options.ssim else zero
+    if options.alpha:
+        alpha = (image.alpha - target.composite()[2]).abs().sum() / target.area
+    shift = residual.abs().mean() if options.residual and residual.numel() else zero
+    return Losses(target.error(image), perceptual, shift, alpha, similarity)

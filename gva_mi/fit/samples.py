@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
@@ -37,10 +37,10 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data import backdrop
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video
-from gva_mi.fit.backgrounds import composite_render, composite_target
-from gva_mi.fit.losses import Window
+from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
 from gva_mi.splat.geometry import largest_scales
+from gva_mi.splat.kernels.tiles import Layout
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
 BORDER = 2  # pixels, for the blur that every Gaussian gets
@@ -72,15 +72,26 @@ def torch_state(seed: int, stream: RandomStream, number: int = 0) -> torch.Gener
 class SampleTarget:
     """A part of a picture as it should be rendered, on a background."""
 
-    color: Tensor  # (H, W, 3) in [0, 1], the person on the background
-    background: Tensor  # (H, W, 3) in [0, 1]
-    mask: Tensor  # (H, W) in [0, 1]
+    cutout: Cutout
+    part: Box  # of the whole picture
     camera: Camera  # of this part
-    window: Window  # of this part
+    window: Box  # of the whole picture, inside of this part
+    area: int  # pixels of the person's box
 
-    def before_background(self, image: Image) -> Image:
-        """Composite a render of this part on its background."""
-        return replace(image, color=composite_render(image.color, image.alpha, self.background))
+    def composite(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the target (H, W, 3), its background (H, W, 3), and the mask (H, W), in [0, 1]."""
+        return composite_target(self.cutout, self.part)
+
+    def error(self, image: Image) -> Tensor:
+        """Return the mean of ``|C - I|``: its sum over this part by the person's area."""
+        own = image.color, image.alpha
+        return absolute_error(*own, self.cutout, self.part, 3 * self.area)
+
+    def in_window(self, image: Image) -> tuple[Tensor, Tensor]:
+        """Return a render of this part on its background, and the target, inside the window."""
+        target, background, _ = composite_target(self.cutout, self.window)
+        inside = within(self.window, self.part)
+        return composite_render(image.color[inside], image.alpha[inside], background), target
 
 
 @dataclass(frozen=True)
@@ -88,22 +99,17 @@ class Sample:
     """The training frame of one step, cut to its mask."""
 
     frame: int  # its number in the video
-    person: Tensor  # (h, w, 4) uint8, P and S
-    behind: Tensor  # (h, w, 4) uint8, B, and 255 where eq. 2 holds
-    box: Box  # their place in the whole picture
+    cutout: Cutout  # on a background of a new colour
     area: int  # pixels of the person's box
     camera: Camera  # of the whole picture
-    color: Tensor  # (3,) in [0, 1], b
     window: Box  # a random part of the whole picture, with some of the person in it
 
     def target(self, gaussians: Gaussians) -> SampleTarget:
         """Return the part with the person, the window and the Gaussians."""
-        part = joined(self.box, self.window, drawn(gaussians, self.camera))
-        color, background, mask = composite_target(
-            self.person, self.behind, self.color, self.box, part
-        )
-        camera, window = part.cut_camera(self.camera), within(self.window, part)
-        return SampleTarget(color, background, mask, camera, window)
+        part = joined(self.cutout.box, self.window, drawn(gaussians, self.camera))
+        part = in_tiles(part, self.camera)
+        camera = part.cut_camera(self.camera)
+        return SampleTarget(self.cutout, part, camera, self.window, self.area)
 
 
 class FrameSampler:
@@ -159,14 +165,8 @@ class FrameSampler:
             )
             color = torch.from_numpy(drawn)
         box, window = self.boxes[k], self._window(k, step)
-        return Sample(
-            self.frames[k],
-            *self._kept[k],
-            area=box.width * box.height,
-            camera=self.cameras[k],
-            color=color,
-            window=window,
-        )
+        cutout, area = Cutout(*self._kept[k], color), box.width * box.height
+        return Sample(self.frames[k], cutout, area, self.cameras[k], window)
 
     def _window(self, k: int, step: int) -> Box:
         random = random_state(self.seed, RandomStream.WINDOW, step)
@@ -219,7 +219,18 @@ def joined(*boxes: Box | None) -> Box:
     )
 
 
-def within(box: Box, part: Box) -> Window:
+def in_tiles(box: Box, camera: Camera) -> Box:
+    """Widen a box to whole tiles of the renderer, where the picture has room.
+
+    The memory of a picture in whole tiles is that of its tensor, which need not be copied.
+    """
+    height, width = Layout(box.width, box.height).padded
+    height, width = min(height, camera.height), min(width, camera.width)
+    top, left = min(box.top, camera.height - height), min(box.left, camera.width - width)
+    return Box(left, top, left + width, top + height)
+
+
+def within(box: Box, part: Box) -> tuple[slice, slice]:
     """Return rows and columns of a box in a larger one."""
     top, left = box.top - part.top, box.left - part.left
     return slice(top, top + box.height), slice(left, left + box.width)

@@ -181,14 +181,10 @@ class Run:
         animated = self.avatar.animate(self.poses(sample.frame))
         target, screen = sample.target(animated.gaussians), Screen()
         image = render(animated.gaussians, target.camera, options.splat, screen=screen)
-        image = target.before_background(image)
         weights = options.loss
         if self.step % options.perceptual_every:  # most steps omit it, and others weight it more
             weights = replace(weights, perceptual=0.0)
-        losses = render_losses(
-            image, target.color, target.mask, animated.residual, weights, distance,
-            target.window, sample.area,
-        )  # fmt: skip
+        losses = render_losses(image, target, animated.residual, weights, distance)
         total = losses.total(weights, options.perceptual_every)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()

@@ -31,7 +31,8 @@ def test_a_step_draws_the_same_whatever_came_before_it(video):
     for step in (7, 2):
         x, y = a[step], b[step]
         assert x.frame == y.frame and x.window == y.window
-        assert torch.equal(x.color, y.color) and torch.equal(x.person, y.person)
+        assert torch.equal(x.cutout.color, y.cutout.color)
+        assert torch.equal(x.cutout.person, y.cutout.person)
 
 
 @pytest.mark.parametrize("random_background", [True, False])
@@ -42,15 +43,15 @@ def test_away_from_the_outline_the_person_is_cut_out_onto_the_background(random_
     sure = ~unsure(frame.mask, 0.03 * sample.area**0.5)
     inside, outside = sure & (frame.mask == 1), sure & (frame.mask == 0)
     assert min(x.sum() for x in (inside, outside, ~sure)) > 100
-    color, background = target.color.numpy(), target.background.numpy()
+    color, background, mask = (x.numpy() for x in target.composite())
     np.testing.assert_allclose(color[inside], frame.image[inside], atol=1e-6)
     for x in (color[outside], background[sure]):
-        np.testing.assert_allclose(x, np.broadcast_to(sample.color, x.shape), atol=1e-6)
+        np.testing.assert_allclose(x, np.broadcast_to(sample.cutout.color, x.shape), atol=1e-6)
     np.testing.assert_allclose(color[~sure], frame.image[~sure], atol=1e-6)
     kept = np.rint(255 * behind(frame.image, frame.mask)) / 255
     np.testing.assert_allclose(background[~sure], kept[~sure], atol=1e-6)
-    np.testing.assert_allclose(target.mask.numpy(), frame.mask, atol=1e-6)
-    assert random_background or bool((sample.color == 1).all())
+    np.testing.assert_allclose(mask, frame.mask, atol=1e-6)
+    assert random_background or bool((sample.cutout.color == 1).all())
 
 
 @pytest.mark.parametrize("pixels", [-2, 2])
@@ -67,7 +68,7 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
     costs = []
     for error in (0.12, 0.0):
         target = samples(video, mask_error=error)[0].target(everywhere(frame.camera))
-        costs.append(float((target.before_background(truth).color - target.color).abs().mean()))
+        costs.append(float(target.error(truth)) * target.area / 48**2)
     assert costs[0] < 0.002 < 0.01 < costs[1]
 
 
@@ -95,19 +96,45 @@ def test_a_part_of_the_picture_costs_what_the_whole_does(shift, video, known):
     g = dataclasses.replace(g, means=means.clone().requires_grad_())
     part = sample.target(g)
     whole = sample.target(everywhere(sample.camera))
-    assert whole.mask.shape == (48, 48) and part.mask.numel() < 48 * 48
+    sizes = [target.part.width * target.part.height for target in (whole, part)]
+    assert sizes[1] < sizes[0] == 48 * 48
     found = []
     for target in (whole, part):
-        image = target.before_background(render(g, target.camera))
+        options = LossOptions(alpha=0.1, ssim=0.1)
         losses = render_losses(
-            image, target.color, target.mask, torch.zeros(0, 3), LossOptions(alpha=0.1, ssim=0.1),
-            lambda a, b: (a - b).square().mean(), target.window, sample.area,
+            render(g, target.camera), target, torch.zeros(0, 3), options,
+            lambda a, b: (a - b).square().mean(),
         )  # fmt: skip
-        total = losses.total(LossOptions(alpha=0.1, ssim=0.1))
+        total = losses.total(options)
         found.append([total.detach(), *torch.autograd.grad(total, g.means, allow_unused=True)])
     for a, b in zip(*found, strict=True):
         assert (a is None) == (b is None)
         torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (13, 21)])
+def test_the_error_and_its_gradient_are_those_of_its_equations(shape, video):
+    """Also in a part that is no whole number of tiles, and beyond the cut-out."""
+    sample = samples(video, mask_error=0.03)[2]
+    part = Box(2, 1, 2 + shape[1], 1 + shape[0]) if shape != (48, 48) else Box(0, 0, 48, 48)
+    target = dataclasses.replace(sample.target(everywhere(sample.camera)), part=part)
+    generator = torch.Generator().manual_seed(0)
+    color, alpha = (
+        torch.rand(*shape, *rest, generator=generator).requires_grad_() for rest in ((3,), ())
+    )
+    wanted, background, _ = target.composite()
+    by_hand = (color + (1 - alpha)[..., None] * background - wanted).abs().sum() / (3 * target.area)
+    error = target.error(Image(color, alpha))
+    torch.testing.assert_close(error, by_hand)
+    for a, b in zip(
+        *(torch.autograd.grad(2 * x, (color, alpha)) for x in (error, by_hand)), strict=True
+    ):
+        torch.testing.assert_close(a, b)
+    moved = (torch.ones(shape[0], shape[1], 3), torch.ones(shape))
+    own = lambda *x: target.error(Image(*x))
+    tangent = torch.func.jvp(own, (color.detach(), alpha.detach()), moved)[1]
+    grads = torch.autograd.grad(own(color, alpha), (color, alpha))
+    torch.testing.assert_close(tangent, sum(g.sum() for g in grads))
 
 
 def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
@@ -135,7 +162,7 @@ def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
         sample, where = found[step], found[step].window
         assert 0 <= where.left and 0 <= where.top and where.right <= 48 and where.bottom <= 48
         assert where.width == where.height == min(window, 48)
-        mask = sample.target(everywhere(sample.camera)).mask
+        mask = sample.target(everywhere(sample.camera)).composite()[2]
         assert mask.amax(1)[where.top : where.bottom].max() > 0.5
         assert mask.amax(0)[where.left : where.right].max() > 0.5
 

@@ -14,7 +14,8 @@ In eq. 5 one lane adds up a piece of the list of a joint's Gaussians, and the pi
 their order, so the bits do not depend on the number of threads.
 
 Weights change by up to 100/m on fingers, and joints lie metres from the origin: E is a small
-difference of large numbers, so all sums are in float64.
+difference of large numbers, so the sums of eq. 1 and 2 are in float64. Those of eq. 3 to 5 are
+in the precision of the model, because eq. 4 has no positions of joints.
 """
 
 from __future__ import annotations
@@ -104,21 +105,16 @@ class SparseWeights:
         return SparseWeights(gaussians, joints, four, of_gaussians, of_pieces, of_piece)
 
 
-def _sums(pairs: PairLists, count: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
-    """Walk the list of each lane, adding to ``count`` numbers, float64."""
-    zero = dr.zeros(Float64, dr.width(pairs.begin))
+def _sums(pairs: PairLists, zero: Array, count: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
+    """Walk the list of each lane, adding to ``count`` numbers of the type of ``zero``."""
+    zero = dr.zeros(type(zero), dr.width(pairs.begin))
 
-    def body(k: UInt32, *sums: Float64) -> tuple[Any, ...]:
+    def body(k: UInt32, *sums: Array) -> tuple[Any, ...]:
         return (k + 1, *add(k, list(sums)))
 
     state = (UInt32(pairs.begin), *(zero * 1 for _ in range(count)))
     inside = lambda k, *_: k < pairs.end
     return dr.while_loop(state, inside, body, mode="symbolic", compress=False)[1:]
-
-
-def _row(numbers: Array, width: int, index: UInt32) -> Lane:
-    """Read one row of a flat array of rows, as float64."""
-    return [Float64(x) for x in load_columns(numbers, width, index)]
 
 
 def _pulled(dW: Lane, grad_E: Lane) -> Lane:
@@ -131,43 +127,42 @@ def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
     mean = [Float64(x) for x in mean]
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        W, *dW = _row(pairs.weights, 4, k)
-        T_p = _row(T, 12, dr.gather(UInt32, pairs.others, k))
+        W, *dW = (Float64(x) for x in load_columns(pairs.weights, 4, k))
+        T_p = load_columns(T, 12, dr.gather(UInt32, pairs.others, k))
         x = [sum(T_p[4 * i + k] * mean[k] for k in AXES) + T_p[4 * i + 3] for i in AXES]
         A = [dr.fma(W, value, a) for value, a in zip(T_p, sums[:12], strict=True)]
         E = [dr.fma(dW[c], x[i], sums[12 + 3 * i + c]) for i in AXES for c in AXES]
         return A + E
 
-    sums = _sums(pairs, 21, add)
+    sums = _sums(pairs, T, 21, add)
     return sums[:12], sums[12:]
 
 
-def adjoint_of_means(pairs: PairLists, T: Float64, grad_E: Lane) -> Lane:
-    """Evaluate eq. 4."""
-    grad_E = [Float64(x) for x in grad_E]
+def adjoint_of_means(pairs: PairLists, T: Array, grad_E: Lane) -> Lane:
+    """Evaluate eq. 4, with T in the precision of the model."""
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        _, *dW = _row(pairs.weights, 4, k)
-        T_p, h = _row(T, 12, dr.gather(UInt32, pairs.others, k)), _pulled(dW, grad_E)
+        _, *dW = load_columns(pairs.weights, 4, k)
+        T_p = load_columns(T, 12, dr.gather(UInt32, pairs.others, k))
+        h = _pulled(dW, grad_E)
         return [sum((T_p[4 * i + k] * h[i] for i in AXES), sums[k]) for k in AXES]
 
-    return _sums(pairs, 3, add)
+    return _sums(pairs, T, 3, add)
 
 
 def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane, Lane]]) -> Lane:
     """Evaluate eq. 5 for each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian."""
 
     def add(k: UInt32, sums: Lane) -> Lane:
-        W, *dW = _row(pieces.weights, 4, k)
-        found = of(dr.gather(UInt32, pieces.others, k))
-        grad_A, grad_E, mean = ([Float64(x) for x in some] for some in found)
+        W, *dW = load_columns(pieces.weights, 4, k)
+        grad_A, grad_E, mean = of(dr.gather(UInt32, pieces.others, k))
         h, one = _pulled(dW, grad_E), [*mean, 1.0]
         return [
             s + dr.fma(W, grad_A[4 * i + k], h[i] * one[k])
             for s, (i, k) in zip(sums, ENTRIES, strict=True)
         ]
 
-    return _sums(pieces, 12, add)
+    return _sums(pieces, pieces.weights, 12, add)
 
 
 def add_pieces(weights: SparseWeights, sums: Array, T: Tensor) -> Tensor:

@@ -104,7 +104,7 @@ def _adjoint(
     grad_sh, grad_A_lit, grad_light = lighting.adjoint(A, sh, l, g_color)
     grad_A = [a + b for a, b in zip(grad_A, grad_A_lit, strict=True)]
     by_E = lbs_transforms.adjoint_of_means(pairs, T, grad_E)
-    grad_mean = [a + F(b) for a, b in zip(grad_mean, by_E, strict=True)]
+    grad_mean = [a + b for a, b in zip(grad_mean, by_E, strict=True)]
     columns = grad_mean, grad_quat, grad_scale, grad_sh, grad_light, [*grad_A, *grad_E, *mean]
     found = [store_columns(some, n, F) for some in columns]
     dr.eval(found)
@@ -113,7 +113,7 @@ def _adjoint(
 
 @Frozen
 def _adjoint_of_joints(pieces: PairLists, rows: Array, *, n: int) -> list[Array]:
-    """Return the sums of each piece, float64."""
+    """Return the sums of each piece."""
 
     def of(gaussian: Array) -> tuple[Lane, Lane, Lane]:
         row = load_columns(rows, 24, gaussian)
@@ -165,7 +165,8 @@ class _Skinned(torch.autograd.Function):
             ctx.kept,
             [flat_array(g) for g in grads],
         )
-        *by_parts, by_light, rows = _adjoint(weights.of_gaussians, flat_array(T), *memory, n=n)
+        own = flat_array(T.to(parts[0]))
+        *by_parts, by_light, rows = _adjoint(weights.of_gaussians, own, *memory, n=n)
         by_T = None
         if ctx.needs_input_grad[0]:
             (sums,) = _adjoint_of_joints(weights.of_pieces, rows, n=len(weights.piece_joints))

@@ -29,8 +29,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
+import drjit as dr
 import numpy as np
 import torch
+from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.core.spill_cache import SpillCache
@@ -38,8 +40,11 @@ from gva_mi.data import backdrop
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
+from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.rowwise import flat_array, load_columns
+from gva_mi.jit.tensors import PRECISION
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
-from gva_mi.splat.geometry import largest_scales
 from gva_mi.splat.kernels.tiles import Layout
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
@@ -184,28 +189,45 @@ class FrameSampler:
         return min(max(start, 0), size - side), side
 
 
-@torch.no_grad()
+@exclusive
 def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
     """Return the part of a picture that Gaussians can reach; None: none is visible."""
-    T = torch.tensor(camera.T_camera_world, dtype=gaussians.means.dtype)
-    x, radius = gaussians.means @ T[:3, :3].T + T[:3, 3], REACH * largest_scales(gaussians)
-    before = x[:, 2] > SplatOptions.near
-    if not before.all():
-        x, radius = x[before], radius[before]
-    if not len(x):
+    means, sizes = gaussians.means, gaussians.scales
+    sizes = gaussians.covars if sizes is None else sizes
+    if not len(means):
         return None
-    z = x[:, 2]
-    x, y = x[:, 0] / z, x[:, 1] / z
-    # Off centre, a ball looks longer by the secant of its angle.
-    reach = radius * (1 + x * x + y * y).sqrt() / z * max(camera.fx, camera.fy) + BORDER
-    u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
-    low = np.array([float((u - reach).min()), float((v - reach).min())])
-    high = np.array([float((u + reach).max()), float((v + reach).max())])
+    view = [*camera.T_camera_world[:3].ravel(), camera.fx, camera.fy, camera.cx, camera.cy]
+    memory = flat_array(means), flat_array(sizes), PRECISION[means.dtype](view)
+    found = _reached(*memory, n=len(means), columns=sizes.shape[1])
+    low, high = np.array([x[0] for x in found], np.float64).reshape(2, 2)
+    if (low > high).any():  # all are behind the camera
+        return None
     size = np.array([camera.width, camera.height])
     if not np.isfinite([low, high]).all():  # a diverged fit is compared on the whole picture
         return Box(0, 0, camera.width, camera.height)
     outside = (high <= 0).any() or (low >= size).any()
     return None if outside else Extent(low, high).box(0.0, size)
+
+
+@Frozen
+def _reached(means: Array, sizes: Array, view: Array, *, n: int, columns: int) -> list[Array]:
+    """Return the least u and v, and the largest, that Gaussians before the camera reach, pixels."""
+    lane = dr.arange(dr.uint32_array_t(means), n)
+    mean, size = load_columns(means, 3, lane), load_columns(sizes, columns, lane)
+    *T, fx, fy, cx, cy = load_columns(view, 16, lane * 0)
+    x, y, z = (sum(T[4 * i + k] * mean[k] for k in range(3)) + T[4 * i + 3] for i in range(3))
+    if columns == 6:  # of a covariance: the trace bounds its largest variance
+        radius = dr.sqrt(dr.maximum(size[0] + size[3] + size[5], 0))
+    else:
+        radius = dr.maximum(dr.maximum(size[0], size[1]), size[2])
+    x, y = x / z, y / z
+    # Off centre, a ball looks longer by the secant of its angle.
+    reach = REACH * radius * dr.sqrt(1 + x * x + y * y) / z * dr.maximum(fx, fy) + BORDER
+    before, places = z > SplatOptions.near, (fx * x + cx, fy * y + cy)
+    found = [dr.min(dr.select(before, at - reach, dr.inf)) for at in places]
+    found += [dr.max(dr.select(before, at + reach, -dr.inf)) for at in places]
+    dr.eval(found)
+    return found
 
 
 def joined(*boxes: Box | None) -> Box:

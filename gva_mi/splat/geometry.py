@@ -35,14 +35,6 @@ def with_axes(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, quats=as_given(quats), scales=as_given(scales), covars=None)
 
 
-def largest_scales(gaussians: Gaussians) -> Tensor:
-    """Upper bound (N,) of the standard deviations along any direction, metres."""
-    if gaussians.covars is None:
-        return gaussians.scales.amax(1)
-    xx, _, _, yy, _, zz = gaussians.covars.unbind(1)
-    return (xx + yy + zz).clamp_min(0).sqrt()
-
-
 def _quaternions(R: Tensor) -> Tensor:
     """Convert rotations (N, 3, 3) to quaternions wxyz (N, 4).
 

@@ -1,4 +1,4 @@
-"""Time a fit: a step stage by stage, a re-initialisation, and a driven avatar.
+"""Time a fit: a step by its stages and their parts, a re-initialisation, and a driven avatar.
 
 The subject is the built-in body in stripes, 0.8 of the picture's height, and turns; the avatar lies
 on it already. One step in ``perceptual_every`` has the perceptual term: Eq. 9 is timed with and
@@ -8,12 +8,14 @@ without it, and the mean step includes its share.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
+from benchmarks.parts import PartClock
 from benchmarks.timing import WARM_UP, Clock, Table, Timing
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
@@ -47,7 +49,13 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
             video, video.splits.train, seed, True, options.window, options.mask_error
         )
         title = f"fit, {gaussians:,} Gaussians, {size} x {size} pixels"
-        yield _stages(fit, samples, repeats).table(f"{title}: a step", WARM_UP)
+        clock, parts = Clock(), PartClock()
+        for measured in (clock, parts):
+            _stages(fit, samples, repeats, measured)
+        table = clock.table(f"{title}: a step", WARM_UP)
+        for row in table.rows:
+            row |= parts.columns(row[""], row["min ms"], WARM_UP)
+        yield table
         clock = Clock()
         step = _mean_step(fit, samples, repeats)
         for k in range(WARM_UP + repeats):
@@ -85,9 +93,11 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     return load_video(folder)
 
 
-def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
+def _stages(
+    fit: Run, samples: FrameSampler, repeats: int, clock: Callable[[str], AbstractContextManager]
+) -> None:
     """Time the stages of one step."""
-    distance, clock = rand_vgg_loss(), Clock()
+    distance = rand_vgg_loss()
     weights = {"Eq. 9 and back, with VGG": fit.options.loss}
     weights["Eq. 9 and back, without"] = replace(fit.options.loss, perceptual=0.0)
     for k in range(WARM_UP + repeats):
@@ -114,7 +124,6 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int) -> Clock:
         with clock("Adam"):
             fit.optimizer.step()
         fit.optimizer.zero_grad(set_to_none=True)
-    return clock
 
 
 def _mean_step(fit: Run, samples: FrameSampler, repeats: int) -> Timing:

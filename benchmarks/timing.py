@@ -42,9 +42,10 @@ class Table:
         cells = [list(self.rows[0]), *([_cell(v) for v in row.values()] for row in self.rows)]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         lines = []
+        texts = [isinstance(value, str) for value in self.rows[0].values()]
         for row in cells:
-            pairs = zip(row, widths, strict=True)
-            aligned = [f"{c:{w}}" if k == 0 else f"{c:>{w}}" for k, (c, w) in enumerate(pairs)]
+            each = zip(row, widths, texts, strict=True)
+            aligned = [f"{c:{w}}" if text else f"{c:>{w}}" for c, w, text in each]
             lines.append("  ".join(aligned).rstrip())
         return "\n".join([f"{self.title}:", *lines])
 

@@ -32,17 +32,12 @@ class Segments:
     def sum(self, values: mi.Vector3f) -> mi.Vector3f:
         """Return the sum of each segment, (S,) from values (N,)."""
         count = dr.width(self.start) - 1
-        return _sum(values, self.items, *_bounds(self.start, count))
+        return _sum([values], self.items, *_bounds(self.start, count))[0]
 
 
 def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
     """Sum runs of neighbouring entries: run ``i`` starts at ``start[i]`` and ends at the next."""
-    i = dr.arange(mi.UInt32, dr.width(start))
-    is_last = i + 1 == dr.opaque(mi.UInt32, dr.width(start))
-    end = dr.select(
-        is_last, dr.opaque(mi.UInt32, total), dr.gather(mi.UInt32, start, i + 1, ~is_last)
-    )
-    return _sum(values, None, start, end)
+    return _sum([values], None, start, _ends(start, total))[0]
 
 
 def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
@@ -52,9 +47,7 @@ def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vecto
     i = dr.arange(mi.UInt32, dr.width(key))
     begins = (i == 0) | (key != dr.gather(mi.UInt32, key, i - 1, i > 0))
     start = dr.compress(begins)
-    sums = [
-        sum_runs(dr.gather(type(value), value, order), start, dr.width(key)) for value in values
-    ]
+    sums = _sum(values, order, start, _ends(start, dr.width(key)))
     return sums, dr.gather(mi.UInt32, key, start)
 
 
@@ -74,14 +67,32 @@ def _bounds(start: mi.UInt32, count: int) -> tuple[mi.UInt32, mi.UInt32]:
     return dr.gather(mi.UInt32, start, i), dr.gather(mi.UInt32, start, i + 1)
 
 
+def _ends(start: mi.UInt32, total: int) -> mi.UInt32:
+    """Return the end of each run: where the next one starts."""
+    i = dr.arange(mi.UInt32, dr.width(start))
+    is_last = i + 1 == dr.opaque(mi.UInt32, dr.width(start))
+    after = dr.gather(mi.UInt32, start, i + 1, ~is_last)
+    return dr.select(is_last, dr.opaque(mi.UInt32, total), after)
+
+
 @dr.syntax
 def _sum(
-    values: mi.Vector3f, items: mi.UInt32 | None, first: mi.UInt32, end: mi.UInt32
-) -> mi.Vector3f:
+    values: list[mi.Vector3f], items: mi.UInt32 | None, first: mi.UInt32, end: mi.UInt32
+) -> list[mi.Vector3f]:
+    """Sum the entries from ``first`` to ``end`` of several arrays, all in one loop."""
     k = mi.UInt32(first)
-    total = dr.zeros(type(values), dr.width(first))
+    totals = [dr.zeros(type(value), dr.width(first)) for value in values]
     while k < end:
         item = k if items is None else dr.gather(mi.UInt32, items, k)
-        total += dr.gather(type(values), values, item)
+        totals = _added(totals, values, item)
         k += 1
-    return total
+    return totals
+
+
+def _added(
+    totals: list[mi.Vector3f], values: list[mi.Vector3f], item: mi.UInt32
+) -> list[mi.Vector3f]:
+    return [
+        total + dr.gather(type(value), value, item)
+        for total, value in zip(totals, values, strict=True)
+    ]

@@ -182,8 +182,11 @@ class MeshView:
     def _tensor(self, channels: list[mi.Float]) -> mi.TensorXf:
         """Join C arrays (H W,) to an image (H, W, C); the reverse of :meth:`_channels_of`."""
         count, size = len(channels), self.filter.width * self.filter.height
-        index = count * dr.arange(mi.UInt32, size)
-        image = dr.empty(mi.Float, size * count)
-        for c, channel in enumerate(channels):
-            dr.scatter(image, channel, index + c)
+        if count == 4:
+            image = dr.ravel(mi.Vector4f(channels))
+        else:
+            index = count * dr.arange(mi.UInt32, size)
+            image = dr.empty(mi.Float, size * count)
+            for c, channel in enumerate(channels):
+                dr.scatter(image, channel, index + c)
         return mi.TensorXf(image, (self.filter.height, self.filter.width, count))

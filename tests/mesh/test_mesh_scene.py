@@ -8,7 +8,8 @@ import torch
 import trimesh
 
 from gva_mi.body.pose import Shape
-from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.mesh_scene import MeshScene, scene_of
+from gva_mi.mesh.sensor import sensor_of
 from gva_mi.splat import Camera
 
 
@@ -54,6 +55,22 @@ def test_gradient_is_that_of_the_pose_it_was_rendered_in(scene, body, camera, tr
 
     assert gradient(False).abs().sum() > 0
     assert torch.equal(gradient(False), gradient(True))
+
+
+def test_an_instance_is_seen_as_the_mesh_itself_wherever_it_moved(scene, body, camera, true_pose):
+    import mitsuba as mi
+
+    plugin = {"type": "mesh_normals", "intersections": False, "flat_faces": False}
+    integrator, sensor = mi.load_dict(plugin), mi.load_dict(sensor_of(camera))
+    weight = torch.linspace(-1, 1, 96)[None, :, None].expand(96, 96, 4)
+    for k in range(2):
+        vertices = body(true_pose[k], Shape(torch.zeros(10))).vertices[0].detach().requires_grad_()
+        image = scene.render(vertices, camera)
+        (grad,) = torch.autograd.grad((image * weight).sum(), vertices)
+        alone = integrator.view(scene_of(body.faces, vertices.detach()), sensor)
+        assert torch.equal(image, alone.image().torch())
+        expected = alone.adjoint(mi.TensorXf(weight.contiguous())).torch().T
+        torch.testing.assert_close(grad, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_wrong_vertices_are_refused(scene, body, camera):

@@ -11,6 +11,7 @@
 | pixel.py | one pixel meets one Gaussian: forward, adjoint and tangent step | (11)-(17) |
 | pair_gradient.py | the sums over a tile's pixels | (16) |
 | tile_iterator.py | iteration over a tile's list | |
+| tile_pixels.py | a tile's pixels in memory of the lane | |
 | blend.py | the loops around these steps, one tile per SIMD lane | |
 | chunks.py | wide colours, some channels at a time | |
 | composite.py | blend.py for all chunks, forward and adjoint | |

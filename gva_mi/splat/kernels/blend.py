@@ -9,7 +9,6 @@ for any number of threads.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import drjit as dr
 from drjit import ArrayBase as Array
@@ -29,23 +28,23 @@ from gva_mi.splat.kernels.pixel import (
     larger,
     w_tangent,
 )
-from gva_mi.splat.kernels.planes import Planes, SavedPixels, Window
+from gva_mi.splat.kernels.planes import Limit, Planes, SavedPixels, Window
 from gva_mi.splat.kernels.records import PairGradient, RecordFormat
 from gva_mi.splat.kernels.tile_iterator import TileIterator, load_splat
+from gva_mi.splat.kernels.tile_pixels import (
+    PARTS,
+    Memory,
+    Place,
+    for_each_part,
+    load_pixels,
+    store_pixels,
+)
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 from gva_mi.splat.options import SplatOptions
 
 # Gaussians per turn of the loops. Each turn loads and stores the state of its tile's pixels, which
 # does not fit into the registers.
-UNROLL, UNROLL_ADJOINT = 4, 2
-
-
-@dataclass(frozen=True)
-class Limit:
-    """Depth up to which each pixel shows Gaussians, where an opaque surface stands."""
-
-    plane: Array  # m, one number per pixel of the padded picture
-    depths: Array  # (N,) m, of the Gaussians
+UNROLL, UNROLL_ADJOINT = 6, 2
 
 
 @Frozen
@@ -79,33 +78,40 @@ def blend(
     window = Window.of(lists, grid, F)
     nothing = [window.x * 0 for _ in range(format.channels + format.depth)]
     # pixels outside the picture have stopped before they start
-    T = [dr.select(inside, F(1), F(-1)) for inside in window.inside(grid, F)]
-    tile = [Pixel(first, U(0), nothing) for first in T]
-    limits = [] if limit is None else window.load(limit.plane)
+    tile = store_pixels(
+        [[dr.select(i, F(1), F(-1)), U(0), *nothing] for i in window.inside(grid, F)]
+    )
+    limits = [] if limit is None else store_pixels([[z] for z in window.load(limit.plane)])
 
     iterator = TileIterator(
         splats, format, lists.ids, lambda k, j: (k + j, k + j < lists.end), UNROLL
     )
 
-    def body(k: Array, alive: Array, *state: Array) -> tuple[Array, ...]:
-        gaussians, ahead = iterator.next(k, state[: iterator.length])
-        tile = Pixel.of_state(state[iterator.length :])
-        for turn, g in enumerate(gaussians):
-            z = None if limit is None else _depth(limit, lists, k + turn)
-            rows = [PixelRow.of(g, window.x, window.y, j) for j in range(HEIGHT)]
-            for i, pixel in enumerate(tile):
-                alpha = Alpha.at(rows[i // WIDTH], PLACES[i % WIDTH], options).value
-                within = None if limit is None else z < limits[i]
-                tile[i] = pixel.step(alpha, g.features, k + (turn + 1), within, options)
-        greatest = functools.reduce(larger, [pixel.T for pixel in tile])
-        return (k + UNROLL, greatest > 0, *ahead, *Pixel.state(tile))
+    def body(k: Array, alive: Array, tile: Memory, limits: Memory, *ahead: Array) -> tuple:
+        gaussians, ahead = iterator.next(k, ahead)
+        features = [g.features for g in gaussians]
+        depths = [limit.of_pair(lists, k + turn) for turn in range(UNROLL if limits else 0)]
+
+        def step(place: Place, pixels: list[Pixel], limits: list[Array]) -> list[Pixel]:
+            j, places = place
+            rows = [PixelRow.of(g, window.x, window.y, j) for g in gaussians]
+            out = []
+            for i, (e, pixel) in enumerate(zip(places, pixels, strict=True)):
+                alphas = (Alpha.at(row, e, options).value for row in rows)
+                within = [z < limits[i] for z in depths] or None
+                out.append(pixel.step(alphas, features, k, within, options))
+            return out
+
+        tile, limits, greatest = for_each_part(step, tile, limits, F)
+        return (k + UNROLL, greatest > 0, tile, limits, *ahead)
 
     alive, start = lists.start < lists.end, U(lists.start)
-    state = (start, alive, *iterator.begin(start), *Pixel.state(tile))
-    _, _, *state = dr.while_loop(
+    state = (start, alive, tile, limits, *iterator.begin(start))
+    state = dr.while_loop(
         state, lambda k, alive, *_: (k < lists.end) & alive, body, mode="symbolic", compress=False
     )
-    tile = Pixel.of_state(state[iterator.length :])
+    parts = [load_pixels(state[2], part) for part in range(PARTS)]
+    tile = [Pixel(T, end, y) for part in parts for T, end, *y in part]
     window = Window.of(lists, grid, F)  # again: otherwise its rows occupy registers during the loop
     planes = Planes.empty(F, format, pixels, dr.empty)
     saved_pixels = SavedPixels(dr.empty(F, pixels), dr.empty(U, pixels))
@@ -257,12 +263,6 @@ def blend_tangent(
         window.store(dplanes.depth, [pixel.dy[-1] for pixel in tile])
     dr.eval(dplanes)
     return dplanes
-
-
-def _depth(limit: Limit, lists: Lists, k: Array) -> Array:
-    """Depth of the Gaussian of pair ``k``."""
-    gaussian = dr.gather(type(k), lists.ids, k, active=k < lists.end)
-    return dr.gather(type(limit.depths), limit.depths, gaussian)
 
 
 def _gradient_of_sums(

@@ -8,9 +8,9 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit.packets import Packets
 from gva_mi.splat.kernels import chunks
-from gva_mi.splat.kernels.blend import Limit, blend, blend_adjoint
+from gva_mi.splat.kernels.blend import blend, blend_adjoint
 from gva_mi.splat.kernels.inputs import Plan, RequestedGradients
-from gva_mi.splat.kernels.planes import Planes, SavedPixels
+from gva_mi.splat.kernels.planes import Limit, Planes, SavedPixels
 from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.saved import SavedState
 from gva_mi.splat.kernels.tiles import Grid, Lists, capacity

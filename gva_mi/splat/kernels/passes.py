@@ -28,7 +28,7 @@ from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks, tiles
-from gva_mi.splat.kernels.blend import Limit, blend_tangent
+from gva_mi.splat.kernels.blend import blend_tangent
 from gva_mi.splat.kernels.camera_arrays import (
     CameraArrays,
     camera_adjoint,
@@ -38,7 +38,7 @@ from gva_mi.splat.kernels.camera_arrays import (
 from gva_mi.splat.kernels.composite import composite, composite_adjoint, sum_rows
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, RequestedGradients
 from gva_mi.splat.kernels.pair_gradient import sum_slots
-from gva_mi.splat.kernels.planes import Planes
+from gva_mi.splat.kernels.planes import Limit, Planes
 from gva_mi.splat.kernels.project import (
     ProjectedMemory,
     footprint_memory,

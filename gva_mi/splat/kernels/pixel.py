@@ -43,7 +43,7 @@ the lists are in blend.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -122,40 +122,36 @@ class Pixel:
     y: list[Array]  # the sums of eq. 14 so far
 
     def step(
-        self, alpha: Array, f: list[Array], end: Array, within: Array | None, options: SplatOptions
+        self,
+        alphas: Iterable[Array],
+        features: Sequence[list[Array]],
+        k: Array,
+        within: Sequence[Array] | None,
+        options: SplatOptions,
     ) -> Pixel:
-        """Eq. 13-14: composite one Gaussian, whose place in the list is ``end - 1``.
+        """Eq. 13-14: composite the Gaussians of one turn.
+
+        After a pixel has stopped T falls on, so every later test fails too. Therefore no Gaussian
+        waits for the test of the one before it.
 
         Args:
-            alpha: eq. 12.
-            f: the Gaussian's features.
-            end: one past its place in the list.
-            within: whether it is nearer than the pixel's limit; None where pixels have none.
+            alphas: eq. 12, front to back.
+            features: of the Gaussians.
+            k: place in the list of the first one.
+            within: whether each is nearer than the pixel's limit; None where pixels have none.
             options: cut-offs.
         """
-        rest = dr.fma(-alpha, self.T, self.T)
-        ok = rest > options.transmittance_min
-        if within is not None:
-            ok &= within
-        weight = dr.select(ok, alpha * self.T, 0)
-        return Pixel(
-            dr.select(ok, rest, -dr.abs(self.T)),
-            dr.select(ok, end, self.end),
-            [dr.fma(weight, f[c], self.y[c]) for c in range(len(f))],
-        )
-
-    @staticmethod
-    def state(pixels: list[Pixel]) -> list[Array]:
-        """Flatten the pixels of a tile to the loop's variables."""
-        y = [number for pixel in pixels for number in pixel.y]
-        return [*(pixel.T for pixel in pixels), *(pixel.end for pixel in pixels), *y]
-
-    @staticmethod
-    def of_state(state: Sequence[Array]) -> list[Pixel]:
-        """The reverse of :meth:`state`."""
-        T, end, y = state[:PIXELS], state[PIXELS : 2 * PIXELS], list(state[2 * PIXELS :])
-        n = len(y) // PIXELS
-        return [Pixel(T[i], end[i], y[n * i : n * i + n]) for i in range(PIXELS)]
+        T, shown, end, y = self.T, dr.abs(self.T), self.end, self.y
+        for turn, (alpha, f) in enumerate(zip(alphas, features, strict=True)):
+            rest = dr.fma(-alpha, T, T)
+            ok = rest > options.transmittance_min
+            if within is not None:
+                ok &= within[turn]
+            weight = dr.select(ok, alpha * T, 0)
+            y = [dr.fma(weight, f[c], y[c]) for c in range(len(f))]
+            shown, end = dr.select(ok, rest, shown), dr.select(ok, k + (turn + 1), end)
+            T = rest
+        return Pixel(dr.select(ok, shown, -shown), end, y)
 
 
 @dataclass(frozen=True)

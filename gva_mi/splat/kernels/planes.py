@@ -57,6 +57,19 @@ class SavedPixels:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """Depth up to which each pixel shows Gaussians, where an opaque surface stands."""
+
+    plane: Array  # m, one number per pixel of the padded picture
+    depths: Array  # (N,) m, of the Gaussians
+
+    def of_pair(self, lists: Lists, k: Array) -> Array:
+        """Depth of the Gaussian of pair ``k``."""
+        gaussian = dr.gather(type(k), lists.ids, k, active=k < lists.end)
+        return dr.gather(type(self.depths), self.depths, gaussian)
+
+
+@dataclass(frozen=True)
 class Window:
     """Position of a lane's tile in the picture."""
 

@@ -64,7 +64,7 @@ def test_a_step_back_undoes_a_step():
     y0 = [Float64(rng.normal(size=N)) for _ in range(D)]
     behind = [Float64(rng.normal(size=N)) for _ in range(D)]
     g_y = [Float64(rng.normal(size=N)) for _ in range(D)]
-    after = Pixel(T0, UInt32(0), y0).step(alpha.value, g.features, UInt32(5), None, OPTIONS)
+    after = Pixel(T0, UInt32(0), y0).step([alpha.value], [g.features], UInt32(4), None, OPTIONS)
     assert dr.all(after.end == 5) and dr.all(after.T > 0)
 
     # B: what lies behind the Gaussian, seen through 1/T, with the gradient g
@@ -85,12 +85,30 @@ def test_a_step_back_undoes_a_step():
 
 def test_a_pixel_stops_before_its_transmittance_falls_too_low_and_stays_stopped():
     pixel = Pixel(Float64(2e-4), UInt32(3), [Float64(0.5)])
-    stopped = pixel.step(Float64(0.6), [Float64(1)], UInt32(4), None, OPTIONS)
+    one = lambda pixel, alpha, k, within=None: pixel.step(
+        [Float64(alpha)], [[Float64(1)]], UInt32(k), within, OPTIONS
+    )
+    stopped = one(pixel, 0.6, 3)
     assert stopped.T[0] == -2e-4 and stopped.end[0] == 3 and stopped.y[0][0] == 0.5
-    again = stopped.step(Float64(0.1), [Float64(1)], UInt32(5), None, OPTIONS)
+    again = one(stopped, 0.1, 4)
     assert again.T[0] == -2e-4 and again.end[0] == 3 and again.y[0][0] == 0.5
-    hidden = pixel.step(Float64(0.1), [Float64(1)], UInt32(4), dr.llvm.Bool(False), OPTIONS)
+    hidden = one(pixel, 0.1, 3, [dr.llvm.Bool(False)])
     assert hidden.T[0] == -2e-4 and hidden.end[0] == 3
+
+
+def test_gaussians_of_one_turn_are_composited_like_one_after_the_other():
+    """Also where the pixel stops within the turn, or before it: the same bits."""
+    rng = np.random.default_rng(3)
+    alphas = [Float(x) for x in rng.uniform(0, 0.999, (6, N))]
+    features = [[Float(x)] for x in rng.normal(size=(6, N))]
+    start = Pixel(Float(rng.choice([1, 1e-2, -0.5], N)), UInt32(7), [Float(rng.normal(size=N))])
+    turn = start.step(alphas, features, UInt32(10), None, OPTIONS)
+    alone = start
+    for i in range(6):
+        alone = alone.step(alphas[i : i + 1], features[i : i + 1], UInt32(10 + i), None, OPTIONS)
+    for a, b in zip((turn.T, turn.end, *turn.y), (alone.T, alone.end, *alone.y), strict=True):
+        assert (a.numpy() == b.numpy()).all()
+    assert 0 < (turn.T.numpy() < 0).sum() < N
 
 
 def test_the_tangents_step_is_the_derivative_of_the_step():
@@ -109,7 +127,7 @@ def test_the_tangents_step_is_the_derivative_of_the_step():
             None,
         )
         pixel = Pixel(along(T, dT), UInt32(0), [along(a, b) for a, b in zip(y, dy, strict=True)])
-        out = pixel.step(at(moved, i, j).value, moved.features, UInt32(1), None, OPTIONS)
+        out = pixel.step([at(moved, i, j).value], [moved.features], UInt32(0), None, OPTIONS)
         return np.stack([x.numpy() for x in (out.T, *out.y)])
 
     alpha = at(g, i, j)

@@ -9,7 +9,7 @@ The precision is that of the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar
 
 import drjit as dr
@@ -17,7 +17,6 @@ from drjit import ArrayBase as Array
 from drjit.llvm import ArrayXf, ArrayXf64, ArrayXu
 
 Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
-Allocate = Callable[[type, int], Array]  # memory for so many numbers of a type
 
 
 class PackedRecord(Protocol):
@@ -71,10 +70,9 @@ def empty(
     format: Any,  # noqa: ANN401
     rows: int,
     F: type,
-    allocate: Allocate = memory,
 ) -> Packets:
-    """Allocate ``rows`` records of a kind, of numbers of type ``F``."""
-    return [allocate(F, width * rows) for width in widths(kind.columns(format))]
+    """Allocate ``rows`` records of a kind, of numbers of type ``F``, inside a frozen kernel."""
+    return [dr.empty(F, width * rows) for width in widths(kind.columns(format))]
 
 
 def load(source: Packets, kind: type[R], format: Any, index: Array) -> R:  # noqa: ANN401

@@ -7,6 +7,7 @@ It supports both modes of Dr.Jit's autodiff: ``dr.backward`` runs the adjoint ke
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import drjit as dr
@@ -137,7 +138,11 @@ class _Render(dr.CustomOp):
         )
         found = render_adjoint(self.saved, grad, RequestedGradients(camera=bool(self.matrices)))
         for name, flat in found.named():
-            self.set_grad_in(name, self.kind(dr.array_t(self.kind)(flat), shape=self.shapes[name]))
+            shape = self.shapes[name]
+            numbers = dr.gather(
+                type(flat), flat, dr.arange(dr.uint32_array_t(flat), math.prod(shape))
+            )
+            self.set_grad_in(name, self.kind(dr.array_t(self.kind)(numbers), shape=shape))
         self.set_grad_in("background", self.kind(found.background))
         for name in self.matrices:
             self.set_grad_in(name, self.kind(getattr(found, name)))

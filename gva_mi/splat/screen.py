@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.jit import packets
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.project import ProjectedMemory
@@ -122,8 +123,9 @@ class KernelMemory:
         if self.projected is None:
             return Splat.unpack([self.empty] * Splat.columns(self.format), self.format)
         n, columns = dr.width(self.projected.radii), []
-        for part in self.projected.splats[0]:
-            columns += tensor_of(part).view(n, -1).unbind(1)
+        widths = packets.widths(Splat.columns(self.format))
+        for part, width in zip(self.projected.splats[0], widths, strict=True):
+            columns += tensor_of(part).view(-1, width)[:n].unbind(1)
         return Splat.unpack(columns, self.format)
 
     @property
@@ -134,7 +136,7 @@ class KernelMemory:
         if self.projected is None:
             return self.empty.detach().view(0, width).numpy()  # under torch.func it is no plain one
         (rows,) = self.projected.footprints
-        return rows.numpy().reshape(-1, width)
+        return rows.numpy().reshape(-1, width)[: dr.width(self.projected.radii)]
 
     @exclusive
     def number(self, name: str) -> Tensor:

@@ -125,13 +125,16 @@ def adjoint(
     found = render_adjoint(saved, grad, requested)
     dr.sync_thread()
     by_u, by_absolute = found.gaussians.u, found.gaussians.absolute
-    by_means2d = None if by_u is None else tensor_of(by_u).view(-1, 2)
+    rows = lambda flat: tensor_of(flat, 2 * len(saved.inputs)).view(-1, 2)
+    by_means2d = None if by_u is None else rows(by_u)
     if screen is not None:
         screen.grad = by_means2d
         if screen.absolute:
-            screen.absgrad = tensor_of(by_absolute).view(-1, 2)
+            screen.absgrad = rows(by_absolute)
     by_gaussians = {
-        name: tensor_of(flat).view(getattr(tensors, name).shape) for name, flat in found.named()
+        name: tensor_of(flat, given.numel()).view(given.shape)
+        for name, flat in found.named()
+        if (given := getattr(tensors, name)) is not None
     }
     new = tensors.background.new_tensor
     by_camera = {

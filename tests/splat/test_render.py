@@ -170,10 +170,3 @@ def test_other_distances_and_blurs_are_not_traced_again():
 def recordings(function):
     """Count the recordings of a frozen function."""
     return sum(variant.n_recordings for variant in function.variants.values())
-
-
-def test_kernels_that_allocate_their_memory_give_the_same_bits(monkeypatch):
-    s = scene(gaussians=300).to(torch.float32)
-    given = bits(s)
-    monkeypatch.setattr(passes, "MANY", 1)
-    assert bits(s) == given

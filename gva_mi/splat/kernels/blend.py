@@ -113,7 +113,7 @@ def blend(
     parts = [load_pixels(state[2], part) for part in range(PARTS)]
     tile = [Pixel(T, end, y) for part in parts for T, end, *y in part]
     window = Window.of(lists, grid, F)  # again: otherwise its rows occupy registers during the loop
-    planes = Planes.empty(F, format, pixels, dr.empty)
+    planes = Planes.empty(F, format, pixels)
     saved_pixels = SavedPixels(dr.empty(F, pixels), dr.empty(U, pixels))
     last = [dr.abs(pixel.T) for pixel in tile]
     color = [
@@ -215,8 +215,8 @@ def blend_tangent(
     grid: Grid,
     background: list[Array],
     dbackground: list[Array],
-    dplanes: Planes,
     *,
+    pixels: int,
     format: RecordFormat,
     options: SplatOptions,
 ) -> Planes:
@@ -226,7 +226,7 @@ def blend_tangent(
         splats, lists, grid, background, format, options: as :func:`blend` took them.
         saved_pixels, stop: as :func:`blend` returned them.
         dsplats, dbackground: tangents.
-        dplanes: memory for the picture's tangent.
+        pixels: to allocate.
     """
     F = type(splats[0])
     window = Window.of(lists, grid, F)
@@ -257,6 +257,7 @@ def blend_tangent(
         ]
         for pixel in tile
     ]
+    dplanes = Planes.empty(F, format, pixels)
     window.store_channels(dplanes.color, dcolor)
     window.store(dplanes.alpha, [-pixel.dT for pixel in tile])
     if format.depth:

@@ -86,9 +86,9 @@ def composite_adjoint(
     return slots, tuple(slot_formats), np.concatenate(sums)[:D].tolist()
 
 
-def sum_rows(flat: Array, width: int) -> np.ndarray:
-    """Add up the rows of a flat array on the host.
+def sum_rows(flat: Array, width: int, rows: int | None = None) -> np.ndarray:
+    """Add up the first ``rows`` rows of a flat array, or all, on the host.
 
     numpy adds in one thread, in float64: the same bits for any number of threads.
     """
-    return flat.numpy().reshape(-1, width).sum(axis=0, dtype=np.float64)
+    return flat.numpy().reshape(-1, width)[:rows].sum(axis=0, dtype=np.float64)

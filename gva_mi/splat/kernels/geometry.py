@@ -15,7 +15,6 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
-from gva_mi.jit.packets import Allocate
 
 Columns = Callable[[list[Array]], list[Array]]
 
@@ -28,9 +27,9 @@ class QuatScale:
     scales: Any  # 3 N numbers, metres; in a kernel 3 columns
 
     @staticmethod
-    def empty(F: type, n: int, allocate: Allocate) -> QuatScale:
-        """Allocate memory for n Gaussians."""
-        return QuatScale(allocate(F, 4 * n), allocate(F, 3 * n))
+    def empty(F: type, n: int) -> QuatScale:
+        """Allocate memory for n Gaussians, inside a frozen kernel."""
+        return QuatScale(dr.empty(F, 4 * n), dr.empty(F, 3 * n))
 
     def load(self, i: Array) -> QuatScale:
         """Read the columns of the Gaussians ``i``."""
@@ -61,9 +60,9 @@ class Covariance:
     covars: Any  # 6 N numbers, square metres; in a kernel 6 columns
 
     @staticmethod
-    def empty(F: type, n: int, allocate: Allocate) -> Covariance:
-        """Allocate memory for n Gaussians."""
-        return Covariance(allocate(F, 6 * n))
+    def empty(F: type, n: int) -> Covariance:
+        """Allocate memory for n Gaussians, inside a frozen kernel."""
+        return Covariance(dr.empty(F, 6 * n))
 
     def load(self, i: Array) -> Covariance:
         """Read the columns of the Gaussians ``i``."""

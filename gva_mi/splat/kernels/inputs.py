@@ -14,7 +14,6 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
-from gva_mi.jit.packets import Allocate
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.kernels.geometry import Covariance, Geometry, QuatScale
 from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
@@ -135,7 +134,10 @@ class RequestedGradients:
 
 @dataclass(frozen=True)
 class GradientMemory:
-    """Where the gradients are written; None for a gradient that was not requested."""
+    """Where the gradients are written; None for a gradient that was not requested.
+
+    The rows of the Gaussians come first; there is unused memory behind them.
+    """
 
     means: Array | None
     geometry: Geometry | None
@@ -147,23 +149,22 @@ class GradientMemory:
 
     @staticmethod
     def empty(
-        inputs: Inputs,
-        n: int,
-        color_width: int,
-        requested: RequestedGradients,
-        allocate: Allocate = packets.memory,
+        inputs: Inputs, n: int, color_width: int, requested: RequestedGradients
     ) -> GradientMemory:
-        """Allocate memory for the gradients of n Gaussians of the kind of ``inputs``."""
+        """Allocate memory for the gradients of n Gaussians of the kind of ``inputs``.
+
+        Only inside a frozen kernel.
+        """
         F, geometry = inputs.float_type, requested.geometry
-        rows = lambda columns, wanted: allocate(F, columns * n) if wanted else None
+        rows = lambda columns, wanted: dr.empty(F, columns * n) if wanted else None
         return GradientMemory(
             rows(3, geometry),
-            type(inputs.geometry).empty(F, n, allocate) if geometry else None,
+            type(inputs.geometry).empty(F, n) if geometry else None,
             rows(1, geometry),
             rows(color_width, requested.colors),
             rows(2, geometry),
             rows(2, requested.absolute),
-            packets.empty(CameraGradient, None, n, F, allocate) if requested.camera else None,
+            packets.empty(CameraGradient, None, n, F) if requested.camera else None,
         )
 
     def store(self, grad: Gaussian3D, grad_u: list[Array], i: Array) -> None:

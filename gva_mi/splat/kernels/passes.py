@@ -11,10 +11,9 @@ The kernels are frozen (frozen.py). The first call traces and compiles them (0.1
 on disk). Later calls replay them for any number of Gaussians, pose and cut-off of distance or size
 (near, far, blur, radius). Keyword arguments are constants of a recording: another value makes
 another recording. So do a pixel's cut-offs and the number of channels, which change the kernel too.
-The size of memory that a kernel allocates itself (the picture's, the slots') only makes it trace
-again. Memory passed as an argument is copied at every call. Below ``MANY`` Gaussians their memory
-is passed as an argument all the same, because their number changes often; above, copying would
-cost more than tracing.
+The size of memory that a kernel allocates itself only makes it trace again. It is a *capacity*
+(``tiles.capacity``), because numbers of Gaussians, pairs and pixels change often. Memory passed as
+an argument would be copied at every call.
 """
 
 from __future__ import annotations
@@ -41,18 +40,15 @@ from gva_mi.splat.kernels.pair_gradient import sum_slots
 from gva_mi.splat.kernels.planes import Limit, Planes
 from gva_mi.splat.kernels.project import (
     ProjectedMemory,
-    footprint_memory,
     project,
     project_adjoint,
     project_tangent,
     splat_memory,
 )
-from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
+from gva_mi.splat.kernels.records import CameraGradient, Footprint, RecordFormat
 from gva_mi.splat.kernels.saved import Gradients, SavedState
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
-
-MANY = 65_536  # from so many Gaussians on the kernels allocate their memory themselves
 
 
 def render_forward(
@@ -108,11 +104,7 @@ def render_forward(
 
 def _project_checked(inputs: Inputs, plan: Plan, view: CameraArrays, grid: Grid) -> ProjectedMemory:
     """Project the Gaussians and check that all their numbers are finite."""
-    n, F = len(inputs), inputs.float_type
-    memory, own = None, n
-    if n < MANY:
-        memory, own = (splat_memory(F, n, plan.formats), footprint_memory(F, n)), 0
-    projected = _project(inputs, view, grid, memory, n=own, plan=plan)
+    projected = _project(inputs, view, grid, rows=tiles.capacity(len(inputs)), plan=plan)
     if not dr.all(projected.finite):
         inputs.require_finite(plan.harmonics)
     return projected
@@ -130,17 +122,15 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, requested)
     slots, formats, by_background = composite_adjoint(saved, grad, requested)
-    target = None
-    if n < MANY:
-        target = GradientMemory.empty(saved.inputs, n, plan.color_width, requested)
-    constants = {"n": n if n >= MANY else 0, "requested": requested, "plan": plan}
+    constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
     found = _gaussians_adjoint(
-        saved.inputs, saved.view, saved.lists, slots, target, formats=formats, **constants
+        saved.inputs, saved.view, saved.lists, slots, formats=formats, **constants
     )
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
-        sums = [sum_rows(part, width) for part, width in zip(found.camera, columns, strict=True)]
+        parts = zip(found.camera, columns, strict=True)
+        sums = [sum_rows(part, width, n) for part, width in parts]
         by_camera = camera_adjoint(saved.camera, CameraGradient.unpack(np.concatenate(sums)))
     return Gradients(found, by_background, *by_camera)
 
@@ -166,15 +156,14 @@ def render_tangent(
     if saved.lists is None:
         return Planes.of_background(behind, saved.layout.pixels, plan.options.depth)
     dview = camera_tangent(saved.camera, dT, dK)
-    memory = splat_memory(F, len(saved.inputs), plan.formats)
-    dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, memory, plan=plan)
+    rows = tiles.capacity(len(saved.inputs))
+    dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, rows=rows, plan=plan)
     dbehind, pictures = chunks.split_background(behind, plan.formats), []
     parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
     of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
     for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
-        target = Planes.empty(F, format, saved.layout.pixels)
-        constants = {"format": format, "options": plan.options}
-        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, target, **constants)
+        constants = {"pixels": tiles.capacity(saved.layout.pixels), "options": plan.options}
+        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, format=format, **constants)
         pictures.append(picture)
     return chunks.join_planes(pictures, plan.channels)
 
@@ -184,16 +173,13 @@ def _project(
     inputs: Inputs,
     view: CameraArrays,
     grid: Grid,
-    memory: tuple[list[packets.Packets], packets.Packets] | None,
     *,
-    n: int,
+    rows: int,
     plan: Plan,
 ) -> ProjectedMemory:
     F, i = inputs.float_type, inputs.index()
-    splats, footprints = memory or (
-        splat_memory(F, n, plan.formats, dr.empty),
-        footprint_memory(F, n, dr.empty),
-    )
+    splats = splat_memory(F, rows, plan.formats)
+    footprints = packets.empty(Footprint, None, rows, F)
     found = project(inputs, plan, view)
     parts = chunks.split_splat(found.splat, plan.formats)
     for target, part in zip(splats, parts, strict=True):
@@ -213,14 +199,13 @@ def _gaussians_adjoint(
     view: CameraArrays,
     lists: Lists,
     slots: list[packets.Packets],
-    target: GradientMemory | None,
     *,
-    n: int,
+    rows: int,
     requested: RequestedGradients,
     plan: Plan,
     formats: tuple[RecordFormat, ...],
 ) -> GradientMemory:
-    target = target or GradientMemory.empty(inputs, n, plan.color_width, requested, dr.empty)
+    target = GradientMemory.empty(inputs, rows, plan.color_width, requested)
     sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
     dr.eval(sums)  # two kernels: a single one would run out of registers
     slot, drawn = chunks.add_slots(sums, plan.channels), lists.counts > 0
@@ -235,11 +220,12 @@ def _project_tangent(
     view: CameraArrays,
     dinputs: Inputs,
     dview: CameraArrays,
-    dsplats: list[packets.Packets],
     *,
+    rows: int,
     plan: Plan,
 ) -> list[packets.Packets]:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
+    dsplats = splat_memory(inputs.float_type, rows, plan.formats)
     i = inputs.index()
     for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)

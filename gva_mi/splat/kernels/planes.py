@@ -14,7 +14,6 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
-from gva_mi.jit.packets import Allocate
 from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
 
@@ -28,12 +27,10 @@ class Planes:
     depth: Array | None  # (rows, columns); None if it is not made, or no loss depends on it
 
     @staticmethod
-    def empty(
-        F: type, format: RecordFormat, pixels: int, allocate: Allocate = packets.memory
-    ) -> Planes:
-        """Allocate a picture of so many pixels, padding included."""
-        color, alpha = allocate(F, pixels * format.channels), allocate(F, pixels)
-        return Planes(color, alpha, allocate(F, pixels) if format.depth else None)
+    def empty(F: type, format: RecordFormat, pixels: int) -> Planes:
+        """Allocate a picture of so many pixels, padding included, inside a frozen kernel."""
+        color, alpha = dr.empty(F, pixels * format.channels), dr.empty(F, pixels)
+        return Planes(color, alpha, dr.empty(F, pixels) if format.depth else None)
 
     @staticmethod
     def of_background(background: list[Array], pixels: int, depth: bool) -> Planes:

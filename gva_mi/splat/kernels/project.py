@@ -28,7 +28,6 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
-from gva_mi.jit.packets import Allocate
 from gva_mi.splat.kernels import sh
 from gva_mi.splat.kernels.camera_arrays import CameraArrays
 from gva_mi.splat.kernels.covariance import CovarianceEllipse
@@ -58,7 +57,10 @@ class ProjectedGaussians:
 
 @dataclass(frozen=True)
 class ProjectedMemory:
-    """Every Gaussian in the picture, in memory: the input of the next kernels."""
+    """Every Gaussian in the picture, in memory: the input of the next kernels.
+
+    Splats and footprints have unused memory behind the last Gaussian.
+    """
 
     splats: list[packets.Packets]  # one per chunk; read by blend.py
     footprints: packets.Packets  # read by tiles.py
@@ -69,16 +71,9 @@ class ProjectedMemory:
     finite: Array  # (N,)
 
 
-def splat_memory(
-    F: type, n: int, formats: tuple[RecordFormat, ...], allocate: Allocate = packets.memory
-) -> list[packets.Packets]:
-    """Allocate memory for the splats of n Gaussians, one per chunk."""
-    return [packets.empty(Splat, format, n, F, allocate) for format in formats]
-
-
-def footprint_memory(F: type, n: int, allocate: Allocate = packets.memory) -> packets.Packets:
-    """Allocate memory for the footprints of n Gaussians."""
-    return packets.empty(Footprint, None, n, F, allocate)
+def splat_memory(F: type, n: int, formats: tuple[RecordFormat, ...]) -> list[packets.Packets]:
+    """Allocate memory for the splats of n Gaussians, one per chunk, inside a frozen kernel."""
+    return [packets.empty(Splat, format, n, F) for format in formats]
 
 
 def _in_camera(m: list[Array], view: CameraArrays) -> tuple[list[Array], Array]:

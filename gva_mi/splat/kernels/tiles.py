@@ -154,10 +154,15 @@ def count(g: Footprint, grid: Grid) -> Array:
 
 @Frozen
 def _emit(
-    footprints: packets.Packets, order: Array, start: Array, grid: Grid, tile: Array, ids: Array
+    footprints: packets.Packets, order: Array, start: Array, grid: Grid, last: Array, *, size: int
 ) -> tuple[Array, Array]:
-    """Step 3: one lane per Gaussian, front to back; one pair per turn of the inner loop."""
+    """Step 3: one lane per Gaussian, front to back; one pair per turn of the inner loop.
+
+    The result is the tile and the Gaussian of ``size`` pairs; the padding's tile is ``last``.
+    """
     U, I = type(order), type(grid.width)
+    tile, ids = last + dr.zeros(U, size), dr.empty(U, size)
+    dr.eval(tile)
     g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
 
@@ -186,11 +191,12 @@ def _ranges(
     last: Array,
     start: Array,
     end: Array,
-    slots: Array,
+    *,
+    size: int,
 ) -> tuple[Array, ...]:
     """Step 4, after the sort: make the lists, their ranges, and the inverse permutation."""
     U = type(tile)
-    k = dr.arange(U, dr.width(permutation))
+    k, slots = dr.arange(U, size), dr.empty(U, size)
     ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
     dr.eval(ids, here)
     before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
@@ -247,15 +253,13 @@ def make_lists(
             f"32-bit indices hold: make the picture or the Gaussians smaller"
         )
     size, tiles = capacity(pairs), layout.tiles
-    tile, ids = dr.full(U, tiles - 1, size), dr.zeros(U, size)
-    dr.make_opaque(tile, ids)
-    tile, ids = _emit(footprints, order, start, grid, tile, ids)
+    tile, ids = _emit(footprints, order, start, grid, dr.opaque(U, tiles - 1), size=size)
 
     permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
     begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
     dr.make_opaque(begin, end)
     ids, begin, end, slots = _ranges(
-        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, packets.memory(U, size)
+        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
     )
     first = packets.memory(U, n)
     dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)

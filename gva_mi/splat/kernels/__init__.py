@@ -8,6 +8,7 @@
 | covariance.py | the shape where a covariance is given | (6)-(7) |
 | sh.py | its colour | (8)-(10) |
 | tiles.py | which Gaussians touch which tile, front to back | |
+| schedule.py | which lane works on which tile | |
 | pixel.py | one pixel meets one Gaussian: forward, adjoint and tangent step | (11)-(17) |
 | pair_gradient.py | the sums over a tile's pixels | (16) |
 | tile_iterator.py | iteration over a tile's list | |

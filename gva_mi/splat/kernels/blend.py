@@ -136,7 +136,6 @@ def blend(
 def blend_adjoint(
     splats: packets.Packets,
     lists: Lists,
-    stop: Array,
     grid: Grid,
     background: list[Array],
     saved_pixels: SavedPixels,
@@ -151,8 +150,9 @@ def blend_adjoint(
     """Eq. 15-16, one lane per tile: a slot per pair, and each lane's share of grad_background.
 
     Args:
-        splats, lists, grid, background, format, options: as :func:`blend` took them.
-        saved_pixels, stop: as :func:`blend` returned them.
+        splats, grid, background, format, options: as :func:`blend` took them.
+        lists: what it walked of them (``tiles.walked``).
+        saved_pixels: as :func:`blend` returned them.
         grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
         slot_format: of the slots; without a depth if no loss depends on it, and without moments or
@@ -198,7 +198,7 @@ def blend_adjoint(
         k = dr.select(k > UNROLL_ADJOINT, k - UNROLL_ADJOINT, 0)
         return (k, *ahead, *PixelAdjoint.state(tile))
 
-    last, start = U(stop), lists.start
+    last, start = U(lists.end), lists.start
     state = (last, *iterator.begin(last), *PixelAdjoint.state(tile))
     dr.while_loop(state, lambda k, *_: k > start, body, mode="symbolic", compress=False)
     dr.eval(slots, grad_background)

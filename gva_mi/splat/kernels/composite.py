@@ -13,7 +13,7 @@ from gva_mi.splat.kernels.inputs import Plan, RequestedGradients
 from gva_mi.splat.kernels.planes import Limit, Planes, SavedPixels
 from gva_mi.splat.kernels.records import RecordFormat
 from gva_mi.splat.kernels.saved import SavedState
-from gva_mi.splat.kernels.tiles import Grid, Lists, capacity
+from gva_mi.splat.kernels.tiles import Grid, Lists, capacity, walked
 
 
 def composite(
@@ -59,6 +59,7 @@ def composite_adjoint(
     plan, D = saved.plan, len(saved.background)
     colors = requested.colors or plan.harmonics  # harmonics reach the means too
     slots, slot_formats, sums = [], [], []
+    lists = walked(saved.lists, saved.stop)
     pictures = chunks.split_gradient(grad, D, len(plan.formats))
     parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
     for part, by_picture, behind, format in parts:
@@ -68,14 +69,13 @@ def composite_adjoint(
         )
         memory, shares = blend_adjoint(
             part,
-            saved.lists,
-            saved.stop,
+            lists,
             saved.grid,
             behind,
             saved.saved_pixels,
             by_picture,
-            pairs=dr.width(saved.lists.ids),
-            lanes=dr.width(saved.lists.tile),
+            pairs=dr.width(lists.ids),
+            lanes=dr.width(lists.tile),
             format=format,
             slot_format=slot_format,
             options=plan.options,

@@ -7,8 +7,7 @@ A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 2. sort the Gaussians by depth, stably, and sum up the counts: where the pairs of each start;
 3. emit one (tile, Gaussian) pair per touched tile, in depth order;
 4. sort the pairs by tile, stably, so that every tile's list is in depth order;
-5. schedule: tiles with lists of similar length share a SIMD packet, and packets are dealt
-   round-robin over the blocks that threads work on, or one thread would get all long lists.
+5. schedule (schedule.py).
 
 The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*: M rounded
 up to one of four sizes per octave. So memory stays that of the largest picture so far, without
@@ -19,7 +18,7 @@ sizes need few recordings of the kernels (frozen.py).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 from drjit import ArrayBase as Array
@@ -27,11 +26,10 @@ from drjit import ArrayBase as Array
 from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.records import Footprint
+from gva_mi.splat.kernels.schedule import BLOCKS, SIMD, lists_by_length
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
-SIMD = 16  # lanes of a packet with AVX-512; AVX2's 8 lanes divide it
-BLOCKS = 16  # packets are dealt over so many parts
-LONGEST = 1023  # lists are ordered by length up to this one
+LONG = 64  # pairs per lane from which on it pays to schedule the adjoint's lists again
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
 SLACK = 1e-3  # pixels; widens an ellipse against rounding
 
@@ -211,22 +209,34 @@ def _ranges(
 
 def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     """Step 5: assign each lane a tile and its list."""
-    U = type(start)
-    tiles = dr.width(start)
-    key = LONGEST - dr.minimum(end - start, LONGEST)
-    order = dr.detail.block_mkperm(key, tiles, LONGEST + 1)
+    U, tiles = type(start), dr.width(start)
     per_block = capacity(-(-tiles // (SIMD * BLOCKS)))  # packets
-    lane = dr.arange(U, per_block * BLOCKS * SIMD)
-    packet, stride = (
-        lane // SIMD,
-        dr.opaque(U, per_block),
-    )  # an array: another size needs no other kernel
-    rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
-    real = rank < dr.opaque(U, tiles)
-    tile = dr.gather(U, order, rank, active=real)
+    tile = lists_by_length(end - start, per_block * BLOCKS * SIMD)
+    real = tile < dr.opaque(U, tiles)
+    tile = dr.select(real, tile, 0)
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
     dr.eval(tile, start, end, real)
     return tile, start, end, real
+
+
+def walked(lists: Lists, stop: Array) -> Lists:
+    """Cut each list where its lane stopped, and schedule long lists again.
+
+    In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
+    equally long, would wait for one another.
+
+    Args:
+        lists: as compositing walked them.
+        stop: (lanes,) as ``blend`` returned it.
+    """
+    lanes = dr.width(stop)
+    if dr.width(lists.ids) < LONG * lanes:
+        return replace(lists, end=stop)
+    lane = lists_by_length(stop - lists.start, lanes)
+    of_lanes = lists.tile, lists.start, stop, lists.real
+    tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
+    dr.eval(tile, start, end, real)
+    return replace(lists, tile=tile, start=start, end=end, real=real)
 
 
 def make_lists(

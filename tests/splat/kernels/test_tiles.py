@@ -72,3 +72,22 @@ def test_every_slot_has_one_writer():
     ids = saved.lists.ids.numpy()
     assert (ids[owner] == np.repeat(np.arange(len(counts)), counts)).all()
     assert dr.width(saved.lists.ids) == tiles.capacity(int(counts.sum()))
+
+
+def test_lists_scheduled_again_are_the_same_lists_up_to_where_they_stopped(monkeypatch):
+    scene = random_scene(torch.Generator().manual_seed(0), gaussians=300)
+    opaque = scene.inputs() | {"opacities": torch.full((300,), 0.98, dtype=torch.float64)}
+    saved = forward(scene.with_inputs(opaque))
+    by_tile = lambda lists, end: {
+        int(tile): (int(start), int(stop))
+        for tile, start, stop, real in zip(
+            *(x.numpy() for x in (lists.tile, lists.start, end, lists.real)), strict=True
+        )
+        if real
+    }
+    short = tiles.walked(saved.lists, saved.stop)
+    monkeypatch.setattr(tiles, "LONG", 0)
+    again = tiles.walked(saved.lists, saved.stop)
+    assert by_tile(again, again.end) == by_tile(short, short.end)
+    assert by_tile(again, again.end) == by_tile(saved.lists, saved.stop)
+    assert (again.tile.numpy() != saved.lists.tile.numpy()).any()

@@ -20,7 +20,8 @@ def lists_by_length(length: Array, lanes: int) -> Array:
     U, lists = type(length), dr.width(length)
     order = dr.detail.block_mkperm(LONGEST - dr.minimum(length, LONGEST), lists, LONGEST + 1)
     lane = dr.arange(U, lanes)
-    packet, stride = lane // SIMD, dr.opaque(U, lanes // (BLOCKS * SIMD))  # no constant of the code
+    # arrays: another size needs no other kernel
+    stride, count = dr.opaque(U, lanes // (BLOCKS * SIMD)), dr.opaque(U, lists)
+    packet = lane // SIMD
     rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
-    real = rank < dr.opaque(U, lists)
-    return dr.select(real, dr.gather(U, order, rank, active=real), lists)
+    return dr.select(rank < count, dr.gather(U, order, rank, active=rank < count), count)

@@ -17,9 +17,6 @@ from gva_mi.core.provenance import RESULTS_VERSIONS  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
-# These two show an older program, and are executed again when the avatar's code has come to rest.
-OLD = ("4_fitting_an_avatar", "5_reinitialising_on_the_surface")
-CURRENT = [path for path in NOTEBOOKS if path.stem not in OLD]
 tool = SimpleNamespace(**runpy.run_path(str(FOLDER / "execute.py")))
 SHORT = {  # set after the parameter cell
     "1_one_gaussian": "SIZE, STEPS = 16, 8",
@@ -53,7 +50,7 @@ def test_a_notebook_runs(path):
     tool.run_cells(notebook, FOLDER, timeout=300)
 
 
-@pytest.mark.parametrize("path", CURRENT, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_stored_outputs_are_those_of_the_cells(path):
     command = f"python notebooks/execute.py notebooks/{path.name}"
     assert not tool.is_stale(path), f"{path.name}: its outputs are stale; run `{command}`"
@@ -92,7 +89,7 @@ def test_the_figures_of_lessons_are_todays():
 
 
 def test_every_notebook_is_a_short_lesson_with_small_outputs():
-    for path in CURRENT:
+    for path in NOTEBOOKS:
         notebook = nbformat.read(path, as_version=4)
         text = "\n".join(cell.source for cell in cells(notebook, "markdown")).lower()
         places = [text.find(part) for part in PARTS]

@@ -109,7 +109,7 @@ def make_track(
     places = of.transl
     if places is None:
         places = np.zeros((count, 3))
-        notes.append("the source has no translation by a known name: the person stays in place")
+        notes.append("the source has no translation: the person stays in place")
     of_mean = False
     if not of_pelvis:
         of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(form))

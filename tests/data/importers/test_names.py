@@ -181,7 +181,7 @@ def test_what_is_not_used_is_named_and_a_missing_place_is_said(motion):
             "gender": "male", "fps": 30.0, "leye_pose": np.zeros((T, 3))}  # fmt: skip
     track = make_track("x", "0", None, named | more, np.eye(3))
     assert track.notes == (
-        "the source has no translation by a known name: the person stays in place",
+        "the source has no translation: the person stays in place",
         "not used of the source: dmpls, markers",
     )
 

@@ -10,9 +10,12 @@ from pathlib import Path
 import pytest
 
 import gva_mi  # noqa: F401  chooses the libLLVM before a test imports Dr.Jit
+from gva_mi.core.cpu import pin_cpu_features
 
-# As the command line does: idle threads of torch leave the cores to Dr.Jit's threads.
+# As the command line does: idle threads of torch leave the cores to Dr.Jit's threads, and libraries
+# compute the same bits on every CPU, in this process and in those that tests start.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+pin_cpu_features()
 # A shell's background job ignores Ctrl-C, and so would the processes that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -40,6 +40,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.core.same_bits import sqrt
+
 
 def joint_transforms(
     rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
@@ -152,7 +154,7 @@ class _TurnJoints(torch.autograd.Function):
 def _rodrigues(rotations: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return R of eq. 1, and a, b, θ² (T, J, 1). Sinc has no pole at 0."""
     square = (rotations * rotations).sum(-1, keepdim=True)
-    angle = square.sqrt() / math.pi
+    angle = sqrt(square) / math.pi
     a, b = torch.sinc(angle), torch.sinc(angle / 2).square() / 2
     skew = _cross_matrix(rotations, tree)
     outer = rotations.unsqueeze(-1) * rotations.unsqueeze(-2)  # [r]×² + θ² I

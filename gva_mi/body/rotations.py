@@ -22,7 +22,9 @@ def to_rotvecs(matrices: np.ndarray) -> np.ndarray:
 
 def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) nearest to matrices that lost digits."""
-    return roma.special_procrustes(torch.from_numpy(np.array(matrices, np.float64))).numpy()
+    return roma.special_procrustes(
+        torch.from_numpy(np.array(matrices, np.float64)), method="svd"
+    ).numpy()
 
 
 def composed(first: np.ndarray, then: np.ndarray) -> np.ndarray:

@@ -23,6 +23,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.core.same_bits import sqrt
+
 SMALL = 1e-6  # θ² below which C and D take their limits
 
 
@@ -61,21 +63,21 @@ def _composed(a: Tensor, b: Tensor) -> Tensor:
     real = w * z - (u * v).sum(-1, keepdim=True)
     rest = w * v + z * u + torch.linalg.cross(u, v)
     rest, real = torch.where(real < 0, -rest, rest), real.abs()
-    sine = rest.square().sum(-1, keepdim=True).sqrt()
+    sine = sqrt(rest.square().sum(-1, keepdim=True))
     angle = 2 * torch.atan2(sine, real)
     return rest * torch.where(sine > 0, angle / sine, 2)
 
 
 def _quaternion(x: Tensor) -> tuple[Tensor, Tensor]:
     """Return the quaternion of an axis-angle as real part (..., 1) and vector (..., 3)."""
-    theta = x.square().sum(-1, keepdim=True).sqrt()
+    theta = sqrt(x.square().sum(-1, keepdim=True))
     return (theta / 2).cos(), x * (torch.sinc(theta / (2 * torch.pi)) / 2)
 
 
 def _jacobian(x: Tensor, v: Tensor) -> Tensor:
     """Return J(x) v; for -x it is Jᵀ(x) v."""
     square = x.square().sum(-1, keepdim=True)
-    theta = square.sqrt()
+    theta = sqrt(square)
     B = torch.sinc(theta / (2 * torch.pi)).square() / 2
     C = torch.where(square > SMALL, (1 - torch.sinc(theta / torch.pi)) / square, 1 / 6)
     across = torch.linalg.cross(x, v)
@@ -85,7 +87,7 @@ def _jacobian(x: Tensor, v: Tensor) -> Tensor:
 def _inverse(x: Tensor, v: Tensor) -> Tensor:
     """Return J⁻¹(x) v; for -x it is J⁻ᵀ(x) v."""
     square = x.square().sum(-1, keepdim=True)
-    half = square.sqrt() / 2
+    half = sqrt(square) / 2
     D = torch.where(square > SMALL, (1 - half / half.tan()) / square, 1 / 12)
     across = torch.linalg.cross(x, v)
     return v + across / 2 + D * torch.linalg.cross(x, across)
@@ -94,7 +96,7 @@ def _inverse(x: Tensor, v: Tensor) -> Tensor:
 def _turned(x: Tensor, v: Tensor) -> Tensor:
     """Return exp(x) v."""
     square = x.square().sum(-1, keepdim=True)
-    theta = square.sqrt()
+    theta = sqrt(square)
     B = torch.sinc(theta / (2 * torch.pi)).square() / 2
     across = torch.linalg.cross(x, v)
     return v + torch.sinc(theta / torch.pi) * across + B * torch.linalg.cross(x, across)

@@ -16,9 +16,11 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
+from gva_mi.fit.perceptual import LpipsNetwork, find_weights
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.metrics import measure_run, save_metrics
 from gva_mi.study.report import write_report
+from gva_mi.study.scores import Scorer
 
 
 def evaluate(
@@ -28,6 +30,7 @@ def evaluate(
     poses: Path | None = None,
     body: Path | None = None,
     fit_poses: Switch = False,
+    lpips: LpipsNetwork | None = None,
 ) -> None:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -39,6 +42,8 @@ def evaluate(
             record says. Hands are measured where it has them.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
+        lpips: the network of LPIPS, with your weights: vgg as in the tables of 3DGS and its
+            followers, alex as its authors advise; without it alex where it is found, else vgg.
     """
     avatar = Avatar.load(run / run_folder.AVATAR)
     body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
@@ -52,9 +57,9 @@ def evaluate(
     title = subject.resolve().name
     with folder_lock(run, "gva-mi evaluate"):
         require_room(run / run_folder.METRICS, overwrite=True)
-        evaluate_run(
-            run, avatar, video, model, poses, name="full", title=title, fit_poses=fit_poses
-        )
+        scorer = Scorer(find_weights().of_lpips(lpips))
+        about = {"name": "full", "title": title, "fit_poses": fit_poses, "scorer": scorer}
+        evaluate_run(run, avatar, video, model, poses, **about)
     say(f"report: {run / run_folder.REPORT}")
 
 
@@ -68,6 +73,7 @@ def evaluate_run(
     name: str,
     title: str,
     fit_poses: bool = False,
+    scorer: Scorer | None = None,
 ) -> None:
     """Measure the avatar of a run, write metrics and report into its folder, print the metrics.
 
@@ -76,10 +82,10 @@ def evaluate_run(
     """
     trained = run_folder.under_trained_poses(video, run)
     with bar("evaluate") as progress:
-        metrics = measure_run(run, avatar, video, name, model, poses, progress)
+        metrics = measure_run(run, avatar, video, name, model, poses, progress, scorer=scorer)
     if fit_poses:
         with bar("poses") as progress:
-            metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress)
+            metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress, scorer)
     save_metrics(run, metrics)
     write_report(run, avatar, trained, title, model)
     for line in metrics.lines():

@@ -14,6 +14,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
+from gva_mi.fit.perceptual import LpipsNetwork, find_weights
 from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
 from gva_mi.study.score_pictures import RegionScores, score_pictures
 from gva_mi.study.scores import Scorer
@@ -28,6 +29,7 @@ def score(
     masks: Path | None = None,
     background: str = "white",
     body: Path | None = None,
+    lpips: LpipsNetwork | None = None,
     out: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -44,6 +46,8 @@ def score(
             stay as they are.
         body: of the subject's poses, in SMPL-X's .npz format; without it the one that the subject
             was prepared for, else the built-in body.
+        lpips: the network of LPIPS, with your weights: vgg as in the tables of 3DGS and its
+            followers, alex as its authors advise; without it alex where it is found, else vgg.
         out: also write the table to this .json file.
         overwrite: replace that file.
     """
@@ -56,10 +60,10 @@ def score(
         pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth, body)), color)
     else:
         raise InputError(f"{truth}: has its own masks; give it without --masks")
-    scorer = Scorer()
+    scorer = Scorer(find_weights().of_lpips(lpips))
     with bar("score") as progress:
         rows = score_pictures(pairs, scorer, progress)
-    for line in _lines(rows):
+    for line in _lines(rows, scorer.network):
         say(line)
     if out is not None:
         table = [row.to_json() for row in rows]
@@ -67,10 +71,11 @@ def score(
         say(f"figures: {out}")
 
 
-def _lines(rows: Sequence[RegionScores]) -> Iterator[str]:
+def _lines(rows: Sequence[RegionScores], network: str | None) -> Iterator[str]:
     """Yield the table, a line a region and protocol."""
-    yield f"{'':8}{'':9}{'PSNR, dB':>9}{'SSIM':>8}{'LPIPS':>8}{'rand_vgg':>10}  pictures"
+    name = f"LPIPS-{network}" if network else "LPIPS"
+    yield f"{'':8}{'':9}{'PSNR, dB':>9}{'SSIM':>8}{name:>14}{'rand_vgg':>10}  pictures"
     for row in rows:
         lpips, vgg = ("" if x is None else f"{x:.4f}" for x in (row.lpips, row.rand_vgg))
-        figures = f"{row.psnr:9.2f}{row.ssim:8.4f}{lpips:>8}{vgg:>10}"
+        figures = f"{row.psnr:9.2f}{row.ssim:8.4f}{lpips:>14}{vgg:>10}"
         yield f"{row.region:8}{row.protocol:9}{figures}  {row.count}"

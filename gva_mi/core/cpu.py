@@ -1,9 +1,11 @@
 """Settings that make numerical libraries compute the same bits on every x86 CPU with AVX2.
 
-OpenBLAS (numpy, scipy), MKL, oneDNN and torch's own kernels choose their code by the CPU, and each
-choice sums in another order. These settings, made before the libraries are imported, choose the
-code that all CPUs with AVX2 have. Dr.Jit compiles for the CPU's own vectors and gives the same bits
-for any vector width, except for ``rsqrt``, which every CPU estimates in its own way. Therefore no
+OpenBLAS (numpy, scipy), MKL, oneDNN, numpy's and torch's own kernels choose their code by the CPU,
+and each choice rounds in another order. These settings, made before the libraries are imported,
+choose the code that all CPUs with AVX2 have. MKL takes its AVX2 code on Intel's CPUs alone; the
+branch that it has for all makers is called COMPATIBLE. What no setting reaches is in
+:mod:`gva_mi.core.same_bits`. Dr.Jit compiles for the CPU's own vectors and gives the same bits for
+any vector width, except for ``rsqrt``, which every CPU estimates in its own way. Therefore no
 kernel of this package uses it.
 """
 
@@ -11,14 +13,18 @@ from __future__ import annotations
 
 import os
 import platform
+from importlib import metadata
 from pathlib import Path
 
 SETTINGS = {
     "OPENBLAS_CORETYPE": "Haswell",
-    "MKL_CBWR": "AVX2",
+    "MKL_CBWR": "COMPATIBLE",
     "ONEDNN_MAX_CPU_ISA": "AVX2",
     "ATEN_CPU_CAPABILITY": "avx2",
 }
+NUMPY = "NPY_DISABLE_CPU_FEATURES"
+WIDER_THAN_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of its code since 2.4
+WIDER_BEFORE = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL"
 REQUIRED_FLAGS = {"avx2", "fma"}
 _FLAGS = Path("/proc/cpuinfo")
 
@@ -28,7 +34,15 @@ def cpu_settings() -> dict[str, str]:
     if platform.machine() not in ("x86_64", "AMD64") or not _FLAGS.exists():
         return {}
     flags = next((line for line in _FLAGS.read_text().splitlines() if line.startswith("flags")), "")
-    return SETTINGS if REQUIRED_FLAGS <= set(flags.split()) else {}
+    if not set(flags.split()) >= REQUIRED_FLAGS:
+        return {}
+    return SETTINGS | ({NUMPY: _of_numpy()} if "avx512f" in flags.split() else {})
+
+
+def _of_numpy() -> str:
+    """Return the names of code wider than AVX2 in the installed numpy, which is not imported."""
+    major, minor = metadata.version("numpy").split(".")[:2]
+    return WIDER_THAN_AVX2 if (int(major), int(minor)) >= (2, 4) else WIDER_BEFORE
 
 
 def pin_cpu_features() -> None:

@@ -24,12 +24,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
 
 from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.same_bits import sqrt
 
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
 VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
@@ -37,6 +39,8 @@ ALEXNET_TAPS = (1, 4, 7, 9, 11)  # each of its ReLUs
 LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window holds
 RAND_SEED = 0  # part of the definition of rand_vgg
 RAND_WIDTH = 0.25  # share of VGG16's channels: a tenth of its time on a CPU
+
+LpipsNetwork = Literal["alex", "vgg"]  # under the names of the package lpips
 
 # Input of the trained networks: ImageNet's mean and standard deviation per channel.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -152,6 +156,24 @@ class Weights:
             return "AlexNet"
         return "VGG16" if self.vgg16 and self.lpips_vgg else None
 
+    def of_lpips(self, network: LpipsNetwork | None) -> Weights:
+        """Return the files of LPIPS on one network alone; all of them if ``network`` is None.
+
+        LPIPS on one network cannot be compared with LPIPS on the other.
+
+        Raises:
+            InputError: files of the network were not found.
+        """
+        if network is None:
+            return self
+        needed = {"vgg": ("vgg16", "lpips_vgg"), "alex": ("alexnet", "lpips_alex")}[network]
+        if missing := [f"{name}*.pth" for name in needed if getattr(self, name) is None]:
+            raise InputError(
+                f"--lpips {network}: found no {' and no '.join(missing)} in torch's cache of "
+                "weights (hub/checkpoints in TORCH_HOME) or in an installed package lpips"
+            )
+        return Weights(**{name: getattr(self, name) for name in needed})
+
 
 def find_weights(folder: Path | None = None) -> Weights:
     """Look for weights in a folder, in torch's cache, and in an installed ``lpips``.
@@ -189,7 +211,7 @@ def find_weights(folder: Path | None = None) -> Weights:
 
 def _unit(features: Tensor) -> Tensor:
     """Normalise feature vectors (1, D, H, W) along the channels."""
-    return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
+    return features / (sqrt(features.square().sum(1, keepdim=True)) + 1e-10)
 
 
 def _conv(*arguments: int, **options: int) -> nn.Conv2d:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.body.smplx import Rest
+from gva_mi.core.same_bits import sqrt
 
 EPSILON = 1e-12
 
@@ -71,7 +72,7 @@ class VectorAdam:
             state.v.mul_(beta2).add_(x.grad.square().sum(-1, keepdim=True), alpha=1 - beta2)
             m = state.m / (1 - beta1**state.steps)
             v = state.v / (1 - beta2**state.steps)
-            x -= factor * rate * m / (v.sqrt() + EPSILON)
+            x -= factor * rate * m / (sqrt(v) + EPSILON)
             x.grad = None
 
 
@@ -87,7 +88,7 @@ def lever_arms(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
     for joint in reversed(range(1, len(parents))):
         moved[:, parents[joint]] += moved[:, joint]
     square = (rest.vertices[:, None] - rest.joints).square().sum(-1)
-    return ((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6)).sqrt()
+    return sqrt((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6))
 
 
 def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:

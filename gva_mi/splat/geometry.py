@@ -12,6 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.splat.gaussians import Gaussians
 
 MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # entries of the upper triangle, row by row
@@ -30,7 +31,7 @@ def with_axes(gaussians: Gaussians) -> Gaussians:
     squares, axes = torch.linalg.eigh(matrices(gaussians.covars).double())
     axes = axes * torch.linalg.det(axes).sign()[:, None, None]  # a mirrored frame is not a rotation
     quats = _quaternions(axes)
-    scales = squares.clamp_min(0).sqrt()
+    scales = sqrt(squares.clamp_min(0))
     as_given = lambda x: x.to(gaussians.covars)
     return replace(gaussians, quats=as_given(quats), scales=as_given(scales), covars=None)
 

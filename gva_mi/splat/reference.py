@@ -18,6 +18,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
@@ -113,7 +114,7 @@ def _render(
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
-            opacity = opacity * torch.sqrt(torch.linalg.det(sharp) / torch.linalg.det(covariance))
+            opacity = opacity * sqrt(torch.linalg.det(sharp) / torch.linalg.det(covariance))
         d = pixels - mean2d
         exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
         free = opacity * torch.exp(exponent)

@@ -27,6 +27,7 @@ def with_fitted_poses(
     trained: Video,
     body: BodyModel,
     progress: Progress | None = None,
+    scorer: Scorer | None = None,
 ) -> Metrics:
     """Add rows for frames under poses that are fitted to these very frames.
 
@@ -40,7 +41,9 @@ def with_fitted_poses(
         trained: opened with the poses that the avatar was trained under.
         body: the fitted body model.
         progress: called after each step of the pose fit.
+        scorer: without it, one with the networks that are found.
     """
+    scorer = scorer or Scorer()
     starts = [with_trained_poses(view, trained) for view in views_of(video, OF_VIDEO[1:], body)]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     if similarity is not None:
@@ -57,7 +60,7 @@ def with_fitted_poses(
         frames = sorted(frame for view in group for frame in view.frames)
         found = fit_poses(avatar, group[0].video, options[name], frames, part)
         posed = [v.through(lambda source, p=found.pose: replace(source, pose=p)) for v in group]
-        rows += evaluate_views(avatar, posed, FITTED, Scorer())
+        rows += evaluate_views(avatar, posed, FITTED, scorer)
         kept |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
         seconds += found.seconds_per_frame * len(frames)
         fitted += len(frames)

@@ -172,6 +172,7 @@ def measure_run(
     poses: Path,
     progress: Progress | None = None,
     driven: Callable[[Pose], Pose] = lambda pose: pose,
+    scorer: Scorer | None = None,
 ) -> Metrics:
     """Measure the avatar of a run on all splits of its video.
 
@@ -184,9 +185,10 @@ def measure_run(
         poses: the file of the poses that the fit began with.
         progress: called after each frame.
         driven: applied to every pose before it drives the avatar.
+        scorer: without it, one with the networks that are found.
     """
     made_with, history = run_folder.load_options(run), run_folder.load_history(run)
-    trained, scorer = run_folder.under_trained_poses(video, run), Scorer()
+    trained, scorer = run_folder.under_trained_poses(video, run), scorer or Scorer()
     given = [
         view.through(lambda source: replace(source, pose=driven(source.pose)))
         for view in views_of(video, body=body)

@@ -80,9 +80,14 @@ class Scorer:
             float(self.rand_vgg(a, b)),
         )
 
+    @property
+    def network(self) -> str | None:
+        """The network of LPIPS, if its weights were found."""
+        return self._weights.lpips_network
+
     def networks(self) -> dict[str, Any]:
         """Describe network and weights of each perceptual metric; None for LPIPS without any."""
-        found, name = self._weights, self._weights.lpips_network
+        found, name = self._weights, self.network
         files = {
             "AlexNet": (found.alexnet, found.lpips_alex),
             "VGG16": (found.vgg16, found.lpips_vgg),

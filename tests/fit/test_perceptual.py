@@ -87,6 +87,18 @@ def test_the_users_weights_are_found_and_used(weights, picture):
         assert metric(picture, picture) == 0 and metric(blurred(picture, 1), picture) > 0
 
 
+def test_the_network_of_lpips_can_be_chosen(weights, picture):
+    found, blurry = find_weights(weights), blurred(picture, 1)
+    vgg, alex = (lpips(found.of_lpips(network))(blurry, picture) for network in ("vgg", "alex"))
+    assert found.of_lpips("vgg").lpips_network == "VGG16" and vgg != alex
+    assert lpips(found.of_lpips(None))(blurry, picture) == alex
+
+
+def test_a_network_of_lpips_that_is_not_there_is_refused():
+    with pytest.raises(InputError, match="--lpips vgg: found no vgg16"):
+        Weights().of_lpips("vgg")
+
+
 def test_there_is_no_lpips_without_weights():
     assert lpips(Weights()) is None and Weights().lpips_network is None
 

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
+
 UNDETERMINED = 1e-6  # added to the diagonal
 
 
@@ -102,7 +104,7 @@ class NormalEquations:
         """
         count, free = self.pull.shape
         factors = _Factors.of(*_in_pairs(self.frames, self.next, self.second))
-        return factors.variances().reshape(-1, free)[:count].sqrt()
+        return sqrt(factors.variances().reshape(-1, free)[:count])
 
 
 @dataclass(frozen=True)

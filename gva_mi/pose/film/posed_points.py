@@ -24,6 +24,7 @@ from torch import Tensor
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.same_bits import sqrt
 
 _COUNT = len(PARENTS)
 
@@ -134,7 +135,7 @@ class PosedPoints:
 def _left_jacobian(r: Tensor) -> Tensor:
     """Return ``J_l`` (..., 3, 3) of axis-angles (..., 3)."""
     square = r.square().sum(-1)[..., None, None]
-    angle = square.sqrt() / torch.pi
+    angle = sqrt(square) / torch.pi
     b = torch.sinc(angle / 2).square() / 2
     c = torch.where(square > 1e-8, (1 - torch.sinc(angle)) / square.clamp_min(1e-12), 1 / 6)
     zero = torch.zeros_like(r[..., 0])

@@ -13,6 +13,7 @@ Landmarks do not show how stout a person is: betas stay near the mean except for
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -25,6 +26,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
+from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.importers.lens import in_pixels
 from gva_mi.data.landmarks import Landmarks
@@ -241,7 +243,7 @@ class _Film:
         lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
         of_hand = lambda side: [p for p, name in enumerate(names) if f"{side}_hand_" in name]
         seen = tuple(float(found[:, of_hand(side)].any(1).float().mean()) for side in _HANDS)
-        tilt = float(torch.rad2deg(-torch.asin(up[2])))
+        tilt = -math.degrees(math.asin(float(up[2])))
         return SolvedFilm(
             pose,
             shape,
@@ -259,5 +261,5 @@ def _per_joint(equations: NormalEquations, joints: Sequence[int]) -> Tensor:
     """Return the spread (T, 55) of joints, the last columns of a frame; zero elsewhere."""
     each = equations.spread().unflatten(1, (-1, 3))[:, -len(joints) :]
     whole = each.new_zeros(len(each), len(JOINTS))
-    whole[:, list(joints)] = each.square().mean(2).sqrt()
+    whole[:, list(joints)] = sqrt(each.square().mean(2))
     return whole

@@ -31,6 +31,7 @@ import roma
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 from gva_mi.pose.stage1 import Stage1
 
@@ -63,7 +64,9 @@ class TiltPrior:
     def of(stage1: Stage1, rotations: Tensor) -> TiltPrior:
         """Estimate the chance level from a motion, rotations (n, J, 3)."""
         R = stage1.R_joint_camera[:, LIMBS]
-        means = roma.special_procrustes(roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0))
+        means = roma.special_procrustes(
+            roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0), method="svd"
+        )
         none, shown = torch.ones(len(means)), stage1.turned > ROUND
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)
@@ -71,14 +74,14 @@ class TiltPrior:
         square = tilt._locked(m)[:, 2].square()
         usual = lambda some: some.median() / median_of_square(1)
         chance = (usual(square / sways.clamp_min(LEAST**2)) * sways + usual(square)) / 2
-        return replace(tilt, chance=chance.sqrt().clamp_min(LEAST))
+        return replace(tilt, chance=sqrt(chance).clamp_min(LEAST))
 
     def energy(self, rotations: Tensor, transl: Tensor, times: Tensor) -> Tensor:
         """Return eq. 2, a mean over the frames."""
         if not self.shown:
             return rotations.new_zeros(())
         in_depth = self._locked(self._turns(rotations))[:, :2]
-        size = (in_depth.square().sum(1) + (0.01 * LEAST) ** 2).sqrt()  # has a slope at 0, too
+        size = sqrt(in_depth.square().sum(1) + (0.01 * LEAST) ** 2)  # has a slope at 0, too
         beyond = (size / self.chance - 1).clamp_min(0)
         return (FREEDOM + 1) / (2 * MEMORY) * torch.log1p(beyond.square() / FREEDOM).sum()
 

@@ -32,6 +32,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.core.same_bits import sqrt
 
 # Joints that stage 1 is taken to know equally well. Jaw and eyes are in none: they are not turned.
 _KINDS: Mapping[str, Sequence[str]] = {
@@ -101,7 +102,7 @@ class Stage1ErrorModel:
         apart = (times[:, None] - times[:-1] - gaps / 2) / self.memory
         weights = torch.softmax(-apart.square() / 2, dim=1)
         square_speed = weights @ (steps.square().mean(-1) / gaps.square())
-        return (1 + (self.lag / self.slow) ** 2 * square_speed).sqrt()
+        return sqrt(1 + (self.lag / self.slow) ** 2 * square_speed)
 
 
 def covariance(
@@ -129,7 +130,7 @@ def white_level(steps: Tensor) -> float:
         return 0.0
     third = steps[2:] - 2 * steps[1:-1] + steps[:-2]
     square = third.square().sum(-1).median() / median_of_square(steps.shape[-1])
-    return float((square / 20).sqrt())
+    return float(sqrt(square / 20))
 
 
 def fit_slow_part(

@@ -36,6 +36,7 @@ from torch import Tensor
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import Rest
+from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import FREEDOM
 
@@ -205,7 +206,7 @@ class Ground:
         h = moved.heights(places)
         stands = moved.stands(places)
         of_ground = moved._weights(h, stands)
-        spread = ((of_ground * h.square()).sum() / stands.sum().clamp_min(1e-6)).sqrt()
+        spread = sqrt((of_ground * h.square()).sum() / stands.sum().clamp_min(1e-6))
         lift = ((1 - stands) * h.clamp_min(0)).sum() / (1 - stands).sum().clamp_min(1e-6)
         contact = ContactStats(
             spread=min(max(float(spread), EVEN), UNEVEN),

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.camera_tilt import TiltPrior
 from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level
@@ -182,7 +183,7 @@ def _noise(
         for name, errors in seen.items()
     }
     # A group that is small in the image is corrected little, which does not prove small errors.
-    least = LEAST_SLOW * torch.tensor([found[name].slow for name in GROUPS]).square().mean().sqrt()
+    least = LEAST_SLOW * sqrt(torch.tensor([found[name].slow for name in GROUPS]).square().mean())
     for name in GROUPS:
         found[name] = replace(found[name], slow=max(found[name].slow, float(least)))
     return found

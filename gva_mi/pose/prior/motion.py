@@ -23,6 +23,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 
 SPAN = 8  # h, frames
@@ -38,7 +39,7 @@ def excursions(changes: Tensor, span: int) -> Tensor:
     first = (torch.arange(n) - span // 2).clamp(0, max(n - span, 0))
     last = (first + span).clamp(max=n)
     frames = (last - first).view(-1, *[1] * (changes.ndim - 1))
-    return (total[last] - total[first]) / frames.sqrt()
+    return (total[last] - total[first]) / sqrt(frames)
 
 
 def usual_square(e: Tensor) -> Tensor:

@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import Stage1ErrorModel, covariance, outlier_factors
 
@@ -162,7 +163,7 @@ class ProcessPrior:
     def spread(self, corrections: Tensor) -> Tensor:
         """Return ``M`` (C, n, n), eq. 3, at corrections (n, C, d)."""
         values, vectors = torch.linalg.eigh(self._curvature(corrections)[0])
-        gain = (1 / values / (1 / values).mean(1, keepdim=True)).clamp(max=1).sqrt()
+        gain = sqrt((1 / values / (1 / values).mean(1, keepdim=True)).clamp(max=1))
         return ((vectors * gain[:, None]) @ vectors.mT).float()
 
     def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:

@@ -22,6 +22,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
+from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat.autograd import one_by_one
@@ -131,7 +132,7 @@ def _projection(drawn: Drawn) -> Callable[[Tensor, Tensor, Tensor], tuple[Tensor
             return f * x[:, :2] + c, depths
         squared = x[:, :2].square().sum(dim=-1, keepdim=True)
         on_axis = squared < ON_AXIS * z * z
-        r = torch.where(on_axis, 1, squared).sqrt()
+        r = sqrt(torch.where(on_axis, 1, squared))
         s = torch.where(on_axis, (1 - squared / (3 * z * z)) / z, torch.atan2(r, z) / r)
         return f * x[:, :2] * s + c, depths
 

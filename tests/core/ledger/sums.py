@@ -1,0 +1,145 @@
+"""The stages of the ledger, and a hash of what each computes: a small subject on its whole way.
+
+    python tests/core/ledger/sums.py         # print this CPU's hashes
+    python tests/core/ledger/sums.py --add   # and write them into ledger.json
+
+One process does all of it, so that a CPU which QEMU emulates can do it, too (user mode does not
+emulate a child process):
+
+    qemu-x86_64 -cpu Haswell .venv/bin/python tests/core/ledger/sums.py --add --cpu "Haswell, QEMU"
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from importlib import metadata
+from io import StringIO
+from pathlib import Path
+
+from gva_mi.__main__ import main
+
+LEDGER = Path(__file__).with_name("ledger.json")
+CPUINFO = Path("/proc/cpuinfo")
+OF_BITS = ("drjit", "mitsuba", "numpy", "scipy", "torch")  # whose versions decide about bits
+SUBJECT = "--seed 2 --frames 3 --size 64 --novel-poses 1 --novel-views 0".split()
+
+
+def stages() -> Iterator[tuple[str, str]]:
+    """Yield name and hash of each stage, in the order in which one needs the other."""
+    with tempfile.TemporaryDirectory() as folder:
+        subject, run = Path(folder) / "subject", Path(folder) / "run"
+        _command("synth", subject, *SUBJECT)
+        yield "poses of synth", _of_files(subject.glob("**/*.npz"))
+        yield "pictures of synth", _of_files(subject.glob("**/frames/*.png"))
+        yield "masks and normals of synth", _of_files(subject.glob("[mn]*s/*.png"))
+        yield from _splatting()
+        yield from _mesh_normals()
+        _command("refine", subject, "--passes", "1", "--size", "64")
+        yield "refined poses", _of_files([subject / "poses_refined.npz"])
+        _command("fit", subject, "--out", run, "--steps", "10", "--avatar.seed.count", "800")
+        yield "avatar", _of_files([run / "avatar.npz", run / "poses.npz"])
+        renders, novel = Path(folder) / "renders", subject / "truth/novel_pose"
+        seen = "--poses", novel / "poses.npz", "--cameras", novel / "cameras.npz"
+        _command("render", run, *seen, "--out", renders)
+        yield "render", _of_files(renders.glob("*.png"))
+
+
+def _command(*arguments: object) -> None:
+    with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+        main([str(argument) for argument in arguments])
+
+
+def _of_files(paths: Iterable[Path]) -> str:
+    contents = [path.read_bytes() for path in sorted(paths)]
+    if not contents:
+        raise FileNotFoundError("a stage wrote no files")
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
+
+
+def _of_tensors(tensors: Iterable) -> str:
+    parts = [x.detach().contiguous().numpy().tobytes() for x in tensors]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def _splatting() -> Iterator[tuple[str, str]]:
+    """Yield forward pass, adjoint and tangent in both precisions."""
+    import numpy as np
+    import torch
+
+    from gva_mi.splat import render
+    from gva_mi.splat.scene import person_scene
+
+    for dtype in (torch.float32, torch.float64):
+        scene = person_scene(np.random.default_rng(0), 500, 64).to(dtype)
+        inputs = [x.requires_grad_() for x in scene.inputs().values()]
+        color = render(scene.gaussians, scene.camera, scene.options, scene.background).color
+        weights = torch.linspace(-1, 1, color.numel(), dtype=dtype).reshape(color.shape)
+        gradients = torch.autograd.grad((color * weights).sum(), inputs)
+        name = f"splatting, {str(dtype).removeprefix('torch.')}"
+        yield name, _of_tensors([color])
+        yield f"{name}, adjoint", _of_tensors(gradients)
+
+
+def _mesh_normals() -> Iterator[tuple[str, str]]:
+    import torch
+
+    from gva_mi.body.pose import Pose, Shape
+    from gva_mi.body.smplx import load_body
+    from gva_mi.mesh.mesh_scene import MeshScene
+    from gva_mi.splat import Camera, look_at
+
+    body = load_body()
+    posed = body(Pose.rest(1), Shape(torch.zeros(10))).vertices[0]
+    vertices = posed.detach().contiguous().requires_grad_()
+    K = [[90.0, 0, 32], [0, 90, 32], [0, 0, 1]]
+    camera = Camera.from_matrices(K, look_at((0.3, 0.4, 3.0), (0, -0.1, 0)), 64, 64)
+    image = MeshScene(body.faces, body.v_template).render(vertices, camera)
+    weights = torch.linspace(-1, 1, image.numel()).reshape(image.shape)
+    (gradient,) = torch.autograd.grad((image * weights).sum(), [vertices])
+    yield "mesh normals and silhouette", _of_tensors([image])
+    yield "mesh normals and silhouette, adjoint", _of_tensors([gradient])
+
+
+def this_cpu() -> str:
+    """Return vendor, family, model and name of this CPU, and its widest vectors."""
+    lines = (line.split(":", 1) for line in CPUINFO.read_text().splitlines() if ":" in line)
+    first: dict[str, str] = {}
+    for key, value in lines:
+        first.setdefault(key.strip(), value.strip())
+    widest = next((w for w in ("avx512f", "avx2") if w in first["flags"].split()), "no avx2")
+    numbers = f"family {first['cpu family']} model {first['model']}"
+    return f"{first['vendor_id']} {numbers} ({first['model name']}), {widest}"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the libraries that decide about bits."""
+    return {name: metadata.version(name) for name in OF_BITS}
+
+
+def add(cpu: str, found: dict[str, str]) -> None:
+    """Write a CPU's line. If it had another one, the program has changed: the others go."""
+    ledger = json.loads(LEDGER.read_text()) if LEDGER.exists() else {}
+    lines = ledger.get("cpus", {}) if ledger.get("versions") == versions() else {}
+    if lines.get(cpu, found) != found:
+        lines = {}
+    lines[cpu] = found
+    LEDGER.write_text(json.dumps({"versions": versions(), "cpus": lines}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--add", action="store_true", help="write the line of this CPU")
+    parser.add_argument("--cpu", help="name of the line; without it this CPU's own name")
+    options = parser.parse_args()
+    cpu, found = options.cpu or this_cpu(), dict(stages())
+    json.dump({"cpu": cpu, "versions": versions(), "stages": found}, sys.stdout, indent=1)
+    if options.add:
+        add(cpu, found)

@@ -28,6 +28,7 @@ SHORT = {  # set after the parameter cell
     "4_fitting_an_avatar": "SIZE, FRAMES, STEPS = 48, 9, 8",
     "5_reinitialising_on_the_surface": "SIZE, FRAMES, STEPS = 48, 9, 10",
     "6_an_ablation": "",
+    "8_hands": "SIZE, FRAMES, STEPS, PASSES = 128, 9, 10, 2",
 }
 PARTS = ("overview", "you will learn", "setup", "reference", "initial state", "results",
          "exercises", "see also")  # fmt: skip

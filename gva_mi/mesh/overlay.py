@@ -16,15 +16,23 @@ OPACITY = 0.45  # of the shaded mesh over the picture
 
 
 @torch.no_grad()
-def overlay(image: np.ndarray, camera: Camera, vertices: Tensor, scene: MeshScene) -> np.ndarray:
+def overlay(
+    image: np.ndarray,
+    camera: Camera,
+    vertices: Tensor,
+    faces: Tensor,
+    scene: MeshScene | None = None,
+) -> np.ndarray:
     """Draw a mesh over a picture, (H, W, 3) float32 in [0, 1].
 
     Args:
         image: (H, W, 3) the picture.
         camera: that took it.
         vertices: (V, 3) float32, world, metres.
-        scene: of the mesh.
+        faces: (F, 3).
+        scene: of the mesh, for many pictures; None: a new one.
     """
+    scene = scene or MeshScene(faces, vertices)
     normals_mask = scene.render(vertices, camera).numpy()
     mask = normals_mask[..., 3:] > 0.5
     light = np.clip(-normals_mask[..., 2:3], 0, 1)  # as by a lamp on the camera

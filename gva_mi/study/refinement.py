@@ -119,7 +119,8 @@ def overlays(
         k, pictures = frame.index, {"the picture": frame.image[part]}
         for name, (model, pose, shape, cameras) in poses.items():
             vertices = model(pose[k], shape).vertices[0]
-            pictures[name] = overlay(frame.image, cameras[k], vertices, scenes[id(model)])[part]
+            mesh = vertices, model.faces, scenes[id(model)]
+            pictures[name] = overlay(frame.image, cameras[k], *mesh)[part]
         yield k, pictures
 
 

@@ -79,7 +79,9 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
     ):
         assert other.made_with != made
-    monkeypatch.setitem(provenance.RESULTS_VERSIONS, "refine", 2)
+    monkeypatch.setitem(
+        provenance.RESULTS_VERSIONS, "refine", provenance.RESULTS_VERSIONS["refine"] + 1
+    )
     assert RefineStudy(tmp_path, body, options).made_with != made
 
 

@@ -30,7 +30,7 @@ from gva_mi.pose.evidence.masks_normals import (
 )
 from gva_mi.pose.focal import follow
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimize import with_frames, worse_frames, worse_runs
+from gva_mi.pose.optimize import with_frames, worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.film_errors import FPS, film_errors
 from gva_mi.pose.prior.ground import ContactStats
@@ -217,9 +217,7 @@ class ObservedVideo:
             for p in (self.pose, pose)
         )
         margin = 0.0 if self.errors is None else SURE * self.options.prior_weight
-        worse = worse_frames(self.evidence, losses_stage1, losses, margin=margin)
-        runs = worse_runs(self.evidence, losses_stage1, losses, margin) if margin else {}
-        kept = self.kept | runs | worse
+        kept = self.kept | worse_frames(self.evidence, losses_stage1, losses, margin=margin)
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         pose = with_frames(self.pose, taken, pose[taken])
         if shared.focal != 1:

@@ -44,7 +44,6 @@ from gva_mi.splat import Camera
 BETAS = (0.9, 0.99)  # Adam's
 GUESSED = 0.2  # weight of the prior before it is inferred from corrections
 AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
-NEAR = 12  # frames to each side whose losses are averaged: as long as errors of a film last
 HELD = 0.5  # share of the ``learn`` passes that penalise turns shared by all frames
 
 # Ranges of the options that all fits of poses have.
@@ -233,25 +232,6 @@ def worse_frames(
         for k in frames
         if not after[k] <= before[k] + margin
     }
-
-
-def worse_runs(
-    frames: Iterable[int], before: Tensor, after: Tensor, margin: float
-) -> dict[int, str]:
-    """Return the frames around which losses grew on average, each with a message.
-
-    A mean over ``m`` frames is surer than one frame by ``√m``, so it may grow by ``margin / √m``.
-
-    Args:
-        frames: that are compared.
-        before, after: (T,) losses as of :func:`worse_frames`; frames of NaN are left out.
-        margin: how much the loss of one frame may grow.
-    """
-    growth, at = after - before, torch.arange(len(after))
-    near = ((at[:, None] - at).abs() <= NEAR) & growth.isfinite()
-    mean = (near * growth.nan_to_num()).sum(1) / near.sum(1).clamp_min(1)
-    most = margin / (2 * NEAR + 1) ** 0.5
-    return {k: f"losses around it grew by {mean[k]:.3f}" for k in frames if mean[k] > most}
 
 
 def optimiser(

@@ -54,7 +54,6 @@ from gva_mi.pose.stature import Stature
 
 STEPS_A_PASS = 16  # smallest number
 FINGERS = GROUPS["fingers"]
-CLOSE_HANDS = 0.5  # weight of a hand's close-up
 HOLD_HEIGHT = 1e3  # λh, for one square metre
 LANDMARK_STEP = 0.001  # metres in a first step, of the landmarks' offsets
 
@@ -63,9 +62,8 @@ LANDMARK_STEP = 0.001  # metres in a first step, of the landmarks' offsets
 class SequenceOptions(DescentOptions, RefineOptions):
     """Options of the refinement of all frames together."""
 
-    # Weight of each hand's close-up, where the loss of the whole person has weight 1. None: 0.5,
-    # but 0 for masks and landmarks alone: a film's masks are off by as much as a finger is wide.
-    close_hands: Weight | None = None
+    # Weight of each hand's close-up, where the loss of the whole person has weight 1.
+    close_hands: Weight = 0.5
     close_feet: Weight = 0.1  # weight of each foot's close-up; shoes differ from the body
     # Pixels of a hand's length in close-ups, if the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44
@@ -110,7 +108,7 @@ class SequenceOptions(DescentOptions, RefineOptions):
     @property
     def close_up_size(self) -> int:
         """Pixels of a hand in close-ups; 0: there are none."""
-        return self.hand_size if self.close_hands != 0 or self.close_feet > 0 else 0
+        return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
 
     @property
     def description(self) -> str:
@@ -150,14 +148,6 @@ def refine_sequence(
     return Solution(found.pose, shape, offsets, found.prior.noise, contact, focal, points)
 
 
-def weight_of_hands(job: RefineJob, options: SequenceOptions) -> float:
-    """Return the weight of a hand's close-up: none for masks and landmarks alone."""
-    if options.close_hands is not None:
-        return options.close_hands
-    masks_alone = all(seen.normals is None for seen in job.evidence.values())
-    return 0.0 if masks_alone and job.landmarks is not None else CLOSE_HANDS
-
-
 def repeats(frames: int) -> int:
     """Return how many times a pass visits each of so many frames."""
     return max(1, -(-STEPS_A_PASS // max(1, frames)))
@@ -178,8 +168,7 @@ class ClothedPerson:
         rest = job.body.rest(job.shape)
         self._job, self._options = job, options
         self._scene = MeshScene(job.body.faces, job.body.v_template)
-        self._hands = weight_of_hands(job, options)
-        weights = {"hand": self._hands, "foot": options.close_feet}
+        weights = {"hand": options.close_hands, "foot": options.close_feet}
         self._parts = {part: weights[part.name] for part in parts_of(job.body)}
         self._stature = Stature.of(job.body)
         self._close = False
@@ -236,7 +225,7 @@ class ClothedPerson:
     @property
     def unseen(self) -> Sequence[int]:
         """The fingers, until close-ups are used: before, mask errors would bend them."""
-        close = self._close and self._job.fine and self._hands > 0
+        close = self._close and self._job.fine and self._options.close_hands > 0
         return () if close else FINGERS
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:

@@ -10,9 +10,8 @@ from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Outline
 from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, close_ups, parts_of
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss
-from gva_mi.pose.job import RefineJob
 from gva_mi.pose.refine import refine
-from gva_mi.pose.sequence import SequenceOptions, weight_of_hands
+from gva_mi.pose.sequence import SequenceOptions
 
 SHAPE = Shape(torch.zeros(10))
 
@@ -117,15 +116,3 @@ def test_a_refinement_uses_close_ups_if_asked(clip, coarse):
         for weight in (0.0, 1.0)
     ]
     assert not torch.equal(*poses)
-
-
-@pytest.mark.parametrize("landmarks", [None, "seen"])
-@pytest.mark.parametrize("normals", [False, True])
-def test_hands_have_no_close_up_where_masks_and_landmarks_are_all(
-    seen, body, true_pose, landmarks, normals
-):
-    person = seen[0] if normals else replace(seen[0], normals=None)
-    job = RefineJob({0: person}, body, true_pose[1], SHAPE, landmarks=landmarks)
-    alone = landmarks is not None and not normals
-    assert (weight_of_hands(job, SequenceOptions()) == 0) == alone
-    assert weight_of_hands(job, SequenceOptions(close_hands=0.2)) == 0.2

@@ -41,10 +41,6 @@ from gva_mi.pose.stature import with_height
 from gva_mi.pose.swaps import fix_swaps
 from gva_mi.splat import Camera
 
-# Nats by which a frame must speak against its refined pose, if the errors of stage 1 are known. The
-# masks of a film err by more than a frame's loss usually changes; its neighbours know better.
-SURE = 4.0
-
 
 @dataclass(frozen=True)
 class Refined:
@@ -216,8 +212,7 @@ class ObservedVideo:
             _losses(self.coarse.body, self.evidence, self.landmarks, self.options, p, shared)
             for p in (self.pose, pose)
         )
-        margin = 0.0 if self.errors is None else SURE * self.options.prior_weight
-        kept = self.kept | worse_frames(self.evidence, losses_stage1, losses, margin=margin)
+        kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         pose = with_frames(self.pose, taken, pose[taken])
         if shared.focal != 1:

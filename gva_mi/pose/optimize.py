@@ -216,7 +216,7 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
 
 
 def worse_frames(
-    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3, margin: float = 0.0
+    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
 ) -> dict[int, str]:
     """Return the frames whose loss grew, each with a message.
 
@@ -225,12 +225,11 @@ def worse_frames(
         before: (T,) losses at the poses a fit started from.
         after: (T,) losses at the poses it found; NaN counts as grown.
         digits: of the losses in the sentence.
-        margin: how much a loss may grow.
     """
     return {
         k: f"its loss grew from {before[k]:.{digits}f} to {after[k]:.{digits}f}"
         for k in frames
-        if not after[k] <= before[k] + margin
+        if not after[k] <= before[k]
     }
 
 

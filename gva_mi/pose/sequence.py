@@ -129,16 +129,8 @@ def refine_sequence(
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    # A known estimator smooths its poses itself, and the MAP estimate may lead away from them.
     found = descend(
-        person,
-        job.pose,
-        person.arms,
-        options,
-        progress,
-        job.following,
-        try_uncorrected=job.errors is not None,
-        errors=job.errors,
+        person, job.pose, person.arms, options, progress, job.following, errors=job.errors
     )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     focal = float(person.focal.detach())

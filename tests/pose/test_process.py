@@ -100,26 +100,3 @@ def test_short_videos_are_no_special_case(n, steady):
     corrections, process = process.map_estimate()
     assert torch.equal(corrections, torch.zeros_like(y))
     assert process.spread(corrections).shape == (2, n, n)
-
-
-@pytest.mark.parametrize("steady", [False, True])
-def test_known_errors_of_a_joint_at_rest_are_not_taken_for_its_motion(steady):
-    """Errors that last, drawn from the model itself: all that stage 1 shows of joints at rest."""
-    known = Stage1ErrorModel(0.0, 0.1, 6.0, bias=0.02)
-    L = torch.linalg.cholesky(known.lasting(TIMES, torch.ones(N)) + 1e-9 * torch.eye(N))
-    drawn = torch.randn(N, 240, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    y = (L @ drawn).view(N, 80, 3).float()
-    speeds = [
-        ProcessPrior.of_stage1(TIMES, y.diff(dim=0), [noise] * 80, steady).square_speed.mean()
-        for noise in (known, Stage1ErrorModel(0.0, 0.1, 6.0))
-    ]
-    assert speeds[0] < 0.5 * speeds[1]
-
-
-def test_a_motion_beyond_known_errors_keeps_its_speed():
-    """A joint that turns by 0.2 radians a frame, where errors of 0.02 are known."""
-    y = torch.cumsum(0.2 * torch.ones(N, 1, 3) / 3**0.5, 0)
-    known = ProcessPrior.of_stage1(TIMES, y.diff(dim=0), [Stage1ErrorModel(0, 0.02, 6.0, 0.0)])
-    # Eq. 1 of the motion model, over the longest span, of three equal coordinates.
-    expected = 16 * 0.2**2 / 2.366
-    assert float(known.square_speed[20:-20].mean()) == pytest.approx(expected, rel=0.02)

@@ -81,27 +81,10 @@ class ProcessPrior:
         white = torch.tensor([noise.white for noise in error_models]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
         seen = [
-            motion.usual_square(motion.excursions(process.steps, span))
-            - of_white * white / span
-            - process._known_excursions(span)
+            motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
             for span in motion.SPANS
         ]
         return process.with_speeds(torch.stack(seen).amax(0).clamp(min=0))
-
-    def _known_excursions(self, span: int) -> Tensor:
-        """Return the square excursions (n - 1 or n - 2, C) that known lasting errors cause.
-
-        Errors that last look like motion. Those of an inferred model are a guess, and count as
-        none: a motion of a few degrees must not be taken for an error.
-        """
-        E = motion.excursions(self._difference(), span).double()
-        of_models = [
-            torch.einsum("en,nm,em->e", E, noise.lasting(self.times, growth), E)
-            if noise.known
-            else E.new_zeros(len(E))
-            for noise, growth in zip(self.error_models, self.growth, strict=True)
-        ]
-        return torch.stack(of_models, 1).to(self.steps)
 
     def changes(self, steps: Tensor) -> Tensor:
         """Return ``Δ`` of steps (n - 1, ...): the steps, or if steady their differences."""

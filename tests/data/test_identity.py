@@ -15,7 +15,8 @@ from gva_mi.data.video import Splits, load_video
 def video(subject):
     """Of the tiny subject, but no two masks are the same."""
     for k in range(3):
-        write_image(subject / f"masks/{k:06d}.png", np.full((6, 8), 200 + k, np.uint8))
+        mask = np.where(np.arange(8) < 5 + k, 255, 0).astype(np.uint8)
+        write_image(subject / f"masks/{k:06d}.png", np.tile(mask, (6, 1)))
     return load_video(subject)
 
 

@@ -97,7 +97,7 @@ def test_without_a_path_a_motion_is_seen_from_one_side():
 @pytest.mark.parametrize("wrong, sentence", [
     ({"size": (10**6, 10**6)}, "from 1 to 33,554,432 pixels, got 1000000x1000000"),
     ({"frames": -1}, "frames must be from 0 to 100,000, got -1"),
-    ({"distance": 0.0}, "distance must be above 0"),
+    ({"distance": 0.0}, "distance must be from 0.01 to 100"),
     ({"elevation": 90.0}, "elevation must be from -89 to 89 degrees"),
     ({"turn": float("nan")}, "turn must be from -3,600 to 3,600 degrees, got nan"),
 ])  # fmt: skip

@@ -113,7 +113,7 @@ def _joined(source: Path, found: Any) -> Any:  # noqa: ANN401
     A dictionary by the names of consecutive pictures is such a list.
     """
     rows = found.tolist() if isinstance(found, np.ndarray) and found.dtype.hasobject else found
-    if isinstance(rows, dict) and all(_PICTURE.search(str(name)) for name in rows):
+    if isinstance(rows, dict) and rows and all(_PICTURE.search(str(name)) for name in rows):
         numbers = frames_named(list(rows)).tolist()
         in_order = [row for _, row in sorted(zip(numbers, rows.values(), strict=True),
                                              key=lambda pair: pair[0])]  # fmt: skip

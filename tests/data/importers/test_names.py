@@ -9,6 +9,7 @@ import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.core.errors import InputError
+from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import find_body
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
@@ -312,3 +313,8 @@ def test_arrays_of_a_subclass_are_plain_arrays(tmp_path, walk):
         (tmp_path / "m.pkl").write_bytes(data)
         read = read_motion(tmp_path / "m.pkl", TargetBody.read(None), MotionOptions(fps=30))
         assert np.allclose(read.pose.transl, transl, atol=1e-6)
+
+
+def test_an_empty_dictionary_is_no_list_of_pictures(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps({}))
+    assert read_source(tmp_path / "a.pkl") == {}

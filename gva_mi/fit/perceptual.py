@@ -17,11 +17,9 @@ with the linear heads w of LPIPS, and w = 1/L for ``rand_vgg``.
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -70,8 +68,9 @@ class FeatureDistance(nn.Module):
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """Return the distance, a scalar, differentiable in ``image`` but not in ``target``."""
-        seen = _beside().submit(torch.no_grad()(self.features), target)
-        pairs = zip(self.features(image), seen.result(), strict=True)
+        with torch.no_grad():
+            seen = self.features(target)
+        pairs = zip(self.features(image), seen, strict=True)
         return torch.stack([(f - g).abs().mean() for f, g in pairs]).mean()
 
 
@@ -98,12 +97,6 @@ class FeatureMetric(FeatureDistance):
             weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
             total = total + (weight * difference).sum(1).mean()
         return total
-
-
-@functools.cache
-def _beside() -> ThreadPoolExecutor:
-    """Return a thread for the target's features: a small convolution keeps one core busy."""
-    return ThreadPoolExecutor(1, "gva_mi features")
 
 
 def rand_vgg_loss(seed: int = RAND_SEED) -> FeatureDistance:

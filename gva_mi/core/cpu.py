@@ -22,9 +22,9 @@ SETTINGS = {
     "ONEDNN_MAX_CPU_ISA": "AVX2",
     "ATEN_CPU_CAPABILITY": "avx2",
 }
-NUMPY = "NPY_DISABLE_CPU_FEATURES"
+LEFT_OUT_BY_NUMPY = "NPY_DISABLE_CPU_FEATURES"  # the name of a variable
 WIDER_THAN_AVX2 = "X86_V4 AVX512_ICL AVX512_SPR"  # numpy's names of its code since 2.4
-WIDER_BEFORE = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL"
+WIDER_BEFORE_2_4 = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL"
 REQUIRED_FLAGS = {"avx2", "fma"}
 _FLAGS = Path("/proc/cpuinfo")
 
@@ -36,13 +36,15 @@ def cpu_settings() -> dict[str, str]:
     flags = next((line for line in _FLAGS.read_text().splitlines() if line.startswith("flags")), "")
     if not set(flags.split()) >= REQUIRED_FLAGS:
         return {}
-    return SETTINGS | ({NUMPY: _of_numpy()} if "avx512f" in flags.split() else {})
+    return SETTINGS | (
+        {LEFT_OUT_BY_NUMPY: _wider_than_avx2()} if "avx512f" in flags.split() else {}
+    )
 
 
-def _of_numpy() -> str:
+def _wider_than_avx2() -> str:
     """Return the names of code wider than AVX2 in the installed numpy, which is not imported."""
     major, minor = metadata.version("numpy").split(".")[:2]
-    return WIDER_THAN_AVX2 if (int(major), int(minor)) >= (2, 4) else WIDER_BEFORE
+    return WIDER_THAN_AVX2 if (int(major), int(minor)) >= (2, 4) else WIDER_BEFORE_2_4
 
 
 def pin_cpu_features() -> None:

@@ -26,14 +26,17 @@ from gva_mi.splat import Camera
 def before_one_lens(video: Video, body: BodyModel) -> Video:
     """Return the video with one lens in all frames, and with poses that look the same through it.
 
-    A video of one lens is returned as it is.
+    A video of one lens is returned as it is. So is one whose person moves no less before one lens:
+    its lenses are real, as of a camera that zooms.
     """
     K = _lenses(video.cameras)
     if is_one_lens(K):
         return video
     fx, fy, cx, cy = np.median(K[:, [0, 1, 0, 1], [0, 1, 2, 2]], axis=0).tolist()
     cameras = [replace(camera, fx=fx, fy=fy, cx=cx, cy=cy) for camera in video.cameras]
-    pose = _seen_by(cameras, video.pose, video.shape, body, video.cameras)
+    pose = _seen_by(cameras, video.pose, video.shape, body, video.cameras).to(torch.float32)
+    if _usual_step(pose) >= _usual_step(video.pose):
+        return video
     return replace(video, cameras=cameras, pose=pose)
 
 
@@ -67,6 +70,12 @@ def _seen_by(
     rotations[:, 0] = composed(back(shortest(places, moved)), rotations[:, 0])
     tensor = lambda x: torch.from_numpy(x).to(pose.transl)
     return Pose(tensor(rotations), tensor(back(moved - t) - pelvis), pose.expression)
+
+
+def _usual_step(pose: Pose) -> float:
+    """Return the median way of the root from frame to frame, metres; 0 for a single frame."""
+    steps = pose.transl.diff(dim=0).norm(dim=1)
+    return float(steps.median()) if len(steps) else 0.0
 
 
 def _lenses(cameras: Sequence[Camera]) -> np.ndarray:

@@ -142,6 +142,18 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
 
 
+def test_numpy_leaves_out_all_that_is_wider_than_avx2(tmp_path, monkeypatch):
+    from numpy._core._multiarray_umath import __cpu_dispatch__
+
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(cpu, "_FLAGS", tmp_path / "cpuinfo")
+    for flags, wide in (("avx2 fma avx512f", True), ("avx2 fma", False)):
+        (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu {flags}\n")
+        names = cpu.cpu_settings().get(cpu.LEFT_OUT_BY_NUMPY, "").split()
+        there = {name for name in __cpu_dispatch__ if name == "X86_V4" or "512" in name}
+        assert set(names) == (there if wide else set())
+
+
 def test_only_processors_with_avx2_are_pinned(tmp_path, monkeypatch):
     monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(cpu, "_FLAGS", tmp_path / "cpuinfo")

@@ -48,6 +48,14 @@ def test_who_stands_still_does_not_move_before_one_lens(body, true_pose):
     assert before_one_lens(one, body) is one
 
 
+def test_a_camera_that_zooms_keeps_its_lenses(body, true_pose):
+    """Who stands still through the lenses as they are would move before one lens."""
+    cameras = [Camera(f, f, 450, 400, DOWN, 900, 900) for f in (900, 1100, 1300)]
+    still = torch.tensor([[0.2, -0.1, -4.0]]).expand(3, 3)
+    video = Filmed(cameras, Pose(true_pose.rotations, still, true_pose.expression))
+    assert before_one_lens(video, body) is video
+
+
 def test_stage_2_finds_what_it_finds_through_one_lens(clip, coarse):
     """Of three lenses, the one in between is that of the clip."""
     focal = [0.8, 1.0, 1.25]
@@ -63,11 +71,12 @@ def test_stage_2_finds_what_it_finds_through_one_lens(clip, coarse):
         "Breathing", fields, bases=(type(clip),), namespace={"outlines": outlines}
     )
     breathing = kind(**vars(clip), cameras=cameras)
-    breathing.pose = as_filmed(found(clip.pose, clip.shape), clip, breathing, coarse).pose
+    # In float64 the way there and back changes no bit of float32, which a descent would amplify.
+    exact = found(clip.pose.to(torch.float64), clip.shape)
+    breathing.pose = as_filmed(exact, clip, breathing, coarse).pose
     assert (breathing.pose.transl - clip.pose.transl).norm(dim=1)[::2].min() > 0.3
     wanted = refine(clip, coarse, SHORT)
     refined = refine(breathing, coarse, SHORT)
     again = before_one_lens(Filmed(cameras, refined.pose, refined.shape), coarse).pose
-    assert (again.transl - wanted.pose.transl).abs().max() < 1e-3
-    # The optimizer amplifies rounding: 3e-3 rad in one order of sums.
-    assert (again.rotations - wanted.pose.rotations).abs().max() < 6e-3
+    assert (again.transl - wanted.pose.transl).abs().max() < 1e-5
+    assert (again.rotations - wanted.pose.rotations).abs().max() < 1e-5

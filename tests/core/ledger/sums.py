@@ -27,6 +27,12 @@ from io import StringIO
 from pathlib import Path
 
 from gva_mi.__main__ import main
+from gva_mi.core.cpu import pin_cpu_features
+
+pin_cpu_features()
+
+import numpy as np  # noqa: E402  after the libraries are pinned
+from PIL import Image  # noqa: E402
 
 LEDGER = Path(__file__).with_name("ledger.json")
 CPUINFO = Path("/proc/cpuinfo")
@@ -60,20 +66,35 @@ def _command(*arguments: object) -> None:
 
 
 def _of_files(paths: Iterable[Path]) -> str:
-    contents = [path.read_bytes() for path in sorted(paths)]
-    if not contents:
+    """Hash the numbers in files: their bytes also depend on the versions of Python and zlib."""
+    found = [number for path in sorted(paths) for number in _numbers(path)]
+    if not found:
         raise FileNotFoundError("a stage wrote no files")
-    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
+    return _hash(found)
+
+
+def _numbers(path: Path) -> Iterator[np.ndarray]:
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            yield from (x for name in sorted(arrays) if (x := arrays[name]).dtype.kind in "biuf")
+    else:
+        with Image.open(path) as picture:
+            yield np.asarray(picture)
+
+
+def _hash(arrays: Iterable[np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for x in arrays:
+        digest.update(f"{x.dtype}{x.shape}".encode() + x.tobytes())
+    return digest.hexdigest()[:16]
 
 
 def _of_tensors(tensors: Iterable) -> str:
-    parts = [x.detach().contiguous().numpy().tobytes() for x in tensors]
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+    return _hash(x.detach().numpy() for x in tensors)
 
 
 def _splatting() -> Iterator[tuple[str, str]]:
     """Yield forward pass, adjoint and tangent in both precisions."""
-    import numpy as np
     import torch
 
     from gva_mi.splat import render

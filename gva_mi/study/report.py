@@ -101,23 +101,31 @@ _LAPS = (
 
 
 def _headlines(metrics: Metrics) -> list[Headline]:
+    """Return pose errors first, because they limit all else; then PSNR, size and time."""
     training, first = metrics.training, metrics.rows[0].name
     minutes, seconds = divmod(round(training.seconds), 60)
-    changes = (
-        ("body_aligned", "pelvis-aligned error", ".0f", " mm"),
-        ("hands_aligned", "of the hands", ".0f", " mm"),
-        ("iou", "silhouette IoU", ".3f", ""),
-    )
+    poses = {
+        "body_aligned": "pelvis-aligned error, stage 1 → refined",
+        "hands_aligned": "pelvis-aligned, of the hands",
+        "feet_aligned": "pelvis-aligned, of the feet",
+        "pelvis_depth": "depth of the pelvis, which one camera shows only with height and lens",
+    }
+    shown = {first: "", ALIGNED: ", world aligned"}
+    psnr = {(row.name, row.split, row.region): f"{row.psnr:.1f}" for row in metrics.rows}
     return [
         *(
-            Headline(f"{row.psnr:.1f} dB", f"PSNR, {row.split.replace('_', ' ')}")
-            for row in metrics.rows
-            if row.name == first and row.region == "white" and row.split != "train"
+            Headline(f"{both[0]:{sign}.0f} → {both[1]:{sign}.0f} mm", label)
+            for name, label in poses.items()
+            for sign in ("+" if "depth" in name else "",)
+            if (both := metrics.refinement.change(name))
         ),
         *(
-            Headline(f"{both[0]:{form}} → {both[1]:{form}}{unit}", f"{label}, stage 1 → refined")
-            for name, label, form, unit in changes
-            if (both := metrics.refinement.change(name))
+            Headline(
+                f"{whole} / {psnr.get((name, split, 'person'), '–')} dB",
+                f"PSNR, {split.replace('_', ' ')}{shown[name]}: whole picture / person's box",
+            )
+            for (name, split, region), whole in psnr.items()
+            if name in shown and region == "white" and split != "train"
         ),
         Headline(f"{training.gaussians:,}", "Gaussians"),
         Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"),

@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 from gva_mi import __version__
-from gva_mi.cli import RENAMED_VERBS, VERBS, load
+from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
 from gva_mi.core import cpu, llvm
 from gva_mi.core.console import complete_streams, discard_what_is_unread, reader_is_gone
@@ -99,9 +99,6 @@ def _explained(error: ImportError) -> str:
 
 def _run(arguments: list[str]) -> None:
     verb = arguments[0] if arguments else ""
-    for old, new in RENAMED_VERBS.items():
-        if arguments[: len(old.split())] == old.split():
-            raise InputError(f"{old} is now `gva-mi {new}`")
     if verb in ("-h", "--help"):
         print(_overview())
     elif verb == "--version":

@@ -42,9 +42,6 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "doctor": "report what this machine has, and what is missing for what",
 }
 
-# Old names, answered with the new one.
-RENAMED_VERBS = {"gradcheck-normals": "gradcheck normals", "bench normals": "bench mesh"}
-
 
 def load(verb: str) -> Callable[..., None]:
     """Import a verb's module, and no other, and return its function."""

@@ -35,7 +35,7 @@ from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.pose.film.film_check import check_film
 from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord, prepare_film
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.film_report import FILM_REPORT, write_film_report
+from gva_mi.study.film_report import write_film_report
 
 MARKER = "avatar.json"
 SUBJECT, RUN = "subject", "run"  # folders in the command's folder
@@ -102,7 +102,7 @@ def avatar(
         source = hash_files(files_of(film) or [film])
         StepFolder(out, MARKER, source, overwrite).follow(work.steps())
     say(f"avatar: {work.run / run_folder.AVATAR}")
-    say(f"report: {out / FILM_REPORT}")
+    say(f"report: {out / run_folder.REPORT}")
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class _Work:
         yield Step("fit", self.fit_options.plain(), known, fitted, self.fit)
         known = [*known, *fitted]
         yield Step("evaluate", None, known, measured, self.evaluate)
-        page = [self.out / FILM_REPORT]
+        page = [self.out / run_folder.REPORT]
         yield Step("report", None, [*known, findings, *measured], page, self.report)
 
     @property

@@ -87,6 +87,6 @@ def evaluate_run(
         with bar("poses") as progress:
             metrics = with_fitted_poses(metrics, avatar, video, trained, model, progress, scorer)
     save_metrics(run, metrics)
-    write_report(run, avatar, trained, title, model)
+    write_report(run / run_folder.REPORT, run, avatar, trained, title, model)
     for line in metrics.lines():
         say(line)

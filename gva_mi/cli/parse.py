@@ -15,12 +15,12 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 from gva_mi.cli.presets import with_preset
-from gva_mi.cli.retired import OF_STUDY, PYTHON_ONLY, require_current
+from gva_mi.cli.shown import is_shown
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 
@@ -38,12 +38,12 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     Errors raised here are about the arguments; errors of the command come with the call.
 
     Raises:
-        InputError: a value that cannot be read or that the options refuse, or a retired option.
+        InputError: a value that cannot be read or that the options refuse.
     """
     import tyro
 
-    require_current(verb, arguments)
-    of_study = dict(OF_STUDY.values()) if [verb, *arguments[:1]] == ["study", "avatar"] else {}
+    if shutil.get_terminal_size().columns < NARROWEST:
+        os.environ["COLUMNS"] = str(NARROWEST)
 
     def call(*values: object, **options: object) -> Callable[[], None]:
         _require_inputs_to_stay(inspect.signature(command).bind(*values, **options).arguments)
@@ -55,10 +55,10 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     call.__signature__ = with_preset(inspect.signature(command), verb, arguments)
     call.__doc__ = command.__doc__
     try:
-        with redirect_stderr(told), _wide_enough():
+        with redirect_stderr(told):
             return tyro.cli(
-                call, prog=f"gva-mi {verb}", args=arguments,
-                registry=_registry(refusals, of_study), config=(tyro.conf.SuppressFixed,),
+                call, prog=f"gva-mi {verb}", args=arguments, config=(tyro.conf.SuppressFixed,),
+                registry=_registry(refusals, [verb, *arguments]),
             )  # fmt: skip
     except ValueError as error:  # from options without a prefix, which tyro does not catch
         raise InputError(str(error)) from None
@@ -94,25 +94,8 @@ def _paths(value: object) -> Iterator[Path]:
         yield from _paths(list(vars(value).values()))
 
 
-@contextmanager
-def _wide_enough() -> Iterator[None]:
-    """Let tyro see a terminal of at least :data:`NARROWEST` columns."""
-    before = os.environ.get("COLUMNS")
-    if shutil.get_terminal_size().columns < NARROWEST:
-        os.environ["COLUMNS"] = str(NARROWEST)
-    try:
-        yield
-    finally:
-        os.environ.pop("COLUMNS", None)
-        if before is not None:
-            os.environ["COLUMNS"] = before
-
-
-def _registry(refusals: Refusals, only: Mapping[str, Sequence[str]]) -> ConstructorRegistry:
-    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets.
-
-    Of the dataclasses in ``only``, by name, no other fields are shown.
-    """
+def _registry(refusals: Refusals, words: Sequence[str]) -> ConstructorRegistry:
+    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets."""
     from tyro.conf import Fixed
     from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
@@ -127,10 +110,10 @@ def _registry(refusals: Refusals, only: Mapping[str, Sequence[str]]) -> Construc
             spec = ConstructorRegistry.get_struct_spec(info)
         finally:
             asked.clear()
-        _, hidden = PYTHON_ONLY.get(info.type.__name__, ("", ()))
-        shown = only.get(info.type.__name__, [f.name for f in spec.fields if f.name not in hidden])
         type_of = lambda f: (
-            _with_ranges(f.type, refusals) if f.name in shown else Annotated[f.type, Fixed]
+            _with_ranges(f.type, refusals)
+            if is_shown(info.type.__name__, f.name, words)
+            else Annotated[f.type, Fixed]
         )
         fields = tuple(dataclasses.replace(f, type=type_of(f)) for f in spec.fields)
         return dataclasses.replace(spec, fields=fields)

@@ -1,8 +1,8 @@
-"""The report of a film's avatar: what it looks like, how good it is, and what to film better.
+"""The report of a film's avatar: the page of a run, which begins with films and findings.
 
 There is no ground truth of a real film. So the page shows the avatar from all around and in two
-motions that the film does not have, renders beside frames that training left out, and findings on
-the film (:mod:`gva_mi.pose.film.film_check`). The moving pictures are also written as .mp4 files.
+motions that the film does not have, and how to film it better (:mod:`gva_mi.pose.film.film_check`).
+The moving pictures are also written as .mp4 files.
 """
 
 from __future__ import annotations
@@ -22,29 +22,31 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
 from gva_mi.data.check.problems import Problem
-from gva_mi.data.pictures import read_image, write_movie
+from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.camera_paths import CameraPath, shots
 from gva_mi.fit.renders import WHITE, over, render_shots
 from gva_mi.pose.film.prepare_film import FilmRecord
-from gva_mi.study import page
-from gva_mi.study.metrics import Metrics, load_metrics
-from gva_mi.study.page import Headline, Section, Table, animation, number, picture
-from gva_mi.study.pictures import ShownAvatar, picture_sections
-from gva_mi.study.refinement import OVERLAYS
+from gva_mi.study.page import Picture, Section, Table, animation
+from gva_mi.study.report import write_report
 from gva_mi.synthetic.motion import perform
 
-FILM_REPORT = "report.html"
 TURNTABLE = "turntable"
 DRIVEN = ("walk", "dance")  # motions of gva_mi.synthetic.motion
 FPS = 20  # frames a second of the films
 SECONDS = 6.0  # of a motion's round
 SIZE = (384, 512)  # pixels
 IN_PAGE = 3  # every 3rd picture of a film is in the page
-SHOWN = 6  # frames beside renders
 SEED = 0  # of the motions
-_RANGE = "held_out_range"
+
+_MOVES = (
+    "From all around in a pose of the film, and in two motions that the film does not have: "
+    f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
+    "guess."
+)
+_BETTER = "What the film does not show, and how to film it better."
+_GOOD = "The film shows the person from all sides, whole, sharp and alone, before a still camera."
 
 
 def write_film_report(
@@ -67,42 +69,13 @@ def write_film_report(
         findings: name of the file of the film's findings in the video's folder.
         progress: called after each rendered picture.
     """
-    avatar = run_folder.load_avatar(run)
-    metrics, record = load_metrics(run), FilmRecord.load(video.folder)
-    problems = _problems(video.folder / findings)
-    page.write_page(
-        out / FILM_REPORT,
-        title=title,
-        subtitle=(
-            f"{record.frames} frames at {record.fps:.3g} a second, {video.size[0]} x "
-            f"{video.size[1]} pixels. {_height(record)}"
-        ),
-        headlines=_headlines(metrics),
-        sections=[
-            Section("The avatar", _MOVES, list(_films(out, avatar, video, progress)), columns=3),
-            _better(problems, record.notes),
-            *picture_sections([("", {"render": ShownAvatar.of(avatar, video, body)})], SHOWN),
-            *_poses(video.folder / OVERLAYS),
-            Section("Figures", _FIGURES, tables=[_scores(metrics)]),
-        ],
-        settings={"film": vars(record), "options": metrics.options, "versions": metrics.versions},
-    )
-
-
-_MOVES = (
-    "From all around in a pose of the film, and in two motions that the film does not have: "
-    f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
-    "guess."
-)
-_POSES = "The body over the frames, before the refinement (above) and after it (below)."
-_FIGURES = (
-    "PSNR of frames that training left out: single test frames, whose neighbours were seen, and a "
-    "held-out range. ‘Poses fitted to the pictures’: each pose is first fitted to the very picture "
-    "that it is measured on. The person's box does not depend on the picture's size. Masks are the "
-    "film's own, so an error in them counts as an error of the avatar."
-)
-_BETTER = "What the film does not show, and how to film it better."
-_GOOD = "The film shows the person from all sides, whole, sharp and alone, before a still camera."
+    avatar, record = run_folder.load_avatar(run), FilmRecord.load(video.folder)
+    films = list(_films(out, avatar, video, progress))
+    better = _better(_problems(video.folder / findings), record.notes)
+    first = [Section("The avatar", _MOVES, films, columns=3), better]
+    subtitle = f"{record.frames} frames at {record.fps:.3g} a second. {_height(record)}"
+    where = out / run_folder.REPORT, run
+    write_report(*where, avatar, video, title, body, subtitle, first, {"film": vars(record)})
 
 
 def _height(record: FilmRecord) -> str:
@@ -115,29 +88,7 @@ def _height(record: FilmRecord) -> str:
     )
 
 
-def _headlines(metrics: Metrics) -> list[Headline]:
-    """Return the main figures."""
-    names = {"test": "test frames", _RANGE: "held-out range"}
-    if not any(row.split in names for row in metrics.rows):
-        names = {"train": "training frames, which says little"}
-    minutes, seconds = divmod(round(metrics.training.seconds), 60)
-    return [
-        *(
-            Headline(
-                f"{row.psnr:.1f} dB",
-                f"PSNR, {names[row.split]}, {row.name.replace('full', 'trained poses')}",
-            )
-            for row in metrics.rows
-            if row.region == "white" and row.split in names
-        ),
-        Headline(f"{metrics.training.gaussians:,}", "Gaussians"),
-        Headline(f"{minutes} min {seconds:02d} s", f"for {metrics.training.steps:,} steps"),
-    ]
-
-
-def _films(
-    out: Path, avatar: Avatar, video: Video, progress: Progress | None
-) -> Iterator[page.Picture]:
+def _films(out: Path, avatar: Avatar, video: Video, progress: Progress | None) -> Iterator[Picture]:
     """Write the films of the avatar, and yield each as an animation."""
     front = _frame_from_front(avatar, video)
     motions = {TURNTABLE: (video.pose[front], "turntable")}
@@ -195,27 +146,3 @@ def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
     if notes:
         tables.append(Table(("notes",), [(note,) for note in notes]))
     return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)
-
-
-def _poses(overlays: Path) -> Iterator[Section]:
-    """Show the refinement's picture."""
-    if overlays.exists():
-        shown = [picture("stage 1 above, refined below", read_image(overlays, 3))]
-        yield Section("Poses", _POSES, shown, columns=1)
-
-
-def _scores(metrics: Metrics) -> Table:
-    """List the scores of the film's frames, by poses and split."""
-    regions = ("white", "person", "hands", "face")
-    found = {(row.name, row.split, row.region): row for row in metrics.rows}
-    rows = []
-    for name, split in dict.fromkeys((row.name, row.split) for row in metrics.rows):
-        scores = [found.get((name, split, region)) for region in regions]
-        whole = scores[0]
-        rows.append((
-            name.replace("full", "trained poses"), split.replace("_", " "), str(whole.count),
-            *(number(score and score.psnr, 2) for score in scores), number(whole.ssim, 4),
-            number(whole.spill, 4), number(whole.holes, 4), number(whole.flicker, 4),
-        ))  # fmt: skip
-    head = ("poses", "split", "frames", "PSNR, dB", "person's box", "hands", "face", "SSIM")
-    return Table((*head, "spill", "holes", "flicker"), rows)

@@ -1,6 +1,7 @@
 """The report of a run: pictures of the avatar, its metrics, and its training.
 
-It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's.
+It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. The page of a
+film's avatar (:mod:`gva_mi.study.film_report`) begins with films of it.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -32,30 +35,40 @@ SHOWN = 4  # frames of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
 
 
-def write_report(run: Path, avatar: Avatar, video: Video, title: str, body: BodyModel) -> None:
-    """Write the page, and its first picture as a file of its own.
+def write_report(
+    path: Path,
+    run: Path,
+    avatar: Avatar,
+    video: Video,
+    title: str,
+    body: BodyModel,
+    subtitle: str = "A 3D Gaussian avatar of body and hands from a monocular video.",
+    first: Sequence[Section] = (),
+    settings: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write the page, and its first picture beside it as a file of its own.
 
     Args:
+        path: of the page.
         run: the folder of a run that was evaluated.
         avatar: the fitted avatar.
         video: opened with the poses that the avatar was trained under.
-        title: heading of the page.
+        title, subtitle: head of the page.
         body: the fitted body model.
+        first: sections that the page begins with; without them, the turning avatar.
+        settings: what else the page lists at its end.
     """
     metrics, history = load_metrics(run), run_folder.load_history(run)
     shown = ShownAvatar.of(avatar, video, body)
-    write_image(run / run_folder.OVERVIEW, overview(shown, video))
+    write_image(path.with_name(run_folder.OVERVIEW), overview(shown, video))
     width, height = metrics.training.size
     page.write_page(
-        run / run_folder.REPORT,
+        path,
         title=title,
-        subtitle=(
-            f"A 3D Gaussian avatar of body and hands from a monocular video, {width} x {height} "
-            f"pixels, seed {metrics.seed}."
-        ),
+        subtitle=f"{subtitle} {width} x {height} pixels, seed {metrics.seed}.",
         headlines=_headlines(metrics),
         sections=[
-            _turning(avatar, video),
+            *(first or [_turning(avatar, video)]),
             *picture_sections([("", {"render": shown})], SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run_folder.load_snapshots(run), metrics.surface),
@@ -63,11 +76,11 @@ def write_report(run: Path, avatar: Avatar, video: Video, title: str, body: Body
             _tables(metrics),
         ],
         settings={
+            **settings,
             "options": metrics.options,
             "protocol": metrics.protocol and asdict(metrics.protocol),
             "similarity": metrics.similarity,
             "versions": metrics.versions,
-            "seed": metrics.seed,
         },
     )
 
@@ -83,8 +96,9 @@ _SCORES = (
     "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
     "of a fixed seed, comparable only with itself. Spill is what the avatar covers beside the "
     "person, holes what it leaves open inside, flicker what changes in it but not in the person "
-    "since the frame before, all as shares of the person. Poses are trained on the training frames "
-    "only; those of a test frame follow from the frames around it, "
+    "since the frame before, all as shares of the person. A held-out range is a stretch of frames "
+    "that training left out; neighbours of single test frames were seen. Poses are trained on the "
+    "training frames only; those of a test frame follow from the frames around it, "
     f"‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows neither the scale of the world "
     "nor where the skeleton is inside the surface, so the ground truth is transformed to the "
     "avatar's world, once for all frames."
@@ -112,6 +126,7 @@ def _headlines(metrics: Metrics) -> list[Headline]:
     }
     shown = {first: "", ALIGNED: ", world aligned"}
     psnr = {(row.name, row.split, row.region): f"{row.psnr:.1f}" for row in metrics.rows}
+    splits = {split for _, split, _ in psnr} - {"train"} or {"train"}
     return [
         *(
             Headline(f"{both[0]:{sign}.0f} → {both[1]:{sign}.0f} mm", label)
@@ -125,7 +140,7 @@ def _headlines(metrics: Metrics) -> list[Headline]:
                 f"PSNR, {split.replace('_', ' ')}{shown[name]}: whole picture / person's box",
             )
             for (name, split, region), whole in psnr.items()
-            if name in shown and region == "white" and split != "train"
+            if name in shown and region == "white" and split in splits
         ),
         Headline(f"{training.gaussians:,}", "Gaussians"),
         Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"),

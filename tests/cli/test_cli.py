@@ -95,16 +95,11 @@ BAD = (
         "--loss.alpha must be a number from 0 to 1,000,000, got -1",
     ),
     (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
-    (("gradcheck-normals",), "gradcheck-normals is now `gva-mi gradcheck normals`"),
     (
         ("fit", "nowhere", "--out", "new", "--schedule.reinit-at", "never"),
         "--schedule.reinit-at must be a number above 0 and below 1, got never",
     ),
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
-    (("fit", "x", "--out", "new", "--splat.near=3"), "fit: --splat.near is no option any more"),
-    (("study", "refine", "--people", "3"), "study: --people is called --subjects now"),
-    (("fit", "s", "--poses.nat", "3"), "fit: --poses.nat is called --poses.prior-weight now"),
-    (("study", "avatar", "--out", "x", "--fit.window", "9"), "study avatar: has no --fit.window"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
     ((), "a command is missing; expected one of demo, synth"),
 )
@@ -142,7 +137,8 @@ def test_a_preset_sets_the_defaults_and_options_beside_it_win():
 def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
     for command, there in (
         ("fit nowhere --out new --step 3", "--steps"), ("refine nowhere --preset all", "paper"),
-        ("fit nowhere", "--out"),
+        ("fit nowhere", "--out"), ("fit x --out new --splat.near 3", "--splat.near"),
+        ("study avatar --out x --fit.window 9", "--fit.window"),
     ):  # fmt: skip
         code, out, err = cli(*command.split())
         assert code == 2 and there in err and not out and "Traceback" not in err
@@ -170,7 +166,7 @@ def test_every_command_explains_itself(cli, monkeypatch):
     monkeypatch.setenv("COLUMNS", "1")  # where tyro alone would not come to an end
     for verb in VERBS:
         code, out, err = cli(verb, "--help")
-        assert code == 0 and not err and os.environ["COLUMNS"] == "1"
+        assert code == 0 and not err
         assert out.startswith(f"usage: gva-mi {verb} ")
         assert inspect.getdoc(load(verb)).split()[0] in out
 
@@ -290,10 +286,8 @@ main(["--help"])
 print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (
-        run.stdout.splitlines()[-1]
-        == "imported gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.retired"
-    )
+    used = "gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.shown"
+    assert run.stdout.splitlines()[-1] == f"imported {used}"
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, cli):

@@ -21,7 +21,7 @@ from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
-from gva_mi.study.engine import Outcome, StudyFile, run_study
+from gva_mi.study.engine import Outcome, Study, run_study
 from gva_mi.study.page import Table
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
@@ -96,17 +96,16 @@ def study(
         _run(what, made, cases)
 
 
-def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]) -> None:
+def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     """Resume the study, save after each outcome, then print and write the tables."""
     summarise = refine_cells if isinstance(made, RefineStudy) else avatar_cells
-    file = StudyFile(what.out / f"{made.kind}.json", made.kind, made.made_with)
-    known, others = _kept(what, file, made, cases)
+    known, others = _kept(what, made, cases)
     if what.overwrite and isinstance(made, AvatarStudy):
         for case in cases:
             for variant in made.variants:
                 shutil.rmtree(made.run(case, variant).out, ignore_errors=True)
     if known:
-        say(f"{len(known)} results are in {file.path}; --overwrite computes them again")
+        say(f"{len(known)} results are in {made.path}; --overwrite computes them again")
     outcomes: list[Outcome] = []
     with bar("study") as progress, local_workers(what.workers) as executor:
         for outcome in run_study(made, cases, known, progress, executor):
@@ -114,8 +113,8 @@ def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCa
             done = {outcome.key for outcome in outcomes}
             waiting = [outcome for outcome in known if outcome.key not in done]
             summary = {title: to_json(own) for title, own in summarise(outcomes).items()}
-            file.save([*outcomes, *waiting, *others], summary)
-    cells, page = summarise(outcomes), file.path.with_suffix(".html")
+            made.save([*outcomes, *waiting, *others], summary)
+    cells, page = summarise(outcomes), made.path.with_suffix(".html")
     for title, own in cells.items():
         say(title)
         written = tables(made.kind, own)
@@ -124,15 +123,15 @@ def _run(what: _Choice, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCa
                 say(line)
     settings = {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
-    say(f"figures: {file.path}; page: {page}")
+    say(f"figures: {made.path}; page: {page}")
 
 
 def _kept(
-    what: _Choice, file: StudyFile, made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
+    what: _Choice, made: Study, cases: Sequence[StudyCase]
 ) -> tuple[list[Outcome], list[Outcome]]:
-    """Return the file's results split in two: those of the selected cases, and all others."""
+    """Return the results of the file split in two: those of the selected cases, and all others."""
     try:
-        kept = file.load()
+        kept = made.load()
     except InputError:
         if not what.overwrite:
             raise
@@ -142,7 +141,7 @@ def _kept(
 
 
 def _pictures(
-    made: RefineStudy | AvatarStudy, cases: Sequence[StudyCase]
+    made: Study, cases: Sequence[StudyCase]
 ) -> Iterator[tuple[str, dict[str, ShownAvatar]]]:
     """Yield names and finished avatars of the first cases."""
     for case in cases[:IN_PICTURES] if isinstance(made, AvatarStudy) else ():

@@ -12,7 +12,7 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from gva_mi.fit.train import fit
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
-from gva_mi.study.engine import made_with
+from gva_mi.study.engine import Study, Work
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, Metrics, measure_run, save_metrics
 from gva_mi.study.pictures import ShownAvatar
@@ -49,6 +49,7 @@ from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
 PRINTED_POSES = "poses_printed.npz"  # in a case's folder, refined by Eq. 8 as printed
 PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
+REFINE_STEPS = 1000  # of a case, in steps of a fit, for the progress bar
 MADE_WITH = "made_with.json"  # in a run's folder
 
 
@@ -67,24 +68,17 @@ class AvatarStudyOptions:
 
 
 @dataclass(frozen=True)
-class AvatarStudy:
+class AvatarStudy(Study):
     """A study whose variants are ways to make an avatar."""
 
-    folder: Path
-    body: BodyModel
     options: AvatarStudyOptions
     rows: Sequence[AvatarVariant]
-    kind: str = "avatar"
+    kind = "avatar"
 
     @property
     def variants(self) -> tuple[str, ...]:
         """Their names."""
         return tuple(variant.name for variant in self.rows)
-
-    @cached_property
-    def made_with(self) -> dict[str, Any]:
-        """Everything that results depend on."""
-        return made_with(self.kind, self.options, self.body)
 
     @property
     def _filming(self) -> Filming:
@@ -93,19 +87,14 @@ class AvatarStudy:
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, refine each case, then fit each variant."""
         cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
-        films = filming_work(filming, cases, self.body)
-        prepare = [
-            PrepareCase(
-                filming.subject(case),
-                case,
-                self.body,
-                self.options.refine,
-                self.made_with,
-                any(row.poses == "printed" for row in self.rows),
-            )
+        also_printed = any(row.poses == "printed" for row in self.rows)
+        made = self.body, self.options.refine, self.made_with, also_printed
+        prepared = [
+            Work(REFINE_STEPS, partial(prepare_case, filming.subject(case), case, *made))
             for case in cases
         ]
-        return [films, prepare, [self.run(*pair) for pair in missing]]
+        films = filming_work(filming, cases, self.body)
+        return [films, prepared, [self.run(*pair) for pair in missing]]
 
     def run(self, case: StudyCase, variant: str) -> VariantRun:
         """Return the run of a variant; the case's folder must exist before it is solved."""
@@ -120,33 +109,27 @@ def file_name(name: str) -> str:
     return re.sub(r"\W+", "-", name).strip("-")
 
 
-@dataclass(frozen=True)
-class PrepareCase:
-    """Refine the poses of a case, unless that was done with the same options: a Task."""
+def prepare_case(
+    subject: Path,
+    case: StudyCase,
+    body: BodyModel,
+    options: SequenceOptions,
+    made_with: dict[str, Any],
+    also_printed: bool,
+    progress: Progress | None = None,
+) -> None:
+    """Write refined poses into a case's folder, unless it has those of the same options.
 
-    subject: Path
-    case: StudyCase
-    body: BodyModel
-    options: SequenceOptions
-    made_with: dict[str, Any]
-    printed: bool = False  # also by Eq. 8 as printed
-
-    @property
-    def steps(self) -> int:
-        """Amount of work, for the progress bar, in steps of a fit."""
-        return 1000
-
-    def solve(self, progress: Progress | None = None) -> None:
-        """Write the refined poses and their figures into the case's folder."""
-        if not json_equals(self.subject / PREPARED, self.made_with):
-            args = (self.subject, self.case, self.body, self.options)
-            write_record(refine_case(*args, progress=progress), versions())
-            (self.subject / PRINTED_POSES).unlink(missing_ok=True)
-            write_json(self.subject / PREPARED, self.made_with)
-        if self.printed and not (self.subject / PRINTED_POSES).exists():
-            video = load_video(self.subject)
-            found = refine(video, self.body, REFINE)
-            save_poses(self.subject / PRINTED_POSES, found.pose, found.shape, stage=2)
+    ``also_printed``: also the poses that Eq. 8 as printed finds.
+    """
+    if not json_equals(subject / PREPARED, made_with):
+        evaluation = refine_case(subject, case, body, options, progress=progress)
+        write_record(evaluation, versions())
+        (subject / PRINTED_POSES).unlink(missing_ok=True)
+        write_json(subject / PREPARED, made_with)
+    if also_printed and not (subject / PRINTED_POSES).exists():
+        found = refine(load_video(subject), body, REFINE)
+        save_poses(subject / PRINTED_POSES, found.pose, found.shape, stage=2)
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ results version of the study (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
@@ -49,71 +50,49 @@ class Outcome:
         return self.case, self.variant
 
 
-class Study(Protocol):
-    """The work for each case, and the inputs that the figures depend on."""
+class Work(NamedTuple):
+    """A piece of a study's work: a Task."""
 
-    kind: str  # names its files
-    variants: Sequence[str]
-    made_with: dict[str, Any]
+    steps: int  # its amount, for the progress bar
+    call: Callable[..., Any]  # a partial function that can be pickled; takes ``progress``
 
-    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
-        """Return work in rounds; each piece of the last one returns the figures of a pair."""
-        ...
-
-
-def made_with(kind: str, options: Any, body: BodyModel) -> dict[str, Any]:  # noqa: ANN401
-    """Return all that a result depends on besides its case and variant, as JSON has it.
-
-    Args:
-        kind: of the study.
-        options: a dataclass.
-        body: that is fitted.
-    """
-    made = {
-        "options": asdict(options),
-        "body": fingerprint(body),
-        "results_version": RESULTS_VERSIONS[kind],
-    }
-    return json.loads(json.dumps(made, default=str))
-
-
-def run_study(
-    study: Study,
-    cases: Sequence[StudyCase],
-    known: Sequence[Outcome] = (),
-    progress: Progress | None = None,
-    executor: Executor | None = None,
-) -> Iterator[Outcome]:
-    """Yield the outcome of every case and variant, case by case, computing what is not known.
-
-    Args:
-        study: gives the work.
-        cases: such as HELD_OUT.
-        known: outcomes that need not be computed.
-        progress: called as ``progress(done, total)``.
-        executor: runs the work, and must see the study's folder; None: this process.
-    """
-    done = {outcome.key: outcome for outcome in known}
-    wanted = [(case, variant) for case in cases for variant in study.variants]
-    *first, last = study.rounds([pair for pair in wanted if pair not in done])
-    total, before = sum(work.steps for works in (*first, last) for work in works), 0
-    for works in first:
-        steps = sum(work.steps for work in works)
-        for _ in run(works, executor, within(progress, before, steps, total)):
-            pass
-        before += steps
-    found = run(last, executor, within(progress, before, total - before, total))
-    for pair in wanted:
-        yield done[pair] if pair in done else Outcome(*pair, next(found).result)
+    def solve(self, progress: Progress | None = None) -> Any:  # noqa: ANN401
+        """Do the work in this process."""
+        return self.call(progress=progress)
 
 
 @dataclass(frozen=True)
-class StudyFile:
-    """The file of a study's results."""
+class Study:
+    """The inputs of a study, and the file of its results."""
 
-    path: Path
-    kind: str
-    made_with: dict[str, Any]
+    folder: Path
+    body: BodyModel  # that is fitted
+    options: Any  # a dataclass
+    kind: ClassVar[str]  # names its files
+
+    @property
+    def variants(self) -> Sequence[str]:
+        """Names of the ways that each case is computed."""
+        raise NotImplementedError
+
+    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
+        """Return work in rounds; each piece of the last one returns the figures of a pair."""
+        raise NotImplementedError
+
+    @cached_property
+    def made_with(self) -> dict[str, Any]:
+        """All that a result depends on besides its case and variant, as JSON has it."""
+        made = {
+            "options": asdict(self.options),
+            "body": fingerprint(self.body),
+            "results_version": RESULTS_VERSIONS[self.kind],
+        }
+        return json.loads(json.dumps(made, default=str))
+
+    @property
+    def path(self) -> Path:
+        """The file of the results."""
+        return self.folder / f"{self.kind}.json"
 
     def load(self) -> list[Outcome]:
         """Read the results that still hold; none if there is no file.
@@ -136,18 +115,42 @@ class StudyFile:
     def save(self, outcomes: Sequence[Outcome], summary: dict[str, Any]) -> None:
         """Write all results, and the summary of those that were asked for."""
         results = [
-            {
-                "name": outcome.case.name,
-                "held_out": outcome.case.held_out,
-                "case": asdict(outcome.case),
-                "variant": outcome.variant,
-                "figures": outcome.figures,
-            }
+            {"name": outcome.case.name, "held_out": outcome.case.held_out, **asdict(outcome)}
             for outcome in outcomes
         ]
         record = {"format": FORMAT, "kind": self.kind, "made_with": self.made_with}
         record |= {"summary": summary, "results": results, "versions": versions()}
         write_json(self.path, record)
+
+
+def run_study(
+    study: Study,
+    cases: Sequence[StudyCase],
+    known: Sequence[Outcome] = (),
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> Iterator[Outcome]:
+    """Yield the outcome of every case and variant, case by case, computing what is not known.
+
+    Args:
+        study: which gives the work.
+        cases: such as HELD_OUT.
+        known: outcomes that need not be computed.
+        progress: called as ``progress(done, total)``.
+        executor: runs the work, and must see the study's folder; None: this process.
+    """
+    done = {outcome.key: outcome for outcome in known}
+    wanted = [(case, variant) for case in cases for variant in study.variants]
+    *first, last = study.rounds([pair for pair in wanted if pair not in done])
+    total, before = sum(work.steps for works in (*first, last) for work in works), 0
+    for works in first:
+        steps = sum(work.steps for work in works)
+        for _ in run(works, executor, within(progress, before, steps, total)):
+            pass
+        before += steps
+    found = run(last, executor, within(progress, before, total - before, total))
+    for pair in wanted:
+        yield done[pair] if pair in done else Outcome(*pair, next(found).result)
 
 
 def _outcome(row: dict[str, Any]) -> Outcome:

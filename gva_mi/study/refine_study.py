@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from gva_mi.pose.focal import follow
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
-from gva_mi.study.engine import made_with
+from gva_mi.study.engine import Study, Work
 from gva_mi.study.filmed import height_of
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.subjects import Filming, filming_work
@@ -44,50 +44,35 @@ class RefineStudyOptions:
         require_ranges("study", self)
 
 
-@dataclass(frozen=True)
-class RefineStudy:
+class RefineStudy(Study):
     """A study of one variant: the refinement."""
 
-    folder: Path
-    body: BodyModel
     options: RefineStudyOptions
-    kind: str = "refine"
-    variants: tuple[str, ...] = ("refined",)
-
-    @cached_property
-    def made_with(self) -> dict[str, Any]:
-        """Everything that results depend on."""
-        return made_with(self.kind, self.options, self.body)
+    kind = "refine"
+    variants = ("refined",)
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, then refine each case."""
-        filming = Filming(self.folder, self.options.frames, self.options.size)
-        cases = [case for case, _ in missing]
-        work = [RefineCase(filming.subject(x), x, self.body, self.options) for x in cases]
-        return [filming_work(filming, cases, self.body), work]
+        options, cases = self.options, [case for case, _ in missing]
+        filming = Filming(self.folder, options.frames, options.size)
+        refined = [
+            Work(10 * options.frames, partial(figures, filming.subject(x), x, self.body, options))
+            for x in cases
+        ]
+        return [filming_work(filming, cases, self.body), refined]
 
 
-@dataclass(frozen=True)
-class RefineCase:
-    """Refine one case, and measure the poses: a Task."""
-
-    subject: Path
-    case: StudyCase
-    body: BodyModel
-    options: RefineStudyOptions
-
-    @property
-    def steps(self) -> int:
-        """Amount of work, for the progress bar."""
-        return 10 * self.options.frames
-
-    def solve(self, progress: Progress | None = None) -> dict[str, Any]:
-        """Return the columns of the table, and the figures of ``refinement.json``."""
-        found = refine_case(
-            self.subject, self.case, self.body, self.options.refine, self.options.known, progress
-        )
-        means = found.measured.means
-        return columns(means) | means.to_json()
+def figures(
+    subject: Path,
+    case: StudyCase,
+    body: BodyModel,
+    options: RefineStudyOptions,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Refine a case; return the columns of the table, and the figures of ``refinement.json``."""
+    found = refine_case(subject, case, body, options.refine, options.known, progress)
+    means = found.measured.means
+    return columns(means) | means.to_json()
 
 
 def columns(figures: PoseFigures) -> dict[str, float | None]:

@@ -5,14 +5,16 @@ The error model "film" is the real one: networks and solver see the pictures.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.data.fingerprint import FILM, require_same_body
 from gva_mi.study.cases import StudyCase, Take
+from gva_mi.study.engine import Work
 from gva_mi.study.filmed import watch_take
 from gva_mi.synthetic import degrade, make_subject
 
@@ -48,28 +50,23 @@ class Filming:
         return f"{name}-novel{self.novel}" if self.novel else name
 
 
-@dataclass(frozen=True)
-class FilmTake:
-    """Film a take and all its cases, so that no two workers render the same subject: a Task."""
-
-    filming: Filming
-    cases: tuple[StudyCase, ...]
-    body: BodyModel
-
-    @property
-    def steps(self) -> int:
-        """Amount of work, for the progress bar."""
-        return self.filming.frames * len(self.cases)
-
-    def solve(self, progress: Progress | None = None) -> None:
-        """Make the videos that are missing."""
-        for case in self.cases:
-            self.filming.film(case, self.body)
-
-
-def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) -> list[FilmTake]:
-    """Return the work of filming some cases, a piece for each take."""
+def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) -> list[Work]:
+    """Return the work of filming cases, a piece for each take: no two workers render the same."""
     by_take: dict[Take, dict[StudyCase, None]] = {}
     for case in cases:
         by_take.setdefault(case.take, {})[case] = None
-    return [FilmTake(filming, tuple(several), body) for several in by_take.values()]
+    return [
+        Work(filming.frames * len(several), partial(film_all, filming, tuple(several), body))
+        for several in by_take.values()
+    ]
+
+
+def film_all(
+    filming: Filming,
+    cases: Sequence[StudyCase],
+    body: BodyModel,
+    progress: Progress | None = None,
+) -> None:
+    """Make the videos of some cases that are missing."""
+    for case in cases:
+        filming.film(case, body)

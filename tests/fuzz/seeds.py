@@ -35,7 +35,7 @@ from gva_mi.splat.formats.spz import load_spz, save_spz
 from gva_mi.splat.scene import Scene, random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT
-from gva_mi.study.engine import Outcome, StudyFile
+from gva_mi.study.engine import Outcome, Study
 from gva_mi.study.metrics import load_metrics
 from gva_mi.study.refinement import load_refinement
 from gva_mi.study.tables import refine_cells
@@ -68,6 +68,12 @@ end_header
 1 2 3 255 128 0 0.5 -3 -4 1 0 0 0
 """
 MADE_WITH = {"sources": "0"}
+
+
+class Made(Study):
+    """A study whose inputs do not matter."""
+
+    kind, made_with = "refine", MADE_WITH
 
 
 def seeds(subject, avatar):
@@ -171,13 +177,12 @@ def seeds(subject, avatar):
 
     def study(folder):
         outcome = Outcome(HELD_OUT[0], "refined", {"change: body": -0.5, "points": "vertices"})
-        StudyFile(folder / "refine.json", "refine", MADE_WITH).save([outcome], {})
+        Made(folder, None, None).save([outcome], {})
         write_json(folder / "marker.json", MADE_WITH)
 
     def read_study(folder, path=None):
-        file = StudyFile(folder / "refine.json", "refine", MADE_WITH)
         each(folder, path, {
-            "refine.json": lambda path: refine_cells(file.load()),
+            "refine.json": lambda path: refine_cells(Made(folder, None, None).load()),
             "marker.json": lambda path: (json_equals(path, MADE_WITH), series._hash_in(path)),
         })  # fmt: skip
 

@@ -9,13 +9,14 @@ import pytest
 
 from gva_mi.core import provenance
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import write_json
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import load_video
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.stature import Stature
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING
-from gva_mi.study.engine import Outcome, StudyFile, run_study
+from gva_mi.study.engine import Outcome, Study, run_study
 from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions, height_of, with_true_focal
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.variants import FULL
@@ -38,7 +39,7 @@ class Counted:
 DONE = []
 
 
-class Counting:
+class Counting(Study):
     """A study of two rounds."""
 
     kind, variants, made_with = "avatar", ("a", "b"), MADE
@@ -47,22 +48,25 @@ class Counting:
         return [[Counted(case) for case, _ in missing[:1]], [Counted(pair) for pair in missing]]
 
 
+COUNTING = Counting(None, None, None)
+
+
 def test_only_what_is_missing_is_computed_in_the_order_of_the_cases():
     DONE.clear()
     known = [Outcome(TUNING[0], "b", {"psnr: test": 5.0})]
-    found = list(run_study(Counting(), TUNING[:2], known))
+    found = list(run_study(COUNTING, TUNING[:2], known))
     assert [o.key for o in found] == [(case, v) for case in TUNING[:2] for v in "ab"]
     missing = [(TUNING[0], "a"), (TUNING[1], "a"), (TUNING[1], "b")]
     assert found[1] is known[0] and DONE == [TUNING[0], *missing]
     DONE.clear()
-    assert list(run_study(Counting(), TUNING[:2], found)) == found and not DONE
+    assert list(run_study(COUNTING, TUNING[:2], found)) == found and not DONE
 
 
 def test_progress_counts_up_to_all_of_the_work():
     seen = []
     progress = lambda now, total, **_: seen.append((now, total))
     with ThreadPoolExecutor(1) as executor:
-        list(run_study(Counting(), TUNING[:1], (), progress, executor))
+        list(run_study(COUNTING, TUNING[:1], (), progress, executor))
     assert seen[-1] == (9, 9) and seen == sorted(seen)
 
 
@@ -86,14 +90,16 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
-    file = StudyFile(tmp_path / "avatar.json", "avatar", MADE)
-    assert file.load() == []
+    study = Counting(tmp_path, None, None)
+    assert study.load() == []
     outcomes = [Outcome(case, "full", {"psnr: test": 30.0, "lpips: test": None}) for case in TUNING]
-    file.save(outcomes, {"tuned": {}})
-    assert file.load() == outcomes
-    assert replace(file, made_with={}).load() == replace(file, kind="refine").load() == []
-    record = json.loads(file.path.read_text())
+    study.save(outcomes, {"tuned": {}})
+    assert study.load() == outcomes
+    record = json.loads(study.path.read_text())
     assert record["results"][0]["held_out"] is False and record["summary"] == {"tuned": {}}
+    for other in ({"made_with": {}}, {"kind": "refine"}):
+        write_json(study.path, record | other)
+        assert study.load() == []
 
 
 @pytest.mark.parametrize(
@@ -101,16 +107,17 @@ def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
     [("{", "not readable"), ("[]", "of another form"), ('{"cases": []}', "another version")],
 )
 def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
-    (tmp_path / "a.json").write_text(text)
-    with pytest.raises(InputError, match=rf"a.json: .*{match}.*--overwrite"):
-        StudyFile(tmp_path / "a.json", "avatar", MADE).load()
+    (tmp_path / "avatar.json").write_text(text)
+    with pytest.raises(InputError, match=rf"avatar.json: .*{match}.*--overwrite"):
+        Counting(tmp_path, None, None).load()
 
 
 def test_a_take_is_filmed_by_one_worker(tmp_path, body):
     amira = [case for case in TUNING if case.take.person == "amira"]
-    work = filming_work(Filming(tmp_path, 8, 64), [*amira, TUNING[1]], body)
-    assert [list(film.cases) for film in work] == [amira, [TUNING[1]]]
-    folders = {film.filming.subject(case) for film in work for case in film.cases}
+    filming = Filming(tmp_path, 8, 64)
+    films = [work.call.args[1] for work in filming_work(filming, [*amira, TUNING[1]], body)]
+    assert films == [tuple(amira), (TUNING[1],)]
+    folders = {filming.subject(case) for cases in films for case in cases}
     assert len(folders) == len(amira) + 1
 
 

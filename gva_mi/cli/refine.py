@@ -120,7 +120,7 @@ def refine_videos(
         for video, truth, refined in zip(videos, truths, found, strict=True):
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
-            evaluation = Evaluation.of(video, model, options, refined, truth)
+            evaluation = Evaluation(video, model, options, refined, truth)
             write_record(evaluation, versions())
             yield evaluation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -66,7 +67,7 @@ def score(
     for line in _lines(rows, scorer.network):
         say(line)
     if out is not None:
-        table = [row.to_json() for row in rows]
+        table = [asdict(row) for row in rows]
         write_json(out, {"background": background, "rows": table, "networks": scorer.networks()})
         say(f"figures: {out}")
 

@@ -37,7 +37,7 @@ segmenter.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -82,10 +82,8 @@ class SplitScores:
         name: str, split: Split, scores: Sequence[ImageScores], region: Region = "white"
     ) -> SplitScores:
         """Average the scores of the frames of a split."""
-        mean = ImageScores(*np.mean([astuple(s) for s in scores], axis=0).tolist())
-        perceptual = None if np.isnan(mean.lpips) else mean.lpips
-        figures = (mean.psnr, mean.ssim, perceptual, mean.rand_vgg)
-        return SplitScores(name, split, *figures, region, len(scores))
+        means = (None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist())
+        return SplitScores(name, split, *means, region, len(scores))
 
 
 @dataclass(frozen=True)
@@ -115,17 +113,17 @@ def views_of(
     Raises:
         InputError: a ground-truth folder cannot be read.
     """
+    in_range = video.splits.held_out_range
+    own = {
+        "train": spread(video.splits.train, TRAIN_FRAMES),
+        "test": [k for k in video.splits.test if k not in set(in_range)],
+        "held_out_range": in_range,
+    }
     details = None if body is None else Details.of(video, body)
     views = []
     for split in splits:
-        if split == "train":
-            frames = spread(video.splits.train, TRAIN_FRAMES)
-            views.append(SplitView(split, video, frames, details))
-        elif split == "test":
-            alone = [k for k in video.splits.test if k not in set(video.splits.held_out_range)]
-            views.append(SplitView(split, video, alone, details))
-        elif split == "held_out_range":
-            views.append(SplitView(split, video, video.splits.held_out_range, details))
+        if split in own:
+            views.append(SplitView(split, video, own[split], details))
         elif (source := source_of(video, split)) is not None:
             theirs = None if body is None else Details.of(source, body)
             seen = [k for k in range(len(source)) if k not in source.absent]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -164,20 +165,12 @@ class Evaluation:
     body: BodyModel
     options: RefineOptions
     refined: Refined
-    truth: GroundTruth | None  # of a synthetic subject
-    measured: FrameFigures
+    truth: GroundTruth | None = None  # of a synthetic subject
 
-    @staticmethod
-    def of(
-        video: Video,
-        body: BodyModel,
-        options: RefineOptions,
-        refined: Refined,
-        truth: GroundTruth | None = None,
-    ) -> Evaluation:
-        """Measure a refinement."""
-        measured = measure(video, body, refined, truth)
-        return Evaluation(video, body, options, refined, truth, measured)
+    @cached_property
+    def measured(self) -> FrameFigures:
+        """Its figures."""
+        return measure(self.video, self.body, self.refined, self.truth)
 
 
 def measure(

@@ -51,7 +51,7 @@ def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarr
         whole = with_axes(shown.avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
         yield to_8bit(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
-    yield from list(turntable(shown.avatar, frame, turned + 1))[1:]
+    yield from list(turntable(shown.avatar, frame.pose, turned + 1, video.size))[1:]
 
 
 def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:

@@ -18,7 +18,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
 from gva_mi.data.video import Frame, Video, spread
-from gva_mi.fit.camera_paths import circle
+from gva_mi.fit.camera_paths import CameraPath, shots
 from gva_mi.fit.renders import cut_out, render_frame, to_8bit
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
@@ -125,7 +125,7 @@ def _boxes(view: SplitView, frame: Frame, avatar: Avatar) -> Iterator[tuple[str,
     if view.split in OF_VIDEO and view.details is not None:
         yield from ((f", {what}", box) for what, box in view.details.boxes(frame.index))
     elif view.split == "novel_pose":
-        joints = joints_of(avatar, frame)
+        joints = posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()
         yield from ((f", {part}", box) for part, box in close_ups(frame.camera, joints))
 
 
@@ -136,25 +136,13 @@ def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:
     return np.round(white + np.minimum(share, 1) * (red - white)).astype(np.uint8)
 
 
-def turntable(avatar: Avatar, frame: Frame, count: int) -> Iterator[np.ndarray]:
-    """Render the avatar in a frame's pose from ``count`` cameras on a circle around it.
-
-    The circle begins at the frame's camera and is horizontal in its picture, because a video does
-    not say which way is up in the world.
-    """
-    R = frame.camera.T_camera_world[:3, :3]
-    seen = joints_of(avatar, frame) @ R.T
-    # The centre of the joints' extent along the camera's axes; their mean is biased by the fingers.
-    centre = (seen.min(0) + seen.max(0)) / 2 @ R
-    up = -frame.camera.T_camera_world[1, :3]  # y of a camera points down
-    toward = frame.camera.position - centre
-    toward -= up * (up @ toward)
-    width, height = frame.camera.width, frame.camera.height
-    lens = (frame.camera.fx, frame.camera.fy, width / 2, height / 2)
-    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    for T_camera_world in circle(centre, toward, up, 0.1, angles):
-        camera = Camera(*lens, T_camera_world, width, height)
-        yield render_frame(avatar, frame.pose, camera)
+def turntable(
+    avatar: Avatar, pose: Pose, count: int, size: tuple[int, int]
+) -> Iterator[np.ndarray]:
+    """Render the avatar in one pose from ``count`` cameras on a circle around it."""
+    path = CameraPath("turntable", frames=count, size=size)
+    for shot in shots(path, avatar.rig, pose):
+        yield render_frame(avatar, pose, shot.camera)
 
 
 def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
@@ -185,8 +173,3 @@ def truly_cut(video: Video, index: int) -> Frame:
     """Return a frame, with the ground-truth mask where it is known."""
     frame, mask = video[index], video.true_mask(index)
     return frame if mask is None else replace(frame, mask=mask)
-
-
-def joints_of(avatar: Avatar, frame: Frame) -> np.ndarray:
-    """Return the avatar's joints in a frame's pose, (55, 3) metres, world."""
-    return posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()

@@ -113,7 +113,7 @@ def refine_case(
         zoomed = with_true_focal(truth, video, body)
         refined = refine(zoomed, body, replace(options, height=height_of(truth)), progress)
         refined = replace(refined, cameras=refined.cameras or zoomed.cameras)
-    return Evaluation.of(video, body, options, refined, truth)
+    return Evaluation(video, body, options, refined, truth)
 
 
 def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:

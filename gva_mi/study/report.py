@@ -149,7 +149,7 @@ def _headlines(metrics: Metrics) -> list[Headline]:
 
 def _turning(avatar: Avatar, video: Video) -> Section:
     caption = f"{len(avatar.canonical):,} Gaussians, {TURN_FRAMES} views"
-    pictures = list(turntable(avatar, video[len(video) // 2], TURN_FRAMES))
+    pictures = list(turntable(avatar, video.pose[len(video) // 2], TURN_FRAMES, video.size))
     text = "Fitted to one video of one camera, seen from all around."
     return Section("The avatar", text, [animation(caption, pictures)], columns=3)
 

@@ -19,7 +19,7 @@ difference says how much of the error is place, and how much appearance.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ class PicturePair:
     render: np.ndarray  # (H, W, 3) 8-bit
     truth: np.ndarray  # (H, W, 3) 8-bit
     mask: np.ndarray | None = None  # (H, W) in [0, 1], the person
-    boxes: Sequence[tuple[str, Box]] = field(default_factory=tuple)  # hands and face
+    boxes: Sequence[tuple[str, Box]] = ()  # hands and face
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,6 @@ class RegionScores:
     lpips: float | None  # None without the user's weights, and of the mask
     rand_vgg: float | None  # None of the mask
     count: int  # pictures or boxes in the mean
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the row for a file."""
-        return dict(vars(self))
 
 
 def score_pictures(
@@ -131,9 +127,8 @@ def _of_pair(pair: PicturePair, scorer: Scorer) -> Iterator[tuple[str, ImageScor
 
 
 def _mean(region: str, protocol: str, scores: Sequence[ImageScores]) -> RegionScores:
-    psnr, ssim, *networks = np.mean([astuple(s) for s in scores], axis=0).tolist()
-    networks = (None if np.isnan(x) else x for x in networks)
-    return RegionScores(region, protocol, psnr, ssim, *networks, len(scores))
+    means = (None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist())
+    return RegionScores(region, protocol, *means, len(scores))
 
 
 def _order(item: tuple[tuple[str, str], Any]) -> tuple[int, int]:

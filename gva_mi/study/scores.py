@@ -25,8 +25,7 @@ person does not; an error that stays in its place does not flicker:
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -51,8 +50,7 @@ _SSIM = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class ImageScores:
+class ImageScores(NamedTuple):
     """Scores of one render against its target."""
 
     psnr: float  # dB, more is better

@@ -77,7 +77,7 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
     video = replace(estimated, folder=tmp_path)
     refined = replace(refined, held_out=[5])
-    evaluation = Evaluation.of(video, body, SequenceOptions(), refined, truth)
+    evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
     (tmp_path / "refinement.html").write_text("of an older refinement")
     write_record(evaluation, {"gva_mi": "1.2.3"})
     record = json.loads((tmp_path / "refinement.json").read_text())
@@ -105,7 +105,7 @@ def test_the_worst_frames_come_first(estimated, measured):
 def test_the_report_is_complete(tmp_path, estimated, body, refined, truth, given):
     folder = shutil.copytree(estimated.folder, tmp_path / "subject")
     video = replace(estimated, folder=folder)
-    evaluation = Evaluation.of(video, body, SequenceOptions(), refined, truth if given else None)
+    evaluation = Evaluation(video, body, SequenceOptions(), refined, truth if given else None)
     write_refinement_report(evaluation, {"gva_mi": "1.2.3"})
     page = (folder / "refinement.html").read_text()
     assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped

@@ -5,9 +5,6 @@ import io
 from dataclasses import replace
 
 import numpy as np
-import pytest
-import roma
-import torch
 from PIL import Image
 
 from gva_mi.fit.run_folder import LAPS
@@ -15,7 +12,7 @@ from gva_mi.study import report
 from gva_mi.study.evaluate import SplitScores
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import ALIGNED, Metrics, Training
-from gva_mi.study.pictures import ShownAvatar, difference, picture_sections, turntable
+from gva_mi.study.pictures import ShownAvatar, difference, picture_sections
 from gva_mi.study.surface import SurfaceFigures
 
 
@@ -67,25 +64,3 @@ def test_details_are_rendered_as_large_as_they_are_shown(known, video, body):
 def test_differences_are_red():
     target, image = np.zeros((1, 2, 3), np.uint8), np.array([[[0, 0, 0], [9, 64, 0]]], np.uint8)
     assert difference(target, image).tolist() == [[[255, 255, 255], [190, 20, 40]]]
-
-
-WORLDS = {"z up": (np.pi / 2, 0, 0), "askew": (0.4, -1.1, 0.7)}
-
-
-@pytest.mark.parametrize("world", WORLDS)
-def test_the_turntable_does_not_depend_on_the_world_axes(world, known, video):
-    frame, R = video[0], roma.rotvec_to_rotmat(torch.tensor(WORLDS[world], dtype=torch.float32))
-    root, rotations = known.rig.joints[0], frame.pose.rotations.clone()
-    rotations[0, 0] = roma.rotmat_to_rotvec(R @ roma.rotvec_to_rotmat(rotations[0, 0]))
-    transl = (R @ (root + frame.pose.transl[0]) - root)[None]
-    T = frame.camera.T_camera_world.copy()
-    T[:3, :3] = T[:3, :3] @ R.double().numpy().T
-    pose = replace(frame.pose, rotations=rotations, transl=transl)
-    moved = replace(frame, pose=pose, camera=frame.camera.with_matrices(T, frame.camera.K))
-    ours = list(turntable(known, frame, 4))
-    for a, b in zip(ours, turntable(known, moved, 4), strict=True):
-        off = np.abs(a.astype(int) - b)
-        assert off.mean() < 0.2 and np.percentile(off, 99) <= 3
-    shown = (frame.on_background() < 0.98).any(2)  # the circle begins at the camera
-    assert ((ours[0] < 250).any(2) & shown).sum() > 0.8 * shown.sum()
-    assert np.abs(ours[0].astype(int) - ours[2]).mean() > 1

@@ -33,7 +33,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "track": "fit the poses of a video to its pictures, seen through an avatar",
     "render": "drive an avatar by any poses, seen by any cameras",
     "view": "turn, pose and play an avatar in the browser",
-    "export": "write an avatar, its poses, or a film of it for other programs",
+    "export": "write an avatar or its poses for other programs",
     "motion": "make poses that drive an avatar, from a film or a motion of AMASS, AIST++ ...",
     "study": "refine or fit several synthetic subjects and measure the errors",
     "body": "write a body file, and a picture of it from all around",

@@ -1,4 +1,4 @@
-"""The command ``gva-mi export``: write an avatar, its poses or a film for other programs."""
+"""The command ``gva-mi export``: write an avatar or its poses for other programs."""
 
 from __future__ import annotations
 
@@ -24,16 +24,6 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, require_ranges
-from gva_mi.data.pictures import (
-    SEE_THROUGH,
-    read_background,
-    require_alpha_codec,
-    write_alpha_film,
-    write_image,
-    write_movie,
-)
-from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
-from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import MAX_DEGREE
@@ -51,12 +41,10 @@ class ExportOptions:
     frame: Annotated[int, Within(0, 1_000_000)] | None = None
     # Into a folder: write one file for every n-th frame.
     every: Annotated[int, Within(1, 1_000_000)] = 1
-    # Kind of the files in a folder; .png are transparent outside the avatar.
-    each: Literal["ply", "compressed.ply", "splat", "spz", "png"] = "ply"
+    each: Literal["ply", "compressed.ply", "splat", "spz"] = "ply"  # kind of the files in a folder
     fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
     # Of the harmonics of Gaussians: cut or filled up with zeros; 3 makes 248 bytes each in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
-    background: str = "white"  # of a film: a colour, such as #ff8800, or a picture file
     no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
 
     def __post_init__(self) -> None:
@@ -73,7 +61,6 @@ class _Export:
     run: Path
     avatar: Avatar
     options: ExportOptions
-    view: CameraPath
     out: Path
     body: Path | None
     overwrite: bool
@@ -81,18 +68,6 @@ class _Export:
     def driving(self) -> tuple[Pose, Shape]:
         """Return the poses that the options name, and the shape (betas) that belongs to them."""
         return motion_of(self.run, self.avatar, self.options.poses, self.options.fps, self.body)
-
-    def motion(self) -> Pose:
-        """Return these poses; raise an InputError if --frame is not among them."""
-        (motion, _), frame = self.driving(), self.options.frame or 0
-        if frame >= len(motion):
-            raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
-        return motion
-
-    def shots(self, motion: Pose) -> list[CameraShot]:
-        """Return the camera shots to render of a motion."""
-        view = self.view.or_usual(moving=self.options.poses is not None)
-        return shots(view, self.avatar.rig, motion, self.options.frame or 0)
 
     @torch.no_grad()
     def save_gaussians(self, path: Path, pose: Pose) -> None:
@@ -104,13 +79,12 @@ class _Export:
 def export(
     run: Positional[Path],
     options: Flat[ExportOptions] = ExportOptions(),  # noqa: B008 (frozen)
-    view: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
     *,
     out: Path,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Write an avatar, its poses, or a film of it in a file of other programs.
+    """Write an avatar or its poses in a file of other programs. Films are made by render.
 
     If writing a folder was interrupted, the same command resumes it.
 
@@ -118,23 +92,20 @@ def export(
         run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
             .splat or a .spz, which becomes another of these.
         options: content of the file.
-        view: camera of films and .png files.
         out: the file, whose suffix says what it is: .ply, .compressed.ply (SuperSplat's), .splat,
             .spz (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
-            AMASS has them, or with --no-rig the avatar), .mp4 (a film), .webm (a transparent one);
-            or a folder for one file a frame.
+            AMASS has them, or with --no-rig the avatar); or a folder for one file a frame.
         body: the body file of an avatar without its body, or for --no-rig; without it the built-in
             puppet.
         overwrite: replace what is there.
     """
     suffix = "" if out.is_dir() else _suffix(out)
-    _require_meant(suffix, options, view)
+    _require_meant(suffix, options)
     if run.suffix.lower() in LOAD and not run.is_dir():
         work = _converted(run, options, suffix, out)
     else:
         body = body_of_run(run, body)
-        avatar = load_avatar(run, body)
-        job = _Export(run, avatar, options, view, out, body, overwrite)
+        job = _Export(run, load_avatar(run, body), options, out, body, overwrite)
         work = FORMATS[suffix].prepare(job)
     if suffix:
         require_room(out, overwrite)
@@ -149,12 +120,13 @@ def _suffix(out: Path) -> str:
     if suffix not in FORMATS:
         there = ", ".join(f"{name} ({format.what})" for name, format in FORMATS.items() if name)
         raise InputError(
-            f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS[''].what}"
+            f"{out}: no format ends in {suffix}; expected {there}, or {FORMATS[''].what}; "
+            "gva-mi render --video makes films"
         )
     return suffix
 
 
-def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> None:
+def _require_meant(suffix: str, options: ExportOptions) -> None:
     """Raise an InputError for options that have no effect on the format."""
     kind = suffix or "a folder"
     for field in fields(options):
@@ -162,9 +134,6 @@ def _require_meant(suffix: str, options: ExportOptions, view: CameraPath) -> Non
         if getattr(options, field.name) != field.default and kind not in meant:
             option, others = field.name.replace("_", "-"), " and ".join(meant)
             raise InputError(f"export: --{option} is for {others}, not for {kind}")
-    pictures = suffix in (".mp4", SEE_THROUGH) or (not suffix and options.each == "png")
-    if view != CameraPath() and not pictures:
-        raise InputError(f"export: cameras are for .mp4, .webm and --each png, not for {kind}")
 
 
 def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:
@@ -179,14 +148,17 @@ def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> 
 
 
 def _gaussians(job: _Export) -> Work:
-    options = job.options
-    at_rest = options.poses is None and options.frame is None
-    pose = Pose.rest() if at_rest else job.motion()[options.frame or 0]
+    options, pose = job.options, Pose.rest()
+    if options.poses is not None or options.frame is not None:
+        (motion, _), frame = job.driving(), options.frame or 0
+        if frame >= len(motion):
+            raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
+        pose = motion[frame]
     return lambda: job.save_gaussians(job.out, pose)
 
 
 def _surface(job: _Export) -> Work:
-    motion = job.motion() if job.options.poses else None
+    motion = job.driving()[0] if job.options.poses else None
     return lambda: save_gltf(job.out, job.avatar, motion, job.options.fps)
 
 
@@ -201,44 +173,16 @@ def _poses(job: _Export) -> Work:
     return lambda: save_amass(job.out, motion, shape, job.options.fps)
 
 
-def _film(job: _Export) -> Work:
-    transparent, fps = job.out.suffix.lower() == SEE_THROUGH, job.options.fps
-    if transparent:
-        require_alpha_codec(job.out)
-    background = read_background(job.options.background, *job.view.size)
-    motion = job.motion()
-    pictures = job.shots(motion)
-
-    def work() -> None:
-        with bar("render") as progress:
-            layers = render_shots(job.avatar, motion, pictures, progress)
-            if transparent:
-                write_alpha_film(job.out, map(to_rgba, layers), fps=fps)
-            else:
-                images = (over(layer, background) for layer in layers)
-                write_movie(job.out, images, fps=fps, lossless=False)
-
-    return work
-
-
 def _folder(job: _Export) -> Work:
-    motion, options = job.motion(), job.options
-    pictures = job.shots(motion) if options.each == "png" else []
-    frames = range(0, len(pictures or motion), options.every)
-    frame_of = {f"{k:06d}.{options.each}": k for k in frames}
+    (motion, _), options = job.driving(), job.options
+    frame_of = {f"{k:06d}.{options.each}": k for k in range(0, len(motion), options.every)}
     form = options.each, options.every, str(options.sh_degree)
-    made_of = hash_of(job.avatar, motion, pictures, form)
+    made_of = hash_of(job.avatar, motion, (), form)
     about = {"avatar": str(job.run), "poses": options.poses, HASH: made_of}
 
     def work() -> None:
         names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
         with names as missing, bar("export") as progress:
-            if options.each == "png":
-                taken = [pictures[frame_of[name]] for name in missing]
-                layers = render_shots(job.avatar, motion, taken, progress)
-                for name, layer in zip(missing, layers, strict=True):
-                    write_image(job.out / name, to_rgba(layer))
-                return
             for done, name in enumerate(missing, 1):
                 job.save_gaussians(job.out / name, motion[frame_of[name]])
                 progress(done, len(missing))
@@ -269,8 +213,6 @@ FORMATS = {
         "poses as AMASS has them; with --no-rig the avatar without its body", _poses,
         ("poses", "fps", "no_rig"),
     ),
-    ".mp4": OutputFormat("a film", _film, ("poses", "frame", "fps", "background")),
-    SEE_THROUGH: OutputFormat("a transparent film", _film, ("poses", "frame", "fps")),
     "": OutputFormat("a folder with one file a frame", _folder,
                      ("poses", "every", "each", "sh_degree")),
 }  # fmt: skip

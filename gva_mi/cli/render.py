@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import Positional
@@ -15,6 +16,7 @@ from gva_mi.cli.driving import motion_of
 from gva_mi.cli.series import HASH, hash_of, series
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within
 from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
@@ -31,7 +33,6 @@ from gva_mi.fit.run_folder import body_of_run, load_avatar
 
 MARKER = "render.json"  # every folder of renders holds it
 MOVIE = "video.mp4"
-FPS = 25  # frames a second of films; motions are resampled to it
 
 
 def render(
@@ -44,6 +45,7 @@ def render(
     background: str = "white",
     alpha: Switch = False,
     video: Switch = False,
+    fps: Annotated[int, Within(1, 1000)] = 25,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -61,6 +63,7 @@ def render(
         background: a colour, such as white or #ff8800, or a picture file.
         alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
         video: also write video.mp4 there; with --alpha video.webm.
+        fps: frames a second of films; motions of other programs are resampled to it.
         body: the body file of an avatar without its body; without it the run's, or the puppet.
         overwrite: replace existing renders.
     """
@@ -68,7 +71,7 @@ def render(
         raise InputError("render: give --cameras, or say where cameras stand; not both")
     body = body_of_run(run, body)
     avatar = load_avatar(run, body)
-    motion, _ = motion_of(run, avatar, poses, FPS, body)
+    motion, _ = motion_of(run, avatar, poses, fps, body)
     if cameras is None:
         pictures = shots(view.or_usual(moving=poses is not None), avatar.rig, motion)
     else:
@@ -78,7 +81,7 @@ def render(
     movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
     if video and alpha:
         require_alpha_codec(out / movie)
-    made_of = hash_of(avatar, motion, pictures, (behind, alpha, video))
+    made_of = hash_of(avatar, motion, pictures, (behind, alpha, video, fps))
     about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: made_of}
     files = [f"{k:06d}.png" for k in range(len(pictures))]
     names = [*files, movie] if video else files
@@ -99,9 +102,9 @@ def render(
 
     with series(out, MARKER, names, overwrite, about) as missing, bar("render") as progress:
         if movie in missing and alpha:
-            write_alpha_film(out / movie, images(missing))
+            write_alpha_film(out / movie, images(missing), fps=fps)
         elif movie in missing:
-            write_movie(out / movie, images(missing), lossless=False)
+            write_movie(out / movie, images(missing), fps=fps, lossless=False)
         else:
             deque(images(missing), maxlen=0)
     say(f"{len(pictures)} pictures: {out}")

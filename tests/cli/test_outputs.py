@@ -80,7 +80,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "track": "track {run} {subject}",
     "render": "render {run} --path turntable --poses {subject}/poses.npz --out {}/new",
     "export": "export {run} --out {}/a.ply",
-    "pictures": "export {run} --poses {subject}/poses.npz --each png --out {}/new",
+    "folder": "export {run} --poses {subject}/poses.npz --out {}/new",
     "motion": "motion {subject}/poses.npz {}/a.npz",
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
@@ -88,7 +88,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
-LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "pictures", "study")
+LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "folder", "study")
 
 
 @pytest.fixture

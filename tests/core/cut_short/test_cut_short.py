@@ -60,12 +60,7 @@ COMMANDS = {
         OVERWRITE
     ),
     "a file": Command("export {}/run --out {}/new.splat", OVERWRITE, quick=True),
-    "a film": Command("export {}/run --size 32 32 --out {}/new.mp4", OVERWRITE),
     "a folder": Command("export {}/run --out {}/new", OVERWRITE, quick=True, tries=3),
-    "pictures": Command(
-        "export {}/run --each png --path turntable --frames 4 --size 32 32 --out {}/new",
-        OVERWRITE
-    ),
     "study refine": Command(f"study refine --out {{}}/new --frames 2 {SEEN}"),
     "study avatar": Command(
         f"study avatar --out {{}}/new --frames 8 --novel 1 {SEEN} --fit.steps 5 --rows full",

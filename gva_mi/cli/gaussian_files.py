@@ -7,7 +7,7 @@ from pathlib import Path
 from gva_mi.core.console import say
 from gva_mi.splat import Gaussians
 from gva_mi.splat.axes import half_turned
-from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
+from gva_mi.splat.formats.compressed_ply import save_compressed_ply
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz

@@ -32,6 +32,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
             unfinished.unlink(missing_ok=True)
 
 
+def write_bytes(path: Path, *parts: bytes | memoryview) -> None:
+    """Write a file whose content is in memory, whole or not at all."""
+    with atomic_write(path) as unfinished, unfinished.open("wb") as file:
+        file.writelines(parts)
+
+
 def part_of(path: Path) -> Path:
     """Return where a file is written until it is whole; a later run overwrites leftovers."""
     return path.with_name(path.name + ".part")

@@ -29,6 +29,7 @@ from gva_mi.core.atomic import (
     holds_something,
     require_ours,
     require_writable,
+    write_bytes,
 )
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
@@ -81,6 +82,17 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
             return np.fromfile(file, header.dtype).reshape(header.shape, order=header.order)
     except Exception as error:
         raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
+
+
+def read_bytes(path: Path, expected: str) -> bytes:
+    """Read a whole file; ``expected`` says in the InputError what it should hold."""
+    try:
+        return Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected {expected}") from None
+    except OSError as error:
+        reason = error.strerror
+        raise InputError(f"{path}: cannot be read ({reason}); expected {expected}") from None
 
 
 def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
@@ -200,8 +212,7 @@ def write_arrays(path: Path, **arrays: np.ndarray) -> None:
     """Write a compressed ``.npz``: most blend shapes and skinning weights are zero."""
     whole = io.BytesIO()  # in memory, so that a full disk is one error and not the zip's as well
     np.savez_compressed(whole, **arrays)
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(whole.getbuffer())
+    write_bytes(path, whole.getbuffer())
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.atomic import atomic_write
+from gva_mi.core.atomic import write_bytes
 from gva_mi.gradcheck.probes import IMAGES
 from gva_mi.gradcheck.splat import RendererReport
 
@@ -25,8 +25,7 @@ def write_picture(reports: dict[str, RendererReport], path: Path) -> None:
         draw_report(report, axes, name)
     whole = io.BytesIO()  # written in one piece: Matplotlib's writers fail badly on a full disk
     figure.savefig(whole, dpi=100, format="png")
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(whole.getbuffer())
+    write_bytes(path, whole.getbuffer())
 
 
 def draw_report(report: RendererReport, axes: Iterable, name: str = "") -> None:

@@ -28,7 +28,7 @@ from gva_mi.data.pictures import read_background, write_movie
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
 from gva_mi.fit import checkpoint, run_folder
-from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
+from gva_mi.splat.formats.compressed_ply import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz

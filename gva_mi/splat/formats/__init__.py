@@ -3,15 +3,14 @@
 Readers return, and writers take, Gaussians in the axes of the .ply of 3DGS: x right, y down, z
 forward. :func:`gva_mi.splat.axes.half_turned` turns them to this program's world and back.
 
-=========================  =======================================================
-``ply``                    the .ply of 3D Gaussian Splatting and its viewers
-``compressed_ply``         the .ply of PlayCanvas' SuperSplat, 16 bytes a Gaussian and up
-``compressed_ply_writer``  writer of that format
-``ply_elements``           header and tables of any .ply
-``stored``                 the numbers that every writer stores
-``splat``                  32 bytes a Gaussian, for viewers in a browser
-``spz``                    Niantic's, about 20 bytes a Gaussian before compression
-=========================  =======================================================
+==================  =======================================================
+``ply``             the .ply of 3D Gaussian Splatting and its viewers
+``compressed_ply``  the .ply of PlayCanvas' SuperSplat, 16 bytes a Gaussian and up
+``ply_elements``    header and tables of any .ply
+``stored``          numbers to store, and Gaussians read back, for all formats
+``splat``           32 bytes a Gaussian, for viewers in a browser
+``spz``             Niantic's, about 20 bytes a Gaussian before compression
+==================  =======================================================
 """
 
 from __future__ import annotations

@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.core.atomic import atomic_write
+from gva_mi.core.atomic import write_bytes
 from gva_mi.core.errors import InputError
 from gva_mi.splat.formats.compressed_ply import decompressed, is_compressed
-from gva_mi.splat.formats.ply_elements import read_elements
-from gva_mi.splat.formats.stored import Stored
+from gva_mi.splat.formats.ply_elements import ply_parts, read_elements
+from gva_mi.splat.formats.stored import Stored, from_rest, gaussians_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
 
 _DC, _RGB = ("f_dc_0", "f_dc_1", "f_dc_2"), ("red", "green", "blue")
@@ -41,7 +41,7 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
     Raises:
         InputError: numbers that are not finite.
     """
-    path, stored = Path(path), Stored.of(path, gaussians)
+    stored = Stored.of(path, gaussians)
     eta = np.clip(stored.opacities, _MARGIN, 1 - _MARGIN)
     table = np.column_stack(
         [
@@ -54,16 +54,8 @@ def save_ply(path: Path, gaussians: Gaussians) -> None:
             stored.quats,
         ]
     )
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(table)}",
-        *(f"property float {name}" for name in _properties(stored.sh.shape[1])),
-        "end_header\n",
-    ]
-    content = "\n".join(header).encode("ascii") + table.astype("<f4").tobytes()
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(content)
+    names = _properties(stored.sh.shape[1])
+    write_bytes(path, *ply_parts([("vertex", "float", names, table)]))
 
 
 def load_ply(path: Path) -> Gaussians:
@@ -74,7 +66,6 @@ def load_ply(path: Path) -> Gaussians:
     Raises:
         InputError: not a .ply of Gaussians, truncated, or a property is missing.
     """
-    path = Path(path)
     elements = read_elements(path)
     if "vertex" not in elements:
         raise InputError(
@@ -97,26 +88,22 @@ def load_ply(path: Path) -> Gaussians:
     for name in _properties(1 + rest // 3):
         if name not in names and name not in optional:
             raise InputError(f"{path}: property '{name}' is missing; expected Gaussians")
-    pick = lambda *wanted: torch.from_numpy(
-        np.stack([table[name] for name in wanted], axis=1).astype(np.float32)
-    )
+    pick = lambda *wanted: np.stack([table[name] for name in wanted], axis=1).astype(np.float32)
     numbered = lambda name, n: pick(*(f"{name}_{i}" for i in range(n)))
-    scales = torch.exp(numbered("scale", 3 if "scale_2" in names else 2))
-    scales = torch.nn.functional.pad(scales, (0, 3 - scales.shape[1]))  # 2DGS: no thickness
-    colors = sh = None
+    log_scales = numbered("scale", 3 if "scale_2" in names else 2)  # 2DGS: no thickness
     if plain:
-        colors = pick(*_RGB) / torch.tensor([_white(table.dtype[name]) for name in _RGB])
+        colors = {"colors": pick(*_RGB) / np.float32([_white(table.dtype[name]) for name in _RGB])}
     else:
-        higher = numbered("f_rest", rest) if rest else torch.zeros(len(table), 0)
-        higher = higher.reshape(len(table), 3, rest // 3).transpose(1, 2)
-        sh = torch.cat([numbered("f_dc", 3)[:, None], higher], dim=1)
-    return Gaussians(
+        higher = numbered("f_rest", rest) if rest else np.zeros((len(table), 0), np.float32)
+        colors = {"sh": from_rest(numbered("f_dc", 3), higher)}
+    opacities = torch.sigmoid(torch.from_numpy(pick("opacity")[:, 0])).numpy()
+    scales = torch.exp(torch.from_numpy(log_scales))
+    return gaussians_of(
         means=pick("x", "y", "z"),
         quats=numbered("rot", 4),
-        scales=scales,
-        opacities=torch.sigmoid(pick("opacity")[:, 0]),
-        colors=colors,
-        sh=sh,
+        scales=torch.nn.functional.pad(scales, (0, 3 - scales.shape[1])).numpy(),
+        opacities=opacities,
+        **colors,
     )
 
 

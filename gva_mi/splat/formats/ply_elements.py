@@ -1,4 +1,4 @@
-"""Reader of any .ply: a header that names tables, and the tables.
+"""Reader and writer of any .ply: a header that names tables, and the tables.
 
     ply · format FORMAT 1.0 · element NAME COUNT · property TYPE NAME · … · end_header
 
@@ -10,7 +10,7 @@ NAME``: its length, then its numbers. Elements that have one, such as faces, are
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_bytes
 
 TYPES = {  # each has two names
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -52,6 +53,10 @@ class _Element(NamedTuple):
     def has_lists(self) -> bool:
         return any(column.count is not None for column in self.properties)
 
+    @property
+    def row(self) -> np.dtype:
+        return np.dtype([(column.name, column.dtype) for column in self.properties])
+
 
 def read_elements(path: Path) -> dict[str, np.ndarray]:
     """Read the tables of a .ply by name: little-endian structured arrays, a field per property.
@@ -59,13 +64,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
     Raises:
         InputError: no such file, not a .ply, or truncated.
     """
-    path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a .ply of Gaussians") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .ply") from None
+    data = read_bytes(path, "a .ply of Gaussians")
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     newline = rb"\r" if first and first[1] == b"\r" else rb"\r?\n"
     end = re.search(newline + rb"end_header[ \t]*" + newline, data)
@@ -77,36 +76,17 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
     if len(kinds) != 1 or kinds[0] not in ORDERS:
         raise InputError(f"{path}: expected one format, {', '.join(ORDERS)} 1.0")
     elements = _announced(path, lines, ORDERS[kinds[0]])
-    body, text = data[end.end() :], kinds[0] == ASCII
-    values = body.split() if text else body
-    table, past = (_text_table, _past_text) if text else (_table, _past_lists)
-    return _tables(path, elements, values, table, past)
-
-
-def _tables(
-    path: Path,
-    elements: list[_Element],
-    values: bytes | list[bytes],
-    table: Callable[[_Element, bytes | list[bytes], int], tuple[np.ndarray, int]],
-    past: Callable[[_Element, bytes | list[bytes], int], int],
-) -> dict[str, np.ndarray]:
-    """Cut the elements out of a body, one after the other.
-
-    Args:
-        path: of the file, for errors.
-        elements: in order.
-        values: bytes, or words of text.
-        table: reads an element of plain numbers from a place on, and returns where it ends.
-        past: returns where an element with lists ends.
-    """
+    body = data[end.end() :]
+    values = body.split() if kinds[0] == ASCII else body
     tables, start = {}, 0
     plain = [k for k, element in enumerate(elements) if not element.has_lists]
     for element in elements[: max(plain, default=-1) + 1]:
         try:
             if element.has_lists:
-                start = past(element, values, start)
+                start = _past_lists(element, values, start)
             else:
-                tables[element.name], start = table(element, values, start)
+                read = _table if values is body else _text_table
+                tables[element.name], start = read(element, values, start)
         except (IndexError, OverflowError):
             found = f"{element.rows} rows of '{element.name}' were announced"
             raise InputError(f"{path}: cut short, {found}") from None
@@ -115,8 +95,23 @@ def _tables(
     return tables
 
 
+def ply_parts(tables: Sequence[tuple[str, str, Sequence[str], np.ndarray]]) -> list[bytes]:
+    """Return the bytes of a little-endian .ply: its header and its tables.
+
+    Args:
+        tables: name, type of all properties, their names, and numbers (rows, properties).
+    """
+    header = ["ply", "format binary_little_endian 1.0"]
+    for element, kind, names, table in tables:
+        header.append(f"element {element} {len(table)}")
+        header += [f"property {kind} {name}" for name in names]
+    body = [table.astype(f"<{TYPES[kind]}").tobytes() for _, kind, _, table in tables]
+    return ["\n".join([*header, "end_header\n"]).encode("ascii"), *body]
+
+
 def _table(element: _Element, body: bytes, start: int) -> tuple[np.ndarray, int]:
-    row = np.dtype([(column.name, column.dtype) for column in element.properties])
+    """Read plain numbers from a place on; also return where they end."""
+    row = element.row
     end = start + element.rows * row.itemsize
     if end > len(body):
         raise IndexError
@@ -124,21 +119,9 @@ def _table(element: _Element, body: bytes, start: int) -> tuple[np.ndarray, int]
     return found.astype(row.newbyteorder("<"), copy=False), end
 
 
-def _past_lists(element: _Element, body: bytes, start: int) -> int:
-    for _ in range(element.rows):
-        for _, dtype, count in element.properties:
-            length = 1
-            if count is not None:
-                if (end := start + count.itemsize) > len(body):
-                    raise IndexError
-                length, start = int(np.frombuffer(body[start:end], count)[0]), end
-            start += max(length, 0) * dtype.itemsize
-    return start
-
-
 def _text_table(element: _Element, words: list[bytes], start: int) -> tuple[np.ndarray, int]:
-    row = np.dtype([(column.name, column.dtype) for column in element.properties])
-    width = len(element.properties)
+    """Read plain numbers from a word on; also return where they end."""
+    row, width = element.row, len(element.properties)
     end = start + element.rows * width
     if end > len(words):
         raise IndexError
@@ -152,10 +135,19 @@ def _text_table(element: _Element, words: list[bytes], start: int) -> tuple[np.n
     return found, end
 
 
-def _past_text(element: _Element, words: list[bytes], start: int) -> int:
+def _past_lists(element: _Element, values: bytes | list[bytes], start: int) -> int:
+    """Return where an element with lists ends."""
+    text = isinstance(values, list)
     for _ in range(element.rows):
-        for column in element.properties:
-            start += 1 if column.count is None else 1 + max(int(words[start]), 0)
+        for _, dtype, count in element.properties:
+            length = 1
+            if count is not None:
+                end = start + (1 if text else count.itemsize)
+                if end > len(values):
+                    raise IndexError
+                found = values[start] if text else np.frombuffer(values[start:end], count)[0]
+                length, start = max(int(found), 0), end
+            start += length * (1 if text else dtype.itemsize)
     return start
 
 

@@ -14,12 +14,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from gva_mi.core.atomic import atomic_write
+from gva_mi.core.atomic import write_bytes
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.splat.formats.stored import Stored
+from gva_mi.core.files import read_bytes
+from gva_mi.splat.formats.stored import Stored, gaussians_of, to_bytes
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 
@@ -41,11 +41,10 @@ def save_splat(path: Path, gaussians: Gaussians) -> None:
     stored = Stored.of(path, gaussians)
     rows = np.zeros(len(gaussians), ROW)
     rows["means"], rows["scales"] = stored.means, stored.scales
-    rows["rgba"] = _byte(255 * np.column_stack([plain_colors(gaussians), stored.opacities]))
-    rows["quats"] = _byte(128 * stored.unit_quats + 128)
+    rows["rgba"] = to_bytes(255 * np.column_stack([plain_colors(gaussians), stored.opacities]))
+    rows["quats"] = to_bytes(128 * stored.unit_quats + 128)
     order = np.argsort(-stored.scales.prod(1) * stored.opacities, kind="stable")
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(rows[order].tobytes())
+    write_bytes(path, rows[order].tobytes())
 
 
 def load_splat(path: Path) -> Gaussians:
@@ -55,23 +54,18 @@ def load_splat(path: Path) -> Gaussians:
         InputError: no such file, a length that is no multiple of 32 bytes, or numbers that are not
             finite.
     """
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .splat") from None
+    content = read_bytes(path, "a .splat")
     found = known_container(path) or f"{len(content)} bytes" * (len(content) % ROW.itemsize > 0)
     if found:
         raise InputError(f"{path}: {found}; expected a .splat, {ROW.itemsize} bytes a Gaussian")
     rows = np.frombuffer(content, ROW)
     if not (np.isfinite(rows["means"]).all() and np.isfinite(rows["scales"]).all()):
         raise InputError(f"{path}: holds numbers that are not finite; expected a .splat")
-    tensor = lambda x: torch.from_numpy(np.array(x, dtype=np.float32))
-    rgba = tensor(rows["rgba"]) / 255
-    return Gaussians(
-        means=tensor(rows["means"]),
-        quats=(tensor(rows["quats"]) - 128) / 128,
-        scales=tensor(np.abs(rows["scales"])),  # viewers square them
+    rgba = rows["rgba"].astype(np.float32) / 255
+    return gaussians_of(
+        means=rows["means"],
+        quats=(rows["quats"].astype(np.float32) - 128) / 128,
+        scales=np.abs(rows["scales"]),  # viewers square them
         opacities=rgba[:, 3],
         colors=rgba[:, :3],
     )
@@ -84,7 +78,3 @@ def plain_colors(gaussians: Gaussians) -> np.ndarray:
     else:
         colors = gaussians.sh[:, 0].detach().double().numpy() * C0 + 0.5
     return np.clip(colors, 0, 1)
-
-
-def _byte(x: np.ndarray) -> np.ndarray:
-    return np.round(np.clip(x, 0, 255)).astype(np.uint8)

@@ -34,13 +34,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from gva_mi.core.atomic import atomic_write
+from gva_mi.core.atomic import write_bytes
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_bytes
 from gva_mi.splat.axes import half_turned, with_signs
-from gva_mi.splat.formats.stored import Stored
+from gva_mi.splat.formats.stored import (
+    Stored,
+    gaussians_of,
+    pack,
+    to_bytes,
+    unpack,
+    with_largest,
+    without_largest,
+)
 from gva_mi.splat.gaussians import Gaussians
 
 MAGIC = 0x5053474E  # NGSP
@@ -58,6 +66,7 @@ _SYSTEMS = (
 _EXTENSIONS = 4096  # bytes that are looked at
 _MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
+_ROTATION = (2, 10, 10, 10)  # bits of a quaternion
 _HALF = np.sqrt(0.5)  # bound of all components but the largest
 _MAX_RATIO = 1100  # gzip and zstd compress such a file no further
 _MAX_COUNT = 1 << 26  # Gaussians
@@ -74,9 +83,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
         InputError: harmonics of degree 4, which version 3 lacks, means beyond 8,388 km, or numbers
             that are not finite.
     """
-    stored = Stored.of(path, half_turned(gaussians))
-    if stored.degree > 3:
-        raise InputError(f"{path}: a .spz holds harmonics up to degree 3, got {stored.degree}")
+    stored = Stored.of(path, half_turned(gaussians), "a .spz", most=3)
     means = stored.means
     farthest = float(np.abs(means).max(initial=0))
     if not farthest < _MAX_24_BIT:
@@ -85,17 +92,16 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     fixed = np.round(means * 2**bits).astype("<i4")
     streams = [
         np.ascontiguousarray(fixed).view("u1").reshape(len(means), 3, 4)[..., :3],
-        _byte(255 * stored.opacities),
-        _byte(255 * (_COLOR * stored.sh[:, 0] + 0.5)),
-        _byte(16 * (stored.log_scales + 10)),
+        to_bytes(255 * stored.opacities),
+        to_bytes(255 * (_COLOR * stored.sh[:, 0] + 0.5)),
+        to_bytes(16 * (stored.log_scales + 10)),
         _smallest_three(stored.unit_quats),
-        _byte(128 * stored.sh[:, 1:] + 128),
+        to_bytes(128 * stored.sh[:, 1:] + 128),
     ]
     flags = _ANTIALIASED if gaussians.antialiased else 0
     header = _HEADER.pack(MAGIC, 3, len(means), stored.degree, bits, flags, 0)
     content = header + b"".join(stream.tobytes() for stream in streams)
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(gzip.compress(content, mtime=0))  # the same bytes every time
+    write_bytes(path, gzip.compress(content, mtime=0))  # the same bytes every time
 
 
 def load_spz(path: Path) -> Gaussians:
@@ -104,11 +110,7 @@ def load_spz(path: Path) -> Gaussians:
     Raises:
         InputError: no such file, another format or version, or truncated.
     """
-    path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a .spz") from None
+    content = read_bytes(path, "a .spz")
     packed = content[:2] == b"\x1f\x8b"
     head = _unzipped(path, content, _HEADER.size) if packed else content[: _HEADER_4.size]
     if len(head) < (_HEADER.size if packed else _HEADER_4.size):
@@ -149,15 +151,14 @@ def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
     means, opacities, colors, scales, quats, sh = rows
     fixed = np.zeros((len(means), 3, 4), "u1")
     fixed[..., 1:] = means.reshape(-1, 3, 3)  # in the upper bytes, for the sign
-    tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
     dc = (colors / 255 - 0.5) / _COLOR
     higher = (sh.reshape(len(sh), sh.shape[1] // 3, 3) - 128.0) / 128
-    return Gaussians(
-        means=tensor((fixed.view("<i4")[..., 0] >> 8) / 2.0**bits),
-        quats=tensor(_of_first_three(quats) if version == 2 else _of_smallest_three(quats)),
-        scales=tensor(np.exp(scales / 16 - 10)),
-        opacities=tensor(opacities[:, 0] / 255),
-        sh=tensor(np.concatenate([dc[:, None], higher], axis=1)),
+    return gaussians_of(
+        means=(fixed.view("<i4")[..., 0] >> 8) / 2.0**bits,
+        quats=_of_first_three(quats) if version == 2 else _of_smallest_three(quats),
+        scales=np.exp(scales / 16 - 10),
+        opacities=opacities[:, 0] / 255,
+        sh=np.concatenate([dc[:, None], higher], axis=1),
     )
 
 
@@ -188,29 +189,17 @@ def _signs(path: Path, extensions: bytes) -> tuple[int, int, int]:
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
     """Pack unit quaternions wxyz (N, 4) into 32 bits each, without the largest of x, y, z, w."""
-    unit = quats[:, [1, 2, 3, 0]]
-    largest = np.abs(unit).argmax(1)
-    unit = unit * np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
-    packed = largest.astype(np.uint32)
-    for k in range(4):
-        size = np.round(511 * np.minimum(np.abs(unit[:, k]) / _HALF, 1)).astype(np.uint32)
-        more = packed << 10 | (unit[:, k] < 0).astype(np.uint32) << 9 | size
-        packed = np.where(largest == k, packed, more)
-    return packed.astype("<u4")
+    largest, others = without_largest(quats[:, [1, 2, 3, 0]])
+    sizes = np.round(511 * np.minimum(np.abs(others) / _HALF, 1)).astype(np.int64)
+    return pack(np.column_stack([largest, (others < 0) << 9 | sizes]), _ROTATION)
 
 
 def _of_smallest_three(stored: np.ndarray) -> np.ndarray:
     """Unpack unit quaternions wxyz (N, 4) of 4 bytes each."""
-    packed = np.ascontiguousarray(stored).view("<u4")[:, 0].copy()
-    largest = packed >> 30
-    unit = np.zeros((len(packed), 4))
-    for k in (3, 2, 1, 0):
-        size = (packed & 511) * (_HALF / 511)
-        unit[:, k] = np.where(largest == k, 0, np.where(packed >> 9 & 1, -size, size))
-        packed = np.where(largest == k, packed, packed >> 10)
-    rest = np.sqrt(np.maximum(1 - (unit**2).sum(1), 0))
-    unit[np.arange(len(unit)), largest] = rest
-    return unit[:, [3, 0, 1, 2]]
+    largest, *others = unpack(np.ascontiguousarray(stored).view("<u4")[:, 0], _ROTATION).T
+    others = np.column_stack(others)
+    sizes = (others & 511) * (_HALF / 511)
+    return with_largest(largest, np.where(others >> 9, -sizes, sizes))[:, [3, 0, 1, 2]]
 
 
 def _of_first_three(stored: np.ndarray) -> np.ndarray:
@@ -249,7 +238,3 @@ def _of_version_4(path: Path, content: bytes, sizes: list[int]) -> list[bytes]:
             raise InputError(f"{path}: damaged ({error}); expected a .spz") from None
         start += packed
     return streams + [b""] * (len(sizes) - number)
-
-
-def _byte(x: np.ndarray) -> np.ndarray:
-    return np.round(np.clip(x, 0, 255)).astype(np.uint8)

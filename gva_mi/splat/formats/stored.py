@@ -1,4 +1,4 @@
-"""The numbers of Gaussians that every file stores: finite, in float64, with spherical harmonics."""
+"""What all files of Gaussians share: numbers to store, rounded to bits, and Gaussians read back."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TINY = 1e-12  # the least scale and length of a quaternion
 
 @dataclass(frozen=True)
 class Stored:
-    """Arrays of N Gaussians, all finite."""
+    """Numbers of N Gaussians, all finite, in float64."""
 
     means: np.ndarray  # (N, 3) metres
     quats: np.ndarray  # (N, 4) wxyz of any length
@@ -28,11 +28,17 @@ class Stored:
     sh: np.ndarray  # (N, K, 3)
 
     @staticmethod
-    def of(path: Path, gaussians: Gaussians) -> Stored:
+    def of(path: Path, gaussians: Gaussians, kind: str = "", most: int = 4) -> Stored:
         """Convert torch tensors; plain colours become the constant band.
 
+        Args:
+            path: of the file to write, for errors.
+            gaussians: torch tensors.
+            kind: of the file, for errors.
+            most: largest degree of spherical harmonics that it holds.
+
         Raises:
-            InputError: numbers that float32 cannot hold, such as NaN, named with ``path``.
+            InputError: numbers that float32 cannot hold, such as NaN, or a higher degree.
         """
         bad = ~_finite(gaussians)
         if bad.any():
@@ -42,7 +48,11 @@ class Stored:
             )
         axes = with_axes(gaussians)
         tensors = axes.means, axes.quats, axes.scales, axes.opacities, _harmonics(axes)
-        return Stored(*(tensor.detach().double().numpy() for tensor in tensors))
+        stored = Stored(*(tensor.detach().double().numpy() for tensor in tensors))
+        if stored.degree > most:
+            limit = f"{kind} holds harmonics up to degree {most}"
+            raise InputError(f"{path}: {limit}, got {stored.degree}")
+        return stored
 
     @property
     def degree(self) -> int:
@@ -64,6 +74,60 @@ class Stored:
         """Coefficients above the constant one, channel by channel, (N, 3 (K - 1)): f_rest."""
         count = 3 * (self.sh.shape[1] - 1)
         return self.sh[:, 1:].transpose(0, 2, 1).reshape(len(self.sh), count)
+
+
+def gaussians_of(**arrays: np.ndarray) -> Gaussians:
+    """Return Gaussians of float32 tensors from arrays of any type, named as their fields."""
+    copies = {k: np.array(x, np.float32, order="C") for k, x in arrays.items()}
+    return Gaussians(**{k: torch.from_numpy(x) for k, x in copies.items()})
+
+
+def from_rest(constant: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Return coefficients (N, K, 3) from the constant ones (N, 3) and :attr:`Stored.rest`."""
+    higher = rest.reshape(len(rest), 3, rest.shape[1] // 3).transpose(0, 2, 1)
+    return np.concatenate([constant[:, None], higher], axis=1)
+
+
+def to_bytes(x: np.ndarray) -> np.ndarray:
+    """Round numbers to 0 ... 255."""
+    return np.round(np.clip(x, 0, 255)).astype(np.uint8)
+
+
+def pack(numbers: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Pack whole numbers (N, len(bits)) of so many bits each, the last one lowest, (N,) uint32."""
+    packed = np.zeros(len(numbers), np.int64)
+    for column, width in zip(numbers.T, bits, strict=True):
+        packed = packed << width | column.astype(np.int64)
+    return packed.astype("<u4")
+
+
+def unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Invert :func:`pack`, (N, len(bits)) int64."""
+    packed, columns = packed.astype(np.int64), []
+    for width in reversed(bits):
+        columns.insert(0, packed & ((1 << width) - 1))
+        packed = packed >> width
+    return np.column_stack(columns)
+
+
+def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the index (N,) of the largest component of unit quaternions (N, 4), and the others.
+
+    The others (N, 3) have the sign that makes the largest positive, and lie in ±√½.
+    """
+    largest = np.abs(quats).argmax(axis=1)
+    signs = np.where(quats[np.arange(len(quats)), largest] < 0, -1, 1)
+    others = (quats * signs[:, None])[np.arange(4) != largest[:, None]]
+    return largest, others.reshape(-1, 3)
+
+
+def with_largest(largest: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Invert :func:`without_largest`."""
+    quats = np.empty((len(others), 4))
+    quats[np.arange(4) != largest[:, None]] = others.ravel()
+    missing = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
+    quats[np.arange(len(quats)), largest] = missing
+    return quats
 
 
 def finite_ones(path: Path, gaussians: Gaussians) -> Gaussians:

@@ -8,7 +8,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.splat import Gaussians
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.compressed_ply_writer import save_compressed_ply
+from gva_mi.splat.formats.compressed_ply import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
 from gva_mi.splat.formats.spz import load_spz, save_spz

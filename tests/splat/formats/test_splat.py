@@ -34,7 +34,7 @@ def test_what_is_read_is_what_was_written_to_8_bits(tmp_path):
 
 def test_other_files_are_explained(tmp_path):
     path = tmp_path / "a.splat"
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file; expected a .splat"):
         load_splat(path)
     path.write_bytes(b"hello")
     with pytest.raises(InputError, match="5 bytes; expected a .splat, 32 bytes a Gaussian"):

@@ -15,7 +15,8 @@ front. A jaw, or a coefficient, that is zero in all frames was not estimated, an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Protocol
 
 import roma
 import torch
@@ -38,25 +39,10 @@ EXPRESSION = Stage1ErrorModel(
 )  # standard deviations of a coefficient
 
 
-@dataclass(frozen=True)
-class FaceSteps:
-    """Step sizes and prior weight of corrections of faces."""
+class FaceSteps(Steps, Protocol):
+    """Step sizes of poses and faces."""
 
-    turn: float  # of the jaw in a first step, radians
-    expression: float  # of a coefficient in a first step, standard deviations
-    prior_weight: float  # weight of their energy
-
-    @staticmethod
-    def of(arms: Tensor, options: Steps, expression: float, prior_weight: float) -> FaceSteps:
-        """Take the steps of the jaw from those of the other joints.
-
-        Args:
-            arms: (J,) lever arms of the person's joints, metres.
-            options: steps of the joints.
-            expression, prior_weight: as in the class.
-        """
-        turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
-        return FaceSteps(turn, expression, prior_weight)
+    expression_lr: float  # of a coefficient in a first step, standard deviations
 
 
 class Face:
@@ -88,7 +74,8 @@ class Face:
 
     def zeroed(self) -> Face:
         """Return the same prior with zero corrections: faces as they were given."""
-        return Face(self._stage1, [p.with_prior(p.prior, 0 * p.start) for p in self.parts])
+        parts = [FacePart(p.name, p.coefficients, p.prior, 0 * p.start) for p in self.parts]
+        return Face(self._stage1, parts)
 
     def corrected(self, pose: Pose, which: Sequence[int]) -> Pose:
         """Correct the faces of some frames (eq. 1), differentiable in the leaves.
@@ -111,18 +98,26 @@ class Face:
         """Return the energy of the corrections, a mean over the frames."""
         return sum((part.energy() for part in self.parts), start=0.0)
 
-    def leaves(self, steps: FaceSteps) -> list[tuple[Tensor, float]]:
-        """Return the leaves, each with the size of its first step."""
-        return [(p.u, steps.turn if p.name == "jaw" else steps.expression) for p in self.parts]
+    def leaves(self, arms: Tensor, options: FaceSteps) -> list[tuple[Tensor, float]]:
+        """Return the leaves, each with the size of its first step; the jaw's as of any joint.
 
+        Args:
+            arms: (J,) lever arms of the person's joints, metres.
+            options: step sizes.
+        """
+        turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
+        return [(p.u, turn if p.name == "jaw" else options.expression_lr) for p in self.parts]
+
+    @torch.no_grad()
     def centre(self) -> None:
         """Remove the mean over the frames, which the avatar's face at rest can express, too."""
         for part in self.parts:
-            part.centre()
+            part.start = part.start - part.all().mean(0)
 
+    @torch.no_grad()
     def found(self) -> list[Tensor]:
         """Return the corrections of all frames, part by part, (n, C, d)."""
-        return [part.found() for part in self.parts]
+        return [part.all() for part in self.parts]
 
     def with_updated_prior(self, found: Sequence[Tensor]) -> Face:
         """Fit the prior again to corrections that :meth:`found` returned, and start from them."""
@@ -172,10 +167,6 @@ class FacePart:
         start, prior = ProcessPrior.of_stage1(times, steps, [noise] * steps.shape[1]).map_estimate()
         return FacePart(name, coefficients, prior, start)
 
-    def with_prior(self, prior: ProcessPrior, start: Tensor) -> FacePart:
-        """Return this part under another prior and start."""
-        return FacePart(self.name, self.coefficients, prior, start)
-
     def at(self, which: Sequence[int]) -> Tensor:
         """Return the corrections of r frames (eq. 2), (r, C, d)."""
         which = list(which)
@@ -183,18 +174,12 @@ class FacePart:
 
     def energy(self) -> Tensor:
         """Return the energy, a mean over the frames."""
-        found = self.at(range(len(self.start)))
+        found = self.all()
         return self.prior.energy(self._precision, found, found) / len(found)
 
-    @torch.no_grad()
-    def found(self) -> Tensor:
-        """Return the current corrections of all frames, (n, C, d)."""
+    def all(self) -> Tensor:
+        """Return the corrections of all frames, (n, C, d)."""
         return self.at(range(len(self.start)))
-
-    @torch.no_grad()
-    def centre(self) -> None:
-        """Remove the mean over the frames."""
-        self.start = self.start - self.found().mean(0)
 
     def with_updated_prior(self, found: Tensor, seen: Tensor, steps: Tensor) -> FacePart:
         """Fit the prior again to corrections (n, C, d), by the frames (n,) that show the face."""
@@ -203,4 +188,5 @@ class FacePart:
             errors = -found[seen].flatten(1)
             noise = fit_slow_part(errors, self.prior.times[seen], noise.white, noise)
         error_models = [noise] * found.shape[1]
-        return self.with_prior(updated_process(self.prior, error_models, found, steps), found)
+        prior = updated_process(self.prior, error_models, found, steps)
+        return FacePart(self.name, self.coefficients, prior, found)

@@ -23,7 +23,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
@@ -32,58 +31,18 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress, within
-from gva_mi.core.options import Metres, Seed, Turn, Weight, Within
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Frame, Video
-from gva_mi.fit.faces import Face, FaceSteps
-from gva_mi.fit.picture_evidence import PictureAndMask, PictureEvidence, PictureWeights
+from gva_mi.fit.faces import Face
+from gva_mi.fit.picture_evidence import PhotometricOptions, PictureAndMask, PictureEvidence
 from gva_mi.pose.clips import cut, join, poses_of_clip
 from gva_mi.pose.evidence.masks_normals import gather
-from gva_mi.pose.optimize import (
-    Batch,
-    DescentOptions,
-    Learn,
-    Overlap,
-    PartFrames,
-    Passes,
-    PriorWeight,
-    descend,
-    with_frames,
-    worse_frames,
-)
+from gva_mi.pose.optimize import descend, with_frames, worse_frames
 from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.stage1 import Stage1
 
 FITTED = "poses fitted to the pictures"  # row of scores under such poses
-
-
-@dataclass(frozen=True)
-class PhotometricOptions(DescentOptions):
-    """Options of photometric tracking."""
-
-    passes: Passes = 10  # how often every frame is visited
-    batch: Batch = 4  # frames of a step
-    alpha: Weight = 0.5  # λα, weight of the avatar's outline against the mask
-    ssim: Weight = 0.1  # λs, weight of 1 - SSIM
-    learn: Learn = 3  # passes before the prior is fitted to the corrections
-    prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
-    step: Metres = 0.0005  # metres that a joint moves the skin beyond it, in a first step
-    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
-    translation_lr: Metres = 0.0003  # metres in a first step
-    # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
-    expression_lr: Annotated[float, Within(0, 1)] = 0.02
-    part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
-    overlap: Overlap = 16  # frames that a clip shares with the next
-    seed: Seed = 0  # seed of the order of frames
-
-    command: ClassVar[str] = "track"
-    decay: ClassVar[float] = 0.1
-
-    @property
-    def weights(self) -> PictureWeights:
-        """The weights of the terms of ``L_k``."""
-        return PictureWeights(self.alpha, self.ssim)
 
 
 @dataclass(frozen=True)
@@ -191,9 +150,8 @@ def _evidence(
     frames = sorted(seen)
     stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
-    steps = FaceSteps.of(arms, options, options.expression_lr, options.prior_weight)
     starts = [
-        PictureEvidence(avatar, seen, options.weights, face, steps)
+        PictureEvidence(avatar, seen, options, face, arms)
         for face in (map_estimate, map_estimate.zeroed())
     ]
     return min(starts, key=lambda start: float(start.loss(frames, pose[frames])))
@@ -206,5 +164,5 @@ def _losses(
     """Return L_k of every frame, (T,); NaN where it was not used."""
     losses = torch.full((len(pose),), torch.nan)
     for k, picture in seen.items():
-        losses[k] = picture.loss(avatar, pose[k], options.weights)
+        losses[k] = picture.loss(avatar, pose[k], options)
     return losses

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
@@ -34,11 +35,13 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.core.options import Metres, Weight, Within
 from gva_mi.data.crop import NoEvidence, person_box
 from gva_mi.data.video import Frame
-from gva_mi.fit.faces import Face, FaceSteps
+from gva_mi.fit.faces import Face
 from gva_mi.fit.renders import DRAWN
 from gva_mi.fit.ssim import ssim
+from gva_mi.pose.optimize import DescentOptions, Learn, PartFrames, Passes, PriorWeight
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.splat import Camera, render
 
@@ -47,11 +50,22 @@ SMALLEST_SIDE = 16  # pixels of that box
 
 
 @dataclass(frozen=True)
-class PictureWeights:
-    """Weights of the terms of eq. 2; the picture's own term has weight 1."""
+class PhotometricOptions(DescentOptions):
+    """Options of photometric tracking."""
 
-    alpha: float  # λα
-    ssim: float  # λs
+    passes: Passes = 10  # how often every frame is visited
+    alpha: Weight = 0.5  # λα, weight of the avatar's outline against the mask
+    ssim: Weight = 0.1  # λs, weight of 1 - SSIM
+    learn: Learn = 3  # passes before the prior is fitted to the corrections
+    prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
+    step: Metres = 0.0005  # metres that a joint moves the skin beyond it, in a first step
+    translation_lr: Metres = 0.0003  # metres in a first step
+    # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
+    expression_lr: Annotated[float, Within(0, 1)] = 0.02
+    part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
+
+    command: ClassVar[str] = "track"
+    decay: ClassVar[float] = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,7 @@ class PictureAndMask:
             _to_8bit(box.cut(frame.mask)),
         )
 
-    def loss(self, avatar: Avatar, pose: Pose, weights: PictureWeights) -> Tensor:
+    def loss(self, avatar: Avatar, pose: Pose, weights: PhotometricOptions) -> Tensor:
         """Return the loss of a pose of one frame (eq. 2)."""
         picture, mask = self.picture.float() / 255, self.mask.float() / 255
         image = render(avatar(pose), self.camera, DRAWN)
@@ -109,21 +123,21 @@ class PictureEvidence:
         self,
         avatar: Avatar,
         seen: Mapping[int, PictureAndMask],
-        weights: PictureWeights,
+        options: PhotometricOptions,
         face: Face,
-        face_steps: FaceSteps,
+        arms: Tensor,
     ) -> None:
         """Compare poses with some frames.
 
         Args:
             avatar: of the person.
             seen: at least one frame, by number.
-            weights: of eq. 2.
+            options: weights and step sizes.
             face: of the same frames, ascending.
-            face_steps: steps of its corrections.
+            arms: (J,) lever arms of the person's joints, metres.
         """
-        self._avatar, self._seen, self._weights = avatar, seen, weights
-        self.face, self._face_steps = face, face_steps
+        self._avatar, self._seen, self._options = avatar, seen, options
+        self.face, self._arms = face, arms
         self.frames = sorted(seen)
         self.camera = seen[self.frames[0]].camera
         self.anatomy = Anatomy.of(avatar.rig.joints)
@@ -132,14 +146,14 @@ class PictureEvidence:
         """Return the mean of eq. 2 over some frames in these poses, with their faces."""
         pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
         losses = [
-            self._seen[k].loss(self._avatar, pose[i], self._weights) for i, k in enumerate(frames)
+            self._seen[k].loss(self._avatar, pose[i], self._options) for i, k in enumerate(frames)
         ]
         return torch.stack(losses).mean()
 
     @property
     def shared(self) -> Sequence[tuple[Tensor, float]]:
         """The leaves of the faces."""
-        return self.face.leaves(self._face_steps)
+        return self.face.leaves(self._arms, self._options)
 
     def enable_details(self) -> None:
         """Fit the prior of the faces to their corrections; pictures are complete from the start."""
@@ -147,7 +161,7 @@ class PictureEvidence:
 
     def energy(self) -> Tensor | float:
         """Return the energy of the faces."""
-        return self._face_steps.prior_weight * self.face.energy()
+        return self._options.prior_weight * self.face.energy()
 
 
 def _to_8bit(image: np.ndarray) -> Tensor:

@@ -40,7 +40,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.core.options import InnerShare, Metres, Turn, Within, require_ranges
-from gva_mi.fit.faces import Face, FaceSteps
+from gva_mi.fit.faces import Face
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.optimize import PriorWeight, optimiser
@@ -242,5 +242,5 @@ class _Clip:
         return [self.corrections.turns, self.corrections.moves, *(p.u for p in self.face.parts)]
 
     def _optimiser(self, options: PoseOptions) -> VectorAdam:
-        steps = FaceSteps.of(self._arms, options, options.expression_lr, options.prior_weight)
-        return optimiser(self.corrections, self._arms, options, shared=self.face.leaves(steps))
+        shared = self.face.leaves(self._arms, options)
+        return optimiser(self.corrections, self._arms, options, shared=shared)

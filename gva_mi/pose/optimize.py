@@ -50,9 +50,7 @@ HELD = 0.5  # share of the ``learn`` passes that penalise turns shared by all fr
 Passes = Annotated[int, Within(1, 10_000)]
 Learn = Annotated[int, Within(0, 10_000)]
 PriorWeight = Annotated[float, Within(0, 1e6, "low")]
-Batch = Annotated[int, Within(1, 10_000)]
 PartFrames = Annotated[int, Within(1, 10_000)]
-Overlap = Annotated[int, Within(0, 5_000)]
 
 
 class Evidence(Protocol):
@@ -106,13 +104,13 @@ class DescentOptions:
     passes: Passes  # how often every frame is visited
     learn: Learn  # passes after which the prior is inferred from corrections
     prior_weight: PriorWeight  # weight of the prior, in units of L_k per prior_weight
-    batch: Batch  # frames of a step, at most
     step: Metres  # metres that a joint moves the skin beyond it, in a first step
-    largest_turn: Turn  # radians in such a step; limits joints with short lever arms
     translation_lr: Metres  # metres in a first step
     part: PartFrames  # frames fitted together; a longer video is cut into clips
-    overlap: Overlap  # frames that a clip shares with the next
-    seed: Seed  # seed of the order of frames
+    batch: Annotated[int, Within(1, 10_000)] = 4  # frames of a step, at most
+    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
+    overlap: Annotated[int, Within(0, 5_000)] = 16  # frames that a clip shares with the next
+    seed: Seed = 0  # seed of the order of frames
 
     command: ClassVar[str]  # command of these options, for error messages
     decay: ClassVar[float]  # final learning rates, relative to the initial ones

@@ -30,22 +30,13 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.console import Progress
-from gva_mi.core.options import Metres, Rate, Seed, Turn, Weight, Within
+from gva_mi.core.options import Metres, Rate, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss, seen_body
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimize import (
-    Batch,
-    DescentOptions,
-    Learn,
-    Overlap,
-    PartFrames,
-    Passes,
-    PriorWeight,
-    descend,
-)
+from gva_mi.pose.optimize import DescentOptions, Learn, PartFrames, Passes, PriorWeight, descend
 from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import GROUPS
@@ -68,7 +59,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     # Pixels of a hand's length in close-ups, if the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44
     passes: Passes = 32  # how often every frame is visited, more often if there are very few
-    batch: Batch = 4  # frames of a step, at most
     learn: Learn = 11  # passes after which stage 1's error model is inferred
     prior_weight: PriorWeight = 0.015  # ν: weight of the prior beside Eq. 8's data term
     unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
@@ -78,7 +68,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     betas_prior: Weight = 0.01  # λβ, for one squared standard deviation
     # Metres that a joint moves the skin beyond it, in a first step.
     step: Metres = 0.012
-    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
     translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
     cloth_lr: Rate = 0.003  # metres in a first step
     betas_lr: Rate = 0.05  # standard deviations in a first step
@@ -92,10 +81,8 @@ class SequenceOptions(DescentOptions, RefineOptions):
     focal_lr: Rate = 0.003  # change of its logarithm in a first step
     focal_prior: Weight = 0.02  # λs, weight of its squared logarithm
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips
-    overlap: Overlap = 16  # frames that a clip shares with the next
     # Frames of a longer video from which the unknowns that its clips share are found.
     skim: Annotated[int, Within(1, 10_000)] = 96
-    seed: Seed = 0  # seed of the order of frames
 
     name: ClassVar[str] = "sequence"
     command: ClassVar[str] = "refine"

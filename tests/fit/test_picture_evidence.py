@@ -8,11 +8,11 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.data.crop import NoEvidence
-from gva_mi.fit.picture_evidence import PictureAndMask, PictureWeights
+from gva_mi.fit.picture_evidence import PhotometricOptions, PictureAndMask
 from gva_mi.splat import render
 
-BOTH = PictureWeights(alpha=0.5, ssim=0.1)
-PICTURE = PictureWeights(alpha=0.0, ssim=0.0)
+BOTH = PhotometricOptions(alpha=0.5, ssim=0.1)
+PICTURE = PhotometricOptions(alpha=0.0, ssim=0.0)
 
 
 def moved(pose, shift=(0.0, 0.0, 0.0), elbow=0.0):

@@ -20,16 +20,10 @@ FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite to e
 
 
 def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh:
-    """Return the outer boundary of points' alpha shape, smoothed.
+    """Return the outer boundary of the alpha shape of points (N, 3), smoothed; lengths in metres.
 
-    Args:
-        points: (N, 3) metres.
-        alpha: α, metres.
-        smoothing: steps of Laplacian smoothing.
-
-    Returns:
-        The surface, without triangles that are outside on both sides. Where more than two meet at
-        an edge, some are left out: it is a manifold, but not closed there.
+    It has no triangles that are outside on both sides. Where more than two meet at an edge, some
+    are left out: it is a manifold, but not closed there.
     """
     import pymeshlab
     from scipy.sparse import coo_array
@@ -63,12 +57,9 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
 
 
 def _smallest_empty_balls(points: np.ndarray, corners: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """Return μ of eq. 1 of the four triangles of every tetrahedron, (C, 4) metres.
+    """Return μ of eq. 1 of the four triangles of tetrahedra ``corners`` (C, 4), (C, 4) metres.
 
-    Args:
-        points: (N, 3) metres.
-        corners: (C, 4) of the tetrahedra.
-        over: (C, 4) the tetrahedron beyond the triangle opposite to each corner; C: none.
+    ``over`` (C, 4) is the tetrahedron beyond the triangle opposite to each corner; C: none.
     """
     triangles = corners[:, FACETS]
     own, centre = _circles(points[triangles])

@@ -51,15 +51,8 @@ def require_count(where: str, count: int) -> None:
 class CanonicalGaussians(nn.Module):
     """N Gaussians in the rest pose: raw parameters, their activations, and skinning weights.
 
-    Args:
-        means: (N, 3) metres.
-        quats: (N, 4) wxyz.
-        log_scales: (N, 3).
-        logit_opacities: (N,).
-        sh: (N, K, 3), K = 1 or 4.
-        weights: (N, 55), rows sum to one.
-        slopes: (N, 3, 55) 1/m, rows sum to zero; None: constant weights.
-        directions: (N, 3, K) metres; None: no blend shapes.
+    Shapes are those of the table above; K is 1 or 4 coefficients of colour. Without ``slopes``
+    weights are constant, without ``directions`` there are no blend shapes.
     """
 
     def __init__(

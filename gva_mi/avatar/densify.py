@@ -72,12 +72,7 @@ class ScreenGradients:
 
     @torch.no_grad()
     def add(self, screen: Screen, area: float) -> None:
-        """Add one view after its backward pass.
-
-        Args:
-            screen: the one given to ``render``.
-            area: of the person's box in that picture, pixels.
-        """
+        """Add one view after its backward pass, in which the person's box has so many pixels."""
         if screen.grad is None:
             raise ValueError(
                 "ScreenGradients.add(): the screen has no gradient; call backward first"
@@ -148,15 +143,11 @@ def replace_gaussians(
     parents: Tensor | None = None,
     inherited: int = 0,
 ) -> None:
-    """Put other Gaussians into an avatar and its optimiser.
+    """Put other Gaussians into an avatar, and into the groups of its optimiser that had the old
+    ones.
 
-    Args:
-        avatar: its ``canonical`` is replaced.
-        optimizer: each old parameter is replaced in its group, if it is there.
-        canonical: the new Gaussians.
-        parents: (N,) the old row of each new one; None: Adam starts afresh on all rows.
-        inherited: how many rows, from the first, keep the moments of their parents; the others
-            start with zero moments.
+    ``parents`` (N,) are the old rows of the new ones; None: Adam starts afresh. The first
+    ``inherited`` rows keep the moments of their parents; the others start with zero moments.
     """
     old = avatar.canonical
     for name in PARAMETERS:

@@ -16,12 +16,9 @@ from gva_mi.avatar.stretch import LARGEST
 
 
 def lbs_transforms(weights: SparseWeights, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
-    """Return A (N, 12) and E (N, 9), row by row, in the precision of the means.
+    """Return A (N, 12) and E (N, 9), row by row, in the precision of the means (N, 3) at rest.
 
-    Args:
-        weights: of N Gaussians.
-        T: (J, 12) float64, the joints' transforms row by row.
-        means: (N, 3) metres, at rest.
+    T (J, 12) float64 are the joints' transforms row by row.
     """
     N, pairs, T = len(means), weights.gaussians, T.view(-1, 3, 4)[weights.joints]
     W, dW = weights.four[:, 0].double(), weights.four[:, 1:].double()

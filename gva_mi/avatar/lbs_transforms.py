@@ -43,19 +43,12 @@ Lane = list[Any]  # numbers of one Gaussian
 
 @dataclass(frozen=True)
 class PairLists:
-    """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel.
+    """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel."""
 
-    Attributes:
-        begin: (L,) start of each lane's list in the next two.
-        end: (L,) its end.
-        others: (M,) the joint of each pair if lanes are Gaussians, else its Gaussian.
-        weights: (4 M,) W and its derivatives along x, y, z, in the precision of the model.
-    """
-
-    begin: UInt32
-    end: UInt32
-    others: UInt32
-    weights: Any
+    begin: UInt32  # (L,) start of each lane's list in the next two
+    end: UInt32  # (L,) its end
+    others: UInt32  # (M,) the joint of each pair if lanes are Gaussians, else its Gaussian
+    weights: Any  # (4 M,) W and its derivatives along x, y, z, in the precision of the model
 
     @staticmethod
     def of(begin: Tensor, end: Tensor, others: Tensor, four: Tensor) -> PairLists:
@@ -67,23 +60,14 @@ class PairLists:
 
 @dataclass(frozen=True)
 class SparseWeights:
-    """Skinning weights of N Gaussians and their derivatives without the zeros, constant.
+    """Skinning weights of N Gaussians and their derivatives without the zeros, constant."""
 
-    Attributes:
-        gaussians: (M,) int64, the Gaussian of each pair.
-        joints: (M,) int64, its joint.
-        four: (M, 4) W and its derivatives along x, y, z.
-        of_gaussians: one list per Gaussian.
-        of_pieces: lists of at most ``PIECE`` Gaussians of one joint.
-        piece_joints: (P,) int64, the joint of each piece.
-    """
-
-    gaussians: Tensor
-    joints: Tensor
-    four: Tensor
-    of_gaussians: PairLists
-    of_pieces: PairLists
-    piece_joints: Tensor
+    gaussians: Tensor  # (M,) int64, the Gaussian of each pair
+    joints: Tensor  # (M,) int64, its joint
+    four: Tensor  # (M, 4) W and its derivatives along x, y, z
+    of_gaussians: PairLists  # one list per Gaussian
+    of_pieces: PairLists  # lists of at most ``PIECE`` Gaussians of one joint
+    piece_joints: Tensor  # (P,) int64, the joint of each piece
 
     @staticmethod
     def of(weights: Tensor, slopes: Tensor) -> SparseWeights:

@@ -59,13 +59,10 @@ class SurfaceMesh:
 def offset_surface(
     points: np.ndarray, inner: SurfaceMesh, alpha: float, smoothing: int
 ) -> SurfaceMesh:
-    """Wrap points, and a surface inside them, in a closed and smooth surface.
+    """Wrap points (N, 3) in a closed and smooth surface that does not sink beneath the ``inner``
+    one.
 
-    Args:
-        points: (N, 3) metres.
-        inner: the surface it does not sink beneath.
-        alpha: α, metres.
-        smoothing: steps of Taubin's filter.
+    ``alpha`` is α, metres; ``smoothing`` counts steps of Taubin's filter.
     """
     import pymeshlab
 

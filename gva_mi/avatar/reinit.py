@@ -105,15 +105,8 @@ def reinitialise(
     options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
 ) -> Reinitialised:
-    """Make new Gaussians on the surface of an avatar's opaque ones.
-
-    Args:
-        avatar: with at least a few hundred opaque Gaussians.
-        options: sizes.
-        generator: draws points, angles and sizes.
-
-    Returns:
-        New Gaussians on the surface of the old ones, the surface, and the number of floaters.
+    """Make new Gaussians on the surface of an avatar's opaque ones; the generator draws points,
+    angles and sizes.
 
     Raises:
         ValueError: too few opaque Gaussians to be a surface.
@@ -217,15 +210,8 @@ def regaussian(
 ) -> CanonicalGaussians:
     """Make Gaussians on the samples, with opacity and colour of the old ones around them.
 
-    Opacity and colour are means over the K nearest sources, weighted by 1 / distance^2.
-
-    Args:
-        avatar: has the old Gaussians, and the shape of a disc in its ``seed`` options.
-        sources: (M,) int64, which of its Gaussians lie on the surface.
-        samples: places of the new ones.
-        skin: gives skinning weights.
-        options: K, and the randomness of sizes.
-        rng: draws angles and sizes.
+    Opacity and colour are means over the K nearest of ``sources`` (M,) int64, the Gaussians of the
+    avatar that lie on the surface, weighted by 1 / distance². ``rng`` draws angles and sizes.
     """
     from scipy.spatial import cKDTree
 

@@ -52,11 +52,8 @@ class ResidualOptions:
 class PoseResidual(nn.Module):
     """The network MLP(theta): an offset in metres for every rest mean, zero at the start.
 
-    Args:
-        options: the size of the network.
-        center: (3,) metres, middle of the rest body.
-        extent: half of the rest body's largest side, metres.
-        generator: draws the initial weights.
+    ``center`` (3,) and ``extent``, half of the largest side, are those of the rest body, metres;
+    the generator draws the initial weights.
     """
 
     def __init__(
@@ -87,19 +84,11 @@ class PoseResidual(nn.Module):
             self.offset.weight.zero_()
 
     def forward(self, means: Tensor, weights: Tensor, rotations: Tensor) -> Tensor:
-        """Return offsets in the rest pose.
+        """Return offsets (N, 3) of means (N, 3) in the rest pose, metres.
 
-        Args:
-            means: (N, 3) metres, rest pose.
-            weights: (N, 55) skinning weights.
-            rotations: (55, 3) axis-angle of all joints, in the order of JOINTS.
-
-        Returns:
-            (N, 3) metres.
-
-        Note:
-            Not differentiable in ``means``: the pictures decide where a Gaussian lies, not the
-            slope of the network.
+        Given are skinning weights (N, 55), and axis-angle rotations (55, 3) of all joints. Not
+        differentiable in ``means``: the pictures decide where a Gaussian lies, not the slope of the
+        network.
         """
         turned = roma.rotvec_to_rotmat(rotations)
         bent = (turned - torch.eye(3, dtype=turned.dtype, device=turned.device)).flatten(1)

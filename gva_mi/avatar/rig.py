@@ -49,10 +49,7 @@ class Rig:
     def of(body: BodyModel, shape: Shape, offsets: Tensor | None = None) -> Rig:
         """Take the rest body of a person from a body model.
 
-        Args:
-            body: the body model.
-            shape: the person's shape.
-            offsets: (V, 3) displacement of the rest surface (SMPL-X + D), metres; None: naked.
+        ``offsets`` (V, 3) displace the rest surface (SMPL-X + D), metres; None: naked.
         """
         rest, count = body.rest(shape), len(body.v_template)
         vertices = rest.vertices if offsets is None else rest.vertices + offsets

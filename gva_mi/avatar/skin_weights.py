@@ -165,12 +165,8 @@ def _largest(slopes: Tensor, joints: int, like: Tensor) -> Tensor:
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
-    """Average blend shapes of the body's vertices (N, k) by their shares (N, k), to (N, 3, K).
-
-    Args:
-        share: rows sum to 1.
-        vertices: numbers of the body's vertices, int64.
-        directions: (V, 3, K) of all of the body's vertices, metres.
+    """Average blend shapes (V, 3, K) of the body's vertices (N, k) by their shares (N, k), to (N,
+    3, K).
     """
     return _means(share, vertices, directions.flatten(1)).unflatten(1, directions.shape[1:])
 
@@ -188,11 +184,8 @@ def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
     """Make the skin of an outer surface by diffusing the body's weights on it (eq. 2).
 
-    Args:
-        vertices: (V, 3) of the outer surface at rest, metres.
-        faces: (F, 3) its triangles.
-        body: the rest body's surface, which clothes may have displaced; without spread the result.
-        looseness: (vertices of the body,) metres by which clothes displaced it.
+    The outer surface is at rest, metres. ``body`` is the rest body's surface, which clothes
+    displaced by ``looseness`` (vertices,) metres; without spread it is the result.
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu

@@ -40,11 +40,7 @@ def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) ->
 
 
 def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
-    """Refuse numbers that would fail later, or draw nothing.
-
-    Args:
-        state: the avatar's tensors by name, as in Avatar.record.
-        parents: of the joints, -1 for the root.
+    """Refuse tensors of an avatar's record with numbers that would fail later, or draw nothing.
 
     Raises:
         ValueError: names the first thing that is wrong.

@@ -75,11 +75,8 @@ class CameraShot:
 def shots(options: CameraPath, rig: Rig, motion: Pose, held: int = 0) -> list[CameraShot]:
     """Return the pictures of a path in order.
 
-    Args:
-        options: has a ``path``.
-        rig: the person's rest body.
-        motion: T frames; repeats if more pictures are wanted.
-        held: the frame whose pose is on the turntable.
+    The motion of T frames repeats if more pictures are wanted; a turntable shows its frame
+    ``held``.
     """
     T, still = len(motion), options.path == "turntable"
     count = options.frames or (_TURN if still else T)
@@ -107,12 +104,9 @@ def circle(
 ) -> Iterator[np.ndarray]:
     """Yield ``T_camera_world`` (4, 4) of cameras on a circle that look at its middle.
 
-    Args:
-        centre: (3,) metres.
-        toward: (3,) from the centre to below the camera at angle 0, perpendicular to ``up``.
-        up: (3,) unit.
-        rise: height of the circle above the centre, in its radii.
-        angles: radians, counter-clockwise seen from above.
+    ``toward`` (3,), perpendicular to the unit vector ``up``, leads from the centre to below the
+    camera at angle 0; ``rise`` is the height of the circle above the centre, in its radii. Angles
+    are radians, counter-clockwise seen from above.
     """
     across = np.cross(up, toward)
     for angle in angles:

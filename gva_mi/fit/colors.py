@@ -25,13 +25,8 @@ GREY = 0.5  # colour of the whole person if no frame shows it
 def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) -> Tensor:
     """Return colours of the body's vertices, (V, 3), as the training frames show them.
 
-    Args:
-        video: opened with the poses to project under.
-        body: the body model of the person.
-        offsets: (V, 3) displacement of the rest surface, metres.
-
-    Returns:
-        The weighted means; unseen vertices have the mean colour of all.
+    Unseen vertices have the mean colour of all. ``offsets`` (V, 3) displace the rest surface,
+    metres.
     """
     total = torch.zeros(len(body.v_template), 3)
     weight = torch.zeros(len(body.v_template), 1)

@@ -78,11 +78,8 @@ class Face:
         return Face(self._stage1, parts)
 
     def corrected(self, pose: Pose, which: Sequence[int]) -> Pose:
-        """Correct the faces of some frames (eq. 1), differentiable in the leaves.
-
-        Args:
-            pose: r frames, whose bodies may have been corrected.
-            which: their indices among the n.
+        """Correct the faces of r frames by their indices among the n (eq. 1); bodies may be
+        corrected.
         """
         rotations, expression = pose.rotations, pose.expression
         for part in self.parts:
@@ -99,11 +96,8 @@ class Face:
         return sum((part.energy() for part in self.parts), start=0.0)
 
     def leaves(self, arms: Tensor, options: FaceSteps) -> list[tuple[Tensor, float]]:
-        """Return the leaves, each with the size of its first step; the jaw's as of any joint.
-
-        Args:
-            arms: (J,) lever arms of the person's joints, metres.
-            options: step sizes.
+        """Return the leaves, each with the size of its first step; the jaw's follows from its lever
+        arm.
         """
         turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
         return [(p.u, turn if p.name == "jaw" else options.expression_lr) for p in self.parts]

@@ -127,14 +127,9 @@ class PictureEvidence:
         face: Face,
         arms: Tensor,
     ) -> None:
-        """Compare poses with some frames.
+        """Compare poses with some frames, at least one, by number; ``face`` is of the same frames.
 
-        Args:
-            avatar: of the person.
-            seen: at least one frame, by number.
-            options: weights and step sizes.
-            face: of the same frames, ascending.
-            arms: (J,) lever arms of the person's joints, metres.
+        ``arms`` (J,) are lever arms of the person's joints, metres.
         """
         self._avatar, self._seen, self._options = avatar, seen, options
         self.face, self._arms = face, arms

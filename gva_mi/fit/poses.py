@@ -89,16 +89,10 @@ class TrainedPoses:
         *,
         as_given: bool = False,
     ) -> None:
-        """Start from the MAP estimate of the given poses, before any picture.
+        """Start from the MAP estimate of the given poses, T frames, before any picture.
 
-        Args:
-            given: T frames.
-            cameras: of the T frames.
-            rig: the person's rest body.
-            options: of the training of poses.
-            steps: of the whole fit.
-            as_given: start with refined bodies as they are. (Faces, which a refinement leaves
-                alone, start from the MAP estimate.)
+        ``steps`` counts those of the whole fit. ``as_given``: start with refined bodies as they
+        are. (Faces, which a refinement leaves alone, start from the MAP estimate.)
         """
         self.given, self._options, self._steps = given, options, steps
         self._clips: list[_Clip] = []
@@ -126,11 +120,8 @@ class TrainedPoses:
         return self.given[frame]
 
     def step(self, done: int, frame: int) -> None:
-        """Count a step of the fit, and step the poses when they are due.
-
-        Args:
-            done: number of steps of the fit so far.
-            frame: the frame of the last one.
+        """Count a step of the fit, the ``done``-th, on one frame, and step the poses when they are
+        due.
         """
         options = self._options
         for clip in self._clips:

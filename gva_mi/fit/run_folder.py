@@ -215,9 +215,7 @@ def load_history(out: Path) -> dict[str, np.ndarray]:
 def load_avatar(run: Path, body: Path | None = None) -> Avatar:
     """Load the avatar of a finished run, given its folder, or of a file.
 
-    Args:
-        run: folder or file.
-        body: body file of an avatar without its body; None: the built-in body.
+    ``body`` is the body file of an avatar without its body; None: the built-in body.
 
     Raises:
         InputError: no such file, not an avatar, or another body.
@@ -232,9 +230,7 @@ def load_avatar(run: Path, body: Path | None = None) -> Avatar:
 def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     """Load a motion, the shape of its person, and the name of its file.
 
-    Args:
-        run: folder of a run, or an avatar's file.
-        poses: a file of poses; None: those trained with the avatar.
+    ``poses`` is a file; None: the poses trained with the avatar of the ``run``.
     """
     path = poses or run / TRAINED_POSES
     if poses is None and not path.is_file():

@@ -82,12 +82,9 @@ def _spread(
 ) -> Any:  # noqa: ANN401
     """Apply mᵀ along one axis: sum over the windows that contain a number, with their weights.
 
-    Args:
-        source: numbers of the windows, by their start.
-        place: place of the number along the axis.
-        last: start of the last window.
-        index: index in ``source`` of the window that starts at ``place``.
-        step: distance to the next window.
+    ``source`` has the numbers of the windows by their start, ``place`` is where the number lies on
+    the axis, ``last`` the start of the last window; ``index`` and ``step`` find windows in the
+    source.
     """
     F, total = type(source), 0
     for k, g in enumerate(WINDOW):

@@ -65,13 +65,8 @@ def measure_tracking(
     found: FittedPoses,
     known: tuple[GroundTruth, tuple[Pose, Shape]] | None,
 ) -> Tracking:
-    """Compare tracked poses with the initial ones, and with ground truth if there is any.
-
-    Args:
-        video: opened with the initial poses.
-        body: the body model.
-        found: the tracked poses.
-        known: of :func:`known_poses`.
+    """Compare tracked poses with the initial ones of the video, and with ground truth if it is
+    known.
     """
     stages: dict[str, tuple[Pose, Shape]] = {}
     if known is not None:
@@ -96,13 +91,8 @@ def write_tracking(
 ) -> None:
     """Write both files atomically: the record is only there with its own poses.
 
-    Args:
-        video: opened with the initial poses.
-        found: the tracked poses.
-        tracking: their figures.
-        options: of the tracking.
-        offsets: (V, 3) displacement of the rest surface that goes with the poses, metres.
-        sources: files used: ``start``, the initial poses, and ``avatar``.
+    ``offsets`` (V, 3) displace the rest surface that goes with the poses, metres; ``sources`` are
+    the files used: ``start``, the initial poses, and ``avatar``.
     """
     record = tracking.to_json() | {
         "kept": found.kept,

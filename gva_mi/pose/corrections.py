@@ -130,8 +130,7 @@ class Corrections:
     def energy(self, distance_shown: bool = False) -> Tensor:
         """Return the corrections' prior energy in nats, a mean over the frames.
 
-        Args:
-            distance_shown: whether the evidence shows how far away the person stands.
+        ``distance_shown``: whether the evidence shows how far away the person stands.
         """
         turns, moves = self._at(range(len(self.moves)))
         own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
@@ -188,9 +187,8 @@ class Corrections:
 def constant_shifts(shifts: Tensor, R_body_camera: Tensor) -> Tensor:
     """Return the constant part (n, 3) of shifts: ``a + R_kᵀ b``, by least squares.
 
-    Args:
-        shifts: (n, 3) in the axes of the camera.
-        R_body_camera: (n, 3, 3) ``R_k``, rotates a vector from these axes to those of the body.
+    The shifts (n, 3) are in the axes of the camera; ``R_k`` (n, 3, 3) rotates a vector from there
+    to the axes of the body.
     """
     R = R_body_camera.double()
     basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2).reshape(-1, 6)

@@ -199,13 +199,7 @@ def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corr
 
 
 def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
-    """Return poses of T frames, of which the n given frames are replaced.
-
-    Args:
-        start: T frames.
-        frames: numbers of n of them.
-        found: their new poses.
-    """
+    """Return T poses of which n, by their numbers, are replaced by those found."""
     frames = list(frames)
     taken = start.map(torch.clone)
     taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
@@ -216,13 +210,9 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
 def worse_frames(
     frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
 ) -> dict[int, str]:
-    """Return the frames whose loss grew, each with a message.
+    """Return which of some frames have a larger loss (T,) after than before, each with a message.
 
-    Args:
-        frames: that are compared.
-        before: (T,) losses at the poses a fit started from.
-        after: (T,) losses at the poses it found; NaN counts as grown.
-        digits: of the losses in the sentence.
+    NaN counts as larger; losses in the message have so many digits.
     """
     return {
         k: f"its loss grew from {before[k]:.{digits}f} to {after[k]:.{digits}f}"

@@ -17,28 +17,19 @@ from gva_mi.splat import Camera
 
 @dataclass(frozen=True)
 class Stage1:
-    """Poses of n frames, and the camera's axes relative to their joints.
+    """Poses of n frames, and the camera's axes relative to their joints."""
 
-    Attributes:
-        times: (n,) numbers of the frames, ascending.
-        pose: n frames.
-        R_joint_camera: (n, J, 3, 3) rotates a vector from the camera's axes to those of a joint.
-        R_camera_world: (3, 3).
-    """
-
-    times: Tensor
-    pose: Pose
+    times: Tensor  # (n,) numbers of the frames, ascending
+    pose: Pose  # n frames
+    # (n, J, 3, 3) rotates a vector from the camera's axes to those of a joint
     R_joint_camera: Tensor
-    R_camera_world: Tensor
+    R_camera_world: Tensor  # (3, 3)
 
     @staticmethod
     def of(pose: Pose, frames: Sequence[int], camera: Camera) -> Stage1:
-        """Take some frames of a video.
+        """Take some frames of a video by their numbers, ascending.
 
-        Args:
-            pose: of all frames.
-            frames: numbers of those that are corrected, ascending.
-            camera: whose axes are used; that of one frame, where cameras differ.
+        If cameras differ, the axes are those of the ``camera`` of one frame.
         """
         some = pose[list(frames)]
         R_camera_world = torch.from_numpy(camera.T_camera_world[:3, :3].copy()).float()
@@ -55,12 +46,9 @@ class Stage1:
         return float((1.5 * (1 - stays)).clamp(0, 1))
 
     def corrected(self, which: Sequence[int], turns: Tensor, moves: Tensor) -> Pose:
-        """Return poses of some frames, corrected in the camera's axes.
+        """Correct r of the n frames, given by index, in the camera's axes.
 
-        Args:
-            which: indices of r of the n frames.
-            turns: (r, J, 3) radians.
-            moves: (r, 3) metres.
+        The turns are (r, J, 3) radians, the moves (r, 3) metres.
         """
         which = list(which)
         local = self.in_joints(turns, which)

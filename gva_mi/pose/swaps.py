@@ -46,15 +46,10 @@ _MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # mirrors an axis-angle in the plan
 def fix_swaps(
     stage1: Stage1, losses: Callable[[Pose], Tensor], prior_weight: float
 ) -> tuple[Pose, dict[str, list[int]]]:
-    """Return stage-1 poses with swapped limbs exchanged, by eq. 1.
+    """Return stage-1 poses with swapped limbs exchanged (eq. 1), and where, for each pair of limbs.
 
-    Args:
-        stage1: n frames of a video, in order.
-        losses: returns the data term of Eq. 8 (n,) in poses of these frames; NaN: no evidence.
-        prior_weight: ν, weight of the prior beside the data term.
-
-    Returns:
-        The poses, and for each pair of limbs the indices among the n where it was exchanged.
+    ``losses`` returns the data term of Eq. 8 (n,) in poses of the n frames, NaN without evidence;
+    ``prior_weight`` is ν, the weight of the prior beside it.
     """
     pose, found = stage1.pose, dict[str, list[int]]()
     if len(pose) < 2:
@@ -88,9 +83,8 @@ def exchanged(pose: Pose, name: str) -> Pose:
 def least_states(data: Tensor, motion: Tensor) -> Tensor:
     """Return which frames are exchanged (n,): the states of least energy, eq. 1.
 
-    Args:
-        data: (n, 2) of each frame in each state, nats.
-        motion: (n - 1, 2, 2) of each step, from one state to another, nats.
+    ``data`` (n, 2) is the energy of each frame in each state, ``motion`` (n - 1, 2, 2) that of each
+    step from one state to another, nats.
     """
     own = data + torch.tensor([0.0, EACH])
     begins = torch.tensor([[0.0, BEGINS], [0.0, 0.0]])

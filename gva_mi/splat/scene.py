@@ -156,12 +156,8 @@ def in_front(path: Path, gaussians: Gaussians) -> Scene:
 
     Nine tenths of them fill the middle: the rest of a captured scene is far away.
 
-    Args:
-        path: of the file, for errors.
-        gaussians: torch tensors.
-
     Raises:
-        InputError: there are no Gaussians, or their numbers are not finite.
+        InputError: there are no Gaussians, or their numbers are not finite; the path is named.
     """
     if not len(gaussians):
         raise InputError(f"{path}: holds no Gaussians; a scene needs one")
@@ -188,12 +184,7 @@ def random_scene(
 ) -> Scene:
     """Spread random Gaussians about the origin, some beyond the picture's border, seen from 3 m.
 
-    Args:
-        generator: of all random numbers.
-        gaussians: how many.
-        width, height: of the picture.
-        degree: of the spherical harmonics; None gives plain colours.
-        channels: of the plain colours.
+    ``degree`` is that of the spherical harmonics; None gives plain colours of so many channels.
     """
     n = gaussians
     uniform = lambda low, high, *shape: (
@@ -234,11 +225,7 @@ def person_scene(generator: np.random.Generator, gaussians: int = 20_000, size: 
     """Cover a person made of capsules with Gaussians, seen from 3 m: like an avatar.
 
     Their size follows the spacing on the surface, so that there are no holes at any number.
-
-    Args:
-        generator: of all random numbers.
-        gaussians: how many.
-        size: width and height of the picture, px.
+    ``size`` is the width and height of the picture, px.
     """
     mirrored = [[*np.multiply(((a, b)), (-1, 1, 1)), *radii] for a, b, *radii in PERSON[3:]]
     limbs = [*PERSON, *mirrored]

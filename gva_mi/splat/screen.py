@@ -40,12 +40,7 @@ class Screen:
     memory: KernelMemory | None = field(default=None, repr=False)
 
     def fill(self, saved: SavedState, means: Tensor) -> None:
-        """Take over the memory of a forward pass.
-
-        Args:
-            saved: what ``render_forward`` returned.
-            means: (N, 3) of the Gaussians.
-        """
+        """Take over the memory of a forward pass of Gaussians with means (N, 3)."""
         self.grad = self.absgrad = None
         size = (saved.layout.width, saved.layout.height)
         empty = means.new_zeros(0)

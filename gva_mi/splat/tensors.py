@@ -19,14 +19,11 @@ from gva_mi.splat.kernels.tiles import Layout
 
 
 def first_two_columns(table: np.ndarray, rows: Tensor | None = None) -> Tensor:
-    """Copy the first two columns of a table (N, 2 k) to a tensor.
+    """Copy the first two columns of a table (N, 2 k), contiguous, of rows (M,) int64 or all, to a
+    tensor.
 
     A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
     long ones, and takes longer to be called.
-
-    Args:
-        table: float32 or float64, contiguous.
-        rows: (M,) int64, the rows to return; all if None.
     """
     number = np.complex64 if table.dtype == np.float32 else np.complex128
     pairs = table.view(number)[:, 0]

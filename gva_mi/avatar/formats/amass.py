@@ -24,15 +24,7 @@ from gva_mi.core.files import write_arrays
 
 
 def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "neutral") -> None:
-    """Write poses in AMASS's format, atomically.
-
-    Args:
-        path: of the .npz.
-        pose: T frames.
-        shape: the person's.
-        fps: frames a second.
-        gender: of the body model of the shape.
-    """
+    """Write T poses in AMASS's format, atomically; ``gender`` is that of the shape's body model."""
     array = lambda tensor: tensor.detach().numpy()
     write_arrays(
         path,

@@ -39,11 +39,9 @@ class Glb:
     def add(self, array: np.ndarray, use: int | None = None, normalized: bool = False) -> int:
         """Store an array and return the number of its accessor.
 
-        Args:
-            array: (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers;
-                matrices row by row.
-            use: :data:`VERTICES` or :data:`TRIANGLES`.
-            normalized: integers represent [0, 1].
+        It is (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers, matrices
+        row by row. ``use`` is :data:`VERTICES` or :data:`TRIANGLES`; ``normalized`` integers
+        represent [0, 1].
         """
         kind = _KINDS[array.shape[1:]]
         accessor = {

@@ -36,13 +36,9 @@ _UNLIT = "KHR_materials_unlit"
 
 @torch.no_grad()
 def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float = 30) -> None:
-    """Write the surface with skeleton, skin and colours, and optionally a motion, atomically.
+    """Write the surface with skeleton, skin and colours to a .glb, atomically.
 
-    Args:
-        path: of the .glb.
-        avatar: the avatar.
-        motion: T frames.
-        fps: frames a second of the motion.
+    A ``motion`` of T frames, ``fps`` a second, is written as its animation.
     """
     file, rig = Glb(), avatar.rig
     joints = rig.joints.double().numpy()

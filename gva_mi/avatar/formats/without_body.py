@@ -56,13 +56,7 @@ def require_body_of(avatar: Avatar, body: BodyModel, name: str) -> None:
 
 
 def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) -> None:
-    """Write an avatar without its body, atomically.
-
-    Args:
-        path: of the .npz.
-        avatar: the avatar; blend shapes are taken from the skin around its Gaussians.
-        body: the body model that it was made with.
-        name: of the body, so that readers can find its file.
+    """Write an avatar without its body, atomically; ``name`` tells readers where to find the body.
 
     Raises:
         InputError: it was made with another body.
@@ -91,16 +85,11 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
 
 
 def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: str) -> Avatar:
-    """Restore the avatar of a file without a body; its outer skin is the displaced body.
-
-    Args:
-        path: of the file, for errors.
-        arrays: what it holds.
-        body: the body model.
-        name: of the body.
+    """Restore the avatar from the arrays of a file without a body; its outer skin is the displaced
+    body.
 
     Raises:
-        InputError: not such a file, or it belongs to another body.
+        InputError: not such a file, or it belongs to another body than this one of that name.
     """
     with expecting(path, "an avatar of this version"):
         described = json.loads(str(arrays.pop("description")))

@@ -77,19 +77,12 @@ _FOUR = ("index", "middle", "ring", "pinky")
 
 @dataclass
 class Anatomy:
-    """The angles that a body's joints should keep at zero, and their limits.
+    """The angles that a body's joints should keep at zero, and their limits."""
 
-    Attributes:
-        A: (Q, J, 3) of eq. 2 and 3.
-        freedoms: Q of them.
-        bends: (H, J, 3) of hinges that have limits.
-        limits: (H, 2) low and high, radians.
-    """
-
-    A: Tensor
-    freedoms: Sequence[Freedom]
-    bends: Tensor
-    limits: Tensor
+    A: Tensor  # (Q, J, 3) of eq. 2 and 3
+    freedoms: Sequence[Freedom]  # Q of them
+    bends: Tensor  # (H, J, 3) of hinges that have limits
+    limits: Tensor  # (H, 2) low and high, radians
     _precisions: dict[tuple[float, ...], Tensor] = field(default_factory=dict, repr=False)
 
     @staticmethod
@@ -138,10 +131,8 @@ class Anatomy:
     def conditioned(self, rotations: Tensor, covariance: Tensor, times: Tensor) -> Tensor:
         """Return the mean rotations (n, J, 3) of a Gaussian, conditioned on eq. 2 and 3.
 
-        Args:
-            rotations: (n, J, 3) axis-angle, the unconditioned mean.
-            covariance: (J, n, n) of each of their coordinates, float64; zero for joints that stay.
-            times: (n,) numbers of the frames.
+        Given are the unconditioned mean, axis-angle, at times (n,), and the covariance (J, n, n) of
+        each coordinate, float64, which is zero for joints that stay.
         """
         found = rotations.double()
         for row, freedom in zip(self.A.double(), self.freedoms, strict=True):

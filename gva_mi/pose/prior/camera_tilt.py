@@ -43,21 +43,13 @@ ROUND = 0.5  # least turn of the person: nearly half round
 
 @dataclass(frozen=True)
 class TiltPrior:
-    """The chance level of camera-locked tilt of the L joints of the body.
+    """The chance level of camera-locked tilt of the L joints of the body."""
 
-    Attributes:
-        means: (L, 3, 3) their mean poses.
-        swings: (n, L, 3, 3) ``R_k - mean R``.
-        across: (3, 3) ``P``.
-        chance: (L,) ``σ``, radians.
-        shown: whether the person turns far enough to separate a tilt from a gesture.
-    """
-
-    means: Tensor
-    swings: Tensor
-    across: Tensor
-    chance: Tensor
-    shown: bool
+    means: Tensor  # (L, 3, 3) their mean poses
+    swings: Tensor  # (n, L, 3, 3) ``R_k - mean R``
+    across: Tensor  # (3, 3) ``P``
+    chance: Tensor  # (L,) ``σ``, radians
+    shown: bool  # whether the person turns far enough to separate a tilt from a gesture
 
     @staticmethod
     @torch.no_grad()

@@ -131,13 +131,10 @@ def white_level(steps: Tensor) -> float:
 def fit_slow_part(
     errors: Tensor, times: Tensor, white: float, guess: Stage1ErrorModel
 ) -> Stage1ErrorModel:
-    """Fit eq. 4.
+    """Fit eq. 4 to errors (n, J) of a coordinate that images show well, at times (n,).
 
-    Args:
-        errors: (n, J) of one coordinate that images show well.
-        times: (n,) frames.
-        white: the standard deviation of the white part.
-        guess: the model before; it has the weight of ``LAGS`` frames.
+    ``white`` is the deviation of the white part; ``guess``, the model before, counts as ``LAGS``
+    frames.
     """
     from scipy.optimize import nnls
 

@@ -63,15 +63,10 @@ _KINDS = ("ankle", "foot")  # whose lowest points are heels and balls
 
 @dataclass(frozen=True)
 class Soles:
-    """The heels and balls of a person's feet, and the joints that move them.
+    """The heels and balls of a person's feet, and the joints that move them."""
 
-    Attributes:
-        joints: (9, 3) of pelvis and legs at rest, metres.
-        points: (4, 3) at rest, metres: heels, then balls, each left and right.
-    """
-
-    joints: Tensor
-    points: Tensor
+    joints: Tensor  # (9, 3) of pelvis and legs at rest, metres
+    points: Tensor  # (4, 3) at rest, metres: heels, then balls, each left and right
 
     @staticmethod
     def of(rest: Rest, weights: Tensor) -> Soles:
@@ -89,12 +84,7 @@ class Soles:
         return Soles(rest.joints.detach()[_CHAIN], torch.stack(points))
 
     def places(self, rotations: Tensor, transl: Tensor) -> Tensor:
-        """Return the points (n, 4, 3), world, metres; differentiable.
-
-        Args:
-            rotations: (n, J, 3) of all joints, axis-angle relative to the parent.
-            transl: (n, 3) metres.
-        """
+        """Return the points (n, 4, 3), world, metres, in poses of all joints; differentiable."""
         maps = turn_joints(rotations[:, _CHAIN], self.joints, _PARENTS, transl)[1]
         of_feet = maps[:, -len(self.points) :]
         return (of_feet[..., :3, :3] @ self.points[..., None])[..., 0] + of_feet[..., :3, 3]
@@ -111,34 +101,20 @@ class ContactStats:
 
 @dataclass(frozen=True)
 class Ground:
-    """The ground plane of a video, and how its person stands on it.
-
-    Attributes:
-        soles: of the person.
-        axes: (3, 3) rows ``up``, ``e_1``, ``e_2``, world.
-        plane: (4,) ``s_1``, ``s_2``, and ``c`` of heels and of balls, metres.
-        contact: ``σ``, ``w`` and ``λ``.
-        square_change: (n - 2, 4) of the steps of each point, square metres.
-        stay: (n - 2, 4) the product of three ``r``, of each of these changes.
-    """
+    """The ground plane of a video, and how its person stands on it."""
 
     soles: Soles
-    axes: Tensor
-    plane: Tensor
-    contact: ContactStats
-    square_change: Tensor
-    stay: Tensor
+    axes: Tensor  # (3, 3) rows ``up``, ``e_1``, ``e_2``, world
+    plane: Tensor  # (4,) ``s_1``, ``s_2``, and ``c`` of heels and of balls, metres
+    contact: ContactStats  # ``σ``, ``w`` and ``λ``
+    square_change: Tensor  # (n - 2, 4) of the steps of each point, square metres
+    stay: Tensor  # (n - 2, 4) the product of three ``r``, of each of these changes
 
     @staticmethod
     @torch.no_grad()
     def under(soles: Soles, pose: Pose, times: Tensor, R_camera_world: Tensor) -> Ground:
-        """Fit the ground to poses.
-
-        Args:
-            soles: of the person.
-            pose: n frames.
-            times: (n,) their numbers.
-            R_camera_world: (3, 3) the axes in which images show motions sideways.
+        """Fit the ground to poses of n frames; images show motions sideways in the axes of the
+        camera.
         """
         places = soles.places(pose.rotations, pose.transl)
         axes = _axes(pose)

@@ -41,38 +41,21 @@ LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
 
 @dataclass(frozen=True)
 class ProcessPrior:
-    """The process of C joints, or coordinates of a position, in n frames, each a vector of d.
+    """The process of C joints, or coordinates of a position, in n frames, each a vector of d."""
 
-    Attributes:
-        times: (n,) numbers of the frames.
-        steps: (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d).
-        error_models: C error models.
-        factors: (C, n) ``f``.
-        growth: (C, n) ``g``.
-        square_speed: (n - 1 or n - 2, C) ``s²`` of each step.
-        steady: whether constant speed is as probable as rest.
-    """
-
-    times: Tensor
-    steps: Tensor
-    error_models: Sequence[Stage1ErrorModel]
-    factors: Tensor
-    growth: Tensor
-    square_speed: Tensor
-    steady: bool
+    times: Tensor  # (n,) numbers of the frames
+    steps: Tensor  # (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d)
+    error_models: Sequence[Stage1ErrorModel]  # C of them
+    factors: Tensor  # (C, n) ``f``
+    growth: Tensor  # (C, n) ``g``
+    square_speed: Tensor  # (n - 1 or n - 2, C) ``s²`` of each step
+    steady: bool  # whether constant speed is as probable as rest
 
     @staticmethod
     def of_stage1(
         times: Tensor, steps: Tensor, error_models: Sequence[Stage1ErrorModel], steady: bool = False
     ) -> ProcessPrior:
-        """Estimate the speeds from stage 1 alone.
-
-        Args:
-            times: (n,) numbers of the frames.
-            steps: (n - 1, C, d) from frame to frame.
-            error_models: C error models.
-            steady: whether constant speed is as probable as rest.
-        """
+        """Estimate the speeds from stage 1 alone: from steps (n - 1, C, d) between n frames."""
         factors = torch.ones(steps.shape[1], len(times))
         each = zip(error_models, steps.unbind(1), strict=True)
         growth = torch.stack([noise.growth(own, times) for noise, own in each])
@@ -118,12 +101,9 @@ class ProcessPrior:
         return corrections, process
 
     def energy(self, precision: Tensor, corrections: Tensor, own: Tensor) -> Tensor:
-        """Return eq. 1.
-
-        Args:
-            precision: ``P`` (C, n, n).
-            corrections: (n, C, d) in axes in which stage 1's errors last, such as the camera's.
-            own: the same in the axes of ``steps``.
+        """Return eq. 1, of corrections (n, C, d) in axes in which stage 1's errors last, such as
+        the camera's, and of the same in the axes of ``steps`` (``own``); ``precision`` is ``P``
+        (C, n, n).
         """
         e = corrections.transpose(0, 1)
         moved = motion.cost(self._changed(own), self.square_speed)

@@ -68,11 +68,7 @@ def is_compressed(elements: dict[str, np.ndarray]) -> bool:
 
 
 def decompressed(path: Path, elements: dict[str, np.ndarray]) -> Gaussians:
-    """Decode the Gaussians of a compressed .ply.
-
-    Args:
-        path: of the file, for errors.
-        elements: its tables.
+    """Decode the Gaussians in the tables of a compressed .ply.
 
     Raises:
         InputError: a table or property is missing or does not fit, or a number is not finite.
@@ -94,11 +90,7 @@ def decompressed(path: Path, elements: dict[str, np.ndarray]) -> Gaussians:
 
 
 def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians, rounded to the format's bits, in another order.
-
-    Args:
-        path: of the .ply; an older one is replaced once the new one is whole.
-        gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
+    """Write Gaussians of torch tensors, rounded to the format's bits, in another order.
 
     Raises:
         InputError: harmonics of degree 4, which the format lacks, or numbers that are not finite.

@@ -32,11 +32,8 @@ _MARGIN = 1e-7  # distance of opacities to 0 and 1, whose logits are infinite
 
 
 def save_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians in the format of 3DGS.
-
-    Args:
-        path: of the .ply; an older one is replaced once the new one is whole.
-        gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
+    """Write Gaussians of torch tensors in the format of 3DGS; plain colours become the constant
+    band.
 
     Raises:
         InputError: numbers that are not finite.

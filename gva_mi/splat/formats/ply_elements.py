@@ -96,10 +96,9 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
 
 
 def ply_parts(tables: Sequence[tuple[str, str, Sequence[str], np.ndarray]]) -> list[bytes]:
-    """Return the bytes of a little-endian .ply: its header and its tables.
+    """Return the bytes of a little-endian .ply, its header and its tables.
 
-    Args:
-        tables: name, type of all properties, their names, and numbers (rows, properties).
+    A table is its name, the type of all its properties, their names, and its numbers.
     """
     header = ["ply", "format binary_little_endian 1.0"]
     for element, kind, names, table in tables:

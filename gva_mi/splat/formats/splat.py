@@ -29,11 +29,7 @@ ROW = np.dtype(
 
 
 def save_splat(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians, rounded to the format's 8 bits.
-
-    Args:
-        path: of the .splat; an older one is replaced once the new one is whole.
-        gaussians: torch tensors.
+    """Write Gaussians of torch tensors, rounded to the format's 8 bits.
 
     Raises:
         InputError: numbers that are not finite.

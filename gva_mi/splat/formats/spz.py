@@ -73,11 +73,7 @@ _MAX_COUNT = 1 << 26  # Gaussians
 
 
 def save_spz(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians as version 3, rounded to the format's bits.
-
-    Args:
-        path: of the .spz; an older one is replaced once the new one is whole.
-        gaussians: torch tensors; plain colours become the constant band of spherical harmonics.
+    """Write Gaussians of torch tensors as version 3, rounded to the format's bits.
 
     Raises:
         InputError: harmonics of degree 4, which version 3 lacks, means beyond 8,388 km, or numbers

@@ -31,14 +31,9 @@ class Stored:
     def of(path: Path, gaussians: Gaussians, kind: str = "", most: int = 4) -> Stored:
         """Convert torch tensors; plain colours become the constant band.
 
-        Args:
-            path: of the file to write, for errors.
-            gaussians: torch tensors.
-            kind: of the file, for errors.
-            most: largest degree of spherical harmonics that it holds.
-
         Raises:
-            InputError: numbers that float32 cannot hold, such as NaN, or a higher degree.
+            InputError: numbers that float32 cannot hold, such as NaN, or harmonics of a degree
+                above ``most``, which this kind of file lacks.
         """
         bad = ~_finite(gaussians)
         if bad.any():

@@ -123,12 +123,7 @@ class RenderedViews:
         self.means2d.register_hook(attach)
 
     def meta(self, opacities: Tensor, tile_size: int) -> Meta:
-        """Return gsplat's ``meta``.
-
-        Args:
-            opacities: (..., N), of the Gaussians.
-            tile_size: px.
-        """
+        """Return gsplat's ``meta``; the Gaussians' opacities are (..., N)."""
         camera, C = self.camera, self.shape[-1]
         values = {
             "means2d": self.means2d,

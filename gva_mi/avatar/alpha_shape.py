@@ -25,7 +25,6 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
     It has no triangles that are outside on both sides. Where more than two meet at an edge, some
     are left out: it is a manifold, but not closed there.
     """
-    import pymeshlab
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import Delaunay
@@ -44,9 +43,7 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
     mirrored = (a * np.cross(b, c)).sum(1) < 0
     facets = np.where(mirrored[:, None, None], FACETS[:, ::-1], FACETS)
     faces = np.take_along_axis(corners[:, None], facets, 2)[boundary]
-    surface = SurfaceMesh(points, faces).part(np.ones(len(faces), bool))
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
+    meshes = SurfaceMesh(points, faces).part(np.ones(len(faces), bool)).meshlab()
     meshes.meshing_repair_non_manifold_edges()  # curvature needs a manifold
     meshes.meshing_repair_non_manifold_vertices()
     if smoothing:

@@ -16,11 +16,15 @@ fraction of a millimetre. Points of the shrunk rest body are added, so that no h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from gva_mi.mesh.surface import vertex_normals
+
+if TYPE_CHECKING:
+    from pymeshlab import MeshSet
 
 REACH = 3  # cells around a point in which S_α, and the far corners of its cells, can lie
 LONE = 10  # smallest piece of the person, in surfaces of one ball
@@ -51,6 +55,14 @@ class SurfaceMesh:
         used, renumbered = np.unique(self.faces[kept], return_inverse=True)
         return SurfaceMesh(self.vertices[used], renumbered.reshape(-1, 3))
 
+    def meshlab(self) -> MeshSet:
+        """Return the surface in pymeshlab's memory, to apply its filters to."""
+        import pymeshlab
+
+        meshes = pymeshlab.MeshSet()
+        meshes.add_mesh(pymeshlab.Mesh(self.vertices, self.faces))
+        return meshes
+
     def _crosses(self) -> np.ndarray:
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return np.cross(b - a, c - a)
@@ -64,15 +76,12 @@ def offset_surface(
 
     ``alpha`` is α, metres; ``smoothing`` counts steps of Taubin's filter.
     """
-    import pymeshlab
-
     between = inner.vertices[inner.faces].mean(1)
     shell = _large_pieces(
         _union_of_balls(np.vstack([points, inner.vertices, between]), alpha), alpha
     )
     if smoothing:
-        meshes = pymeshlab.MeshSet()
-        meshes.add_mesh(pymeshlab.Mesh(shell.vertices, shell.faces))
+        meshes = shell.meshlab()
         meshes.apply_coord_taubin_smoothing(stepsmoothnum=smoothing)
         shell = SurfaceMesh(np.array(meshes.current_mesh().vertex_matrix()), shell.faces)
     return SurfaceMesh(shell.vertices - alpha * shell.normals(), shell.faces)

@@ -63,10 +63,7 @@ def mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
 
 def curvature(surface: SurfaceMesh) -> np.ndarray:
     """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
-    import pymeshlab
-
-    meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(surface.vertices, surface.faces))
+    meshes = surface.meshlab()
     meshes.compute_scalar_by_discrete_curvature_per_vertex(curvaturetype="RMS Curvature")
     curvature = np.nan_to_num(meshes.current_mesh().vertex_scalar_array(), posinf=0, neginf=0)
     largest = np.percentile(curvature, 95)

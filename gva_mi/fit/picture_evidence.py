@@ -37,6 +37,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.core.options import Metres, Weight, Within
 from gva_mi.data.crop import NoEvidence, person_box
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame
 from gva_mi.fit.faces import Face
 from gva_mi.fit.renders import DRAWN
@@ -88,8 +89,8 @@ class PictureAndMask:
             raise NoEvidence("it shows too little of the person")
         return PictureAndMask(
             box.cut_camera(frame.camera),
-            _to_8bit(box.cut(frame.image)),
-            _to_8bit(box.cut(frame.mask)),
+            torch.from_numpy(in_8_bits(box.cut(frame.image))),
+            torch.from_numpy(in_8_bits(box.cut(frame.mask))),
         )
 
     def loss(self, avatar: Avatar, pose: Pose, weights: PhotometricOptions) -> Tensor:
@@ -157,7 +158,3 @@ class PictureEvidence:
     def energy(self) -> Tensor | float:
         """Return the energy of the faces."""
         return self._options.prior_weight * self.face.energy()
-
-
-def _to_8bit(image: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.round(image * 255).astype(np.uint8))

@@ -11,6 +11,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.camera_paths import CameraShot
 from gva_mi.splat import Camera, Gaussians, SplatOptions, render
@@ -31,7 +32,7 @@ def render_frame(
 ) -> np.ndarray:
     """Render an avatar in a pose of one frame on a colour: 8-bit (H, W, 3)."""
     image = render(avatar(pose), camera, options or DRAWN, torch.tensor(background))
-    return to_8bit(image.color.numpy())
+    return in_8_bits(image.color.numpy())
 
 
 @torch.no_grad()
@@ -63,23 +64,18 @@ def render_shots(
 
 def over(layer: np.ndarray, background: np.ndarray) -> np.ndarray:
     """Composite a layer (H, W, 4) on a colour (3,) or a picture (H, W, 3): 8-bit (H, W, 3)."""
-    return to_8bit(layer[..., :3] + (1 - layer[..., 3:]) * background)
+    return in_8_bits(layer[..., :3] + (1 - layer[..., 3:]) * background)
 
 
 def to_rgba(layer: np.ndarray) -> np.ndarray:
     """Convert a layer (H, W, 4) to 8-bit RGBA, with colours not multiplied by alpha."""
     color, alpha = layer[..., :3], layer[..., 3:]
-    return to_8bit(np.concatenate([color / np.maximum(alpha, 1e-6), alpha], axis=2))
+    return in_8_bits(np.concatenate([color / np.maximum(alpha, 1e-6), alpha], axis=2))
 
 
 def cut_out(frame: Frame, background: tuple[float, float, float] = WHITE) -> np.ndarray:
     """Return the target of a frame: the person on a plain background, 8-bit (H, W, 3)."""
-    return to_8bit(frame.on_background(np.array(background, dtype=np.float32)))
-
-
-def to_8bit(image: np.ndarray) -> np.ndarray:
-    """Clamp to [0, 1] and round to 256 levels."""
-    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    return in_8_bits(frame.on_background(np.array(background, dtype=np.float32)))
 
 
 @torch.no_grad()

@@ -37,14 +37,17 @@ class Screen:
     absolute: bool = False  # set to have absgrad filled as well
     grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
     absgrad: Tensor | None = None  # (N, 2) like grad, with the absolute value of each pixel's share
-    memory: KernelMemory | None = field(default=None, repr=False)
+    _projected: ProjectedMemory | None = field(default=None, repr=False)  # None: no Gaussian
+    _format: RecordFormat | None = field(default=None, repr=False)  # of its splats
+    _size: tuple[int, int] = field(default=(0, 0), repr=False)  # of the picture, px
+    _empty: Tensor | None = field(default=None, repr=False)  # (0,), of the Gaussians' dtype
 
     def fill(self, saved: SavedState, means: Tensor) -> None:
         """Take over the memory of a forward pass of Gaussians with means (N, 3)."""
         self.grad = self.absgrad = None
-        size = (saved.layout.width, saved.layout.height)
-        empty = means.new_zeros(0)
-        self.memory = KernelMemory(saved.projected, saved.plan.formats[0], size, empty)
+        self._projected, self._format = saved.projected, saved.plan.formats[0]
+        self._size = (saved.layout.width, saved.layout.height)
+        self._empty = means.new_zeros(0)
 
     @property
     def visible(self) -> Tensor:
@@ -58,88 +61,73 @@ class Screen:
 
     def means2d_of(self, rows: Tensor | None) -> Tensor:
         """Return ``means2d`` of the rows (M,) int64, (M, 2)."""
-        return first_two_columns(self.memory.footprint_rows, rows)
+        return first_two_columns(self._footprint_rows(), rows)
 
     @property
     def depths(self) -> Tensor:
         """Depths along the camera's z, (N,) m."""
-        return self.memory.number("depths")
+        return self._number("depths")
 
     @property
     def radii(self) -> Tensor:
         """3 sigma of the longer axis, (N,) px; 0 where not drawn."""
-        return self.memory.number("radii")
+        return self._number("radii")
 
     @property
     def extents(self) -> Tensor:
         """Half extents in x and y where alpha >= alpha_min, (N, 2) px; 0 where culled."""
-        found = Footprint.unpack(torch.from_numpy(self.memory.footprint_rows).unbind(1))
+        found = Footprint.unpack(torch.from_numpy(self._footprint_rows()).unbind(1))
         return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
 
     @property
     def boxes(self) -> Tensor:
         """Extents in whole pixels, (N, 2) int32; 0 where they lie outside the picture."""
         radii, means2d = torch.ceil(self.extents), self.means2d
-        inside = (means2d + radii > 0) & (means2d - radii < torch.tensor(self.memory.size))
+        inside = (means2d + radii > 0) & (means2d - radii < torch.tensor(self._size))
         return torch.where(inside.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
 
     @property
     def rows(self) -> Tensor:
         """Indices of the Gaussians that have a box, (M,) int64, ascending."""
         # numpy: every picture of rasterization() needs this, and torch takes eight times as long
-        return torch.from_numpy(np.flatnonzero(self.memory.boxed))
+        if self._projected is None:
+            return torch.zeros(0, dtype=torch.int64)
+        with exclusive:
+            return torch.from_numpy(np.flatnonzero(self._projected.boxed.numpy()))
 
     @property
     def conics(self) -> Tensor:
         """Inverse covariances in the picture, (N, 3): xx, xy, yy, per px^2."""
-        splat = self.memory.splat
+        splat = self._splat()
         p, q, r = splat.p, splat.q, splat.r
         return 2 * math.log(2) * torch.stack([p * p, p * q, q * q + r * r], dim=1)
 
     @property
     def opacities(self) -> Tensor:
         """Opacities as drawn, (N,): with ``antialiased`` lower than the Gaussians' own."""
-        return torch.exp2(self.memory.splat.lo)
+        return torch.exp2(self._splat().lo)
 
-
-@dataclass(frozen=True)
-class KernelMemory:
-    """The projected Gaussians in the kernels' memory, read as torch's tensors."""
-
-    projected: ProjectedMemory | None  # None if there is no Gaussian
-    format: RecordFormat  # of its splats
-    size: tuple[int, int]  # of the picture: width, height, px
-    empty: Tensor  # (0,), of the Gaussians' dtype
-
-    @property
     @exclusive
-    def splat(self) -> Splat:
-        """The splats of all Gaussians, fields (N,); the colours are those of the first chunk."""
-        if self.projected is None:
-            return Splat.unpack([self.empty] * Splat.columns(self.format), self.format)
-        n, columns = dr.width(self.projected.radii), []
-        widths = packets.widths(Splat.columns(self.format))
-        for part, width in zip(self.projected.splats[0], widths, strict=True):
+    def _splat(self) -> Splat:
+        """Return the splats of all Gaussians, fields (N,); colours are those of the first chunk."""
+        if self._projected is None:
+            return Splat.unpack([self._empty] * Splat.columns(self._format), self._format)
+        n, columns = dr.width(self._projected.radii), []
+        widths = packets.widths(Splat.columns(self._format))
+        for part, width in zip(self._projected.splats[0], widths, strict=True):
             columns += tensor_of(part).view(-1, width)[:n].unbind(1)
-        return Splat.unpack(columns, self.format)
+        return Splat.unpack(columns, self._format)
 
-    @property
     @exclusive
-    def footprint_rows(self) -> np.ndarray:
-        """The footprints as a table (N, columns)."""
+    def _footprint_rows(self) -> np.ndarray:
+        """Return the footprints as a table (N, columns)."""
         width = Footprint.columns()
-        if self.projected is None:
-            return self.empty.detach().view(0, width).numpy()  # under torch.func it is no plain one
-        (rows,) = self.projected.footprints
-        return rows.numpy().reshape(-1, width)[: dr.width(self.projected.radii)]
+        if self._projected is None:  # detached: under torch.func it is no plain tensor
+            return self._empty.detach().view(0, width).numpy()
+        (rows,) = self._projected.footprints
+        return rows.numpy().reshape(-1, width)[: dr.width(self._projected.radii)]
 
     @exclusive
-    def number(self, name: str) -> Tensor:
+    def _number(self, name: str) -> Tensor:
         """Return the field ``name`` of ``ProjectedMemory``, (N,)."""
-        return self.empty if self.projected is None else tensor_of(getattr(self.projected, name))
-
-    @property
-    @exclusive
-    def boxed(self) -> np.ndarray:
-        """``ProjectedMemory.boxed``, (N,)."""
-        return np.zeros(0, bool) if self.projected is None else self.projected.boxed.numpy()
+        return self._empty if self._projected is None else tensor_of(getattr(self._projected, name))

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 
 from gva_mi.data.normals import normal_colors
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Video, spread
-from gva_mi.fit.renders import cut_out, render_frame, to_8bit
+from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.geometry import with_axes
 from gva_mi.study.evaluate import SplitView
@@ -46,11 +47,11 @@ def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarr
     yield cut_out(frame)
     if frame.normals is not None:
         inside = frame.mask[..., None] > 0.5
-        yield to_8bit(np.where(inside, normal_colors(frame.normals), 1))
+        yield in_8_bits(np.where(inside, normal_colors(frame.normals), 1))
     with torch.no_grad():
         whole = with_axes(shown.avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
-        yield to_8bit(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
+        yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
     yield from list(turntable(shown.avatar, frame.pose, turned + 1, video.size))[1:]
 
 

@@ -17,9 +17,10 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame, Video, spread
 from gva_mi.fit.camera_paths import CameraPath, shots
-from gva_mi.fit.renders import cut_out, render_frame, to_8bit
+from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
 from gva_mi.study.metrics import aligned_views
@@ -165,7 +166,7 @@ def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
         focal = distance * scale
         camera = Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
         with torch.no_grad():
-            views.append(to_8bit(render(small, camera, background=torch.ones(3)).color.numpy()))
+            views.append(in_8_bits(render(small, camera, background=torch.ones(3)).color.numpy()))
     return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))
 
 

@@ -14,8 +14,9 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Video
-from gva_mi.fit.renders import layer_of, over, to_8bit
+from gva_mi.fit.renders import layer_of, over
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.viewer.cameras import inscribed
 from gva_mi.viewer.skeleton import draw_skeleton
@@ -66,7 +67,7 @@ class Drawing:
     def _inscribed_frame(self, state: State, width: int, height: int) -> np.ndarray:
         from PIL import Image
 
-        image = to_8bit(self._video[state.frame].image)
+        image = in_8_bits(self._video[state.frame].image)
         size = inscribed(image.shape[1], image.shape[0], width, height)
         canvas = np.full((height, width, 3), state.background, dtype=np.uint8)
         left, top = (width - size[0]) // 2, (height - size[1]) // 2

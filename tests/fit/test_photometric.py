@@ -9,10 +9,10 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, save_poses
 from gva_mi.core.errors import InputError
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import load_video, save_cameras
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.renders import DRAWN, to_8bit
+from gva_mi.fit.renders import DRAWN
 from gva_mi.splat import Camera, look_at, render
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
@@ -73,8 +73,8 @@ def talking(tmp_path_factory, known, turning):
     for k in range(frames):
         with torch.no_grad():
             image = render(known(pose[k]), near, DRAWN, torch.full((3,), 0.3))
-        write_image(folder / f"frames/{k:06d}.png", to_8bit(image.color.numpy()))
-        write_image(folder / f"masks/{k:06d}.png", to_8bit(image.alpha.numpy()))
+        write_image(folder / f"frames/{k:06d}.png", in_8_bits(image.color.numpy()))
+        write_image(folder / f"masks/{k:06d}.png", in_8_bits(image.alpha.numpy()))
     save_poses(folder / "poses.npz", pose, shape, stage=1)
     save_cameras(folder / "cameras.npz", [near] * frames)
     return load_video(folder)

@@ -8,11 +8,11 @@ import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.data.crop import Box
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.video import load_video
 from gva_mi.data.views import save_views
 from gva_mi.fit.perceptual import Weights
-from gva_mi.fit.renders import render_frame, to_8bit
+from gva_mi.fit.renders import render_frame
 from gva_mi.splat import look_at
 from gva_mi.study.evaluate import evaluate, evaluate_views, views_of, with_trained_poses
 from gva_mi.study.scores import PSNR_MAX, Scorer
@@ -146,7 +146,7 @@ def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
 
 def test_eight_bits_are_rounded_and_clamped():
     x = np.array([-1, 0, 0.4 / 255, 0.6 / 255, 0.5, 1, 2])
-    np.testing.assert_array_equal(to_8bit(x), [0, 0, 0, 1, 128, 255, 255])
+    np.testing.assert_array_equal(in_8_bits(x), [0, 0, 0, 1, 128, 255, 255])
 
 
 def test_the_background_is_where_the_person_is_not(known, studio, camera):

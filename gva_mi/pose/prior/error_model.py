@@ -160,13 +160,8 @@ def fit_slow_part(
 def outlier_factors(
     errors: Tensor, K: Tensor, error_models: Sequence[Stage1ErrorModel], factors: Tensor
 ) -> Tensor:
-    """Update the factors ``f`` (C, n) of eq. 2.
-
-    Args:
-        errors: (C, n, d).
-        K: (C, n, n) eq. 2 with the present factors, float64.
-        error_models: C models.
-        factors: (C, n), the present ones.
+    """Update the factors ``f`` (C, n) of eq. 2 by errors (C, n, d); ``K`` (C, n, n) is of the
+    present ones.
     """
     variance = torch.tensor([noise.white_variance for noise in error_models])[:, None, None]
     # The expectation of the white part, given all errors.

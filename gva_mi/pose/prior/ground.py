@@ -113,9 +113,7 @@ class Ground:
     @staticmethod
     @torch.no_grad()
     def under(soles: Soles, pose: Pose, times: Tensor, R_camera_world: Tensor) -> Ground:
-        """Fit the ground to poses of n frames; images show motions sideways in the axes of the
-        camera.
-        """
+        """Fit the ground to poses of n frames; images show motions sideways, across the camera."""
         places = soles.places(pose.rotations, pose.transl)
         axes = _axes(pose)
         height = (places @ axes[0]).view(len(places), 2, 2)

@@ -42,37 +42,22 @@ class PriorTerm(Protocol):
     """How improbable a motion is without any image."""
 
     def energy(self, rotations: Tensor, transl: Tensor, times: Tensor) -> Tensor:
-        """Return nats, differentiable.
-
-        Args:
-            rotations: (n, J, 3) axis-angle, relative to the parent joint.
-            transl: (n, 3) metres, world.
-            times: (n,) numbers of the frames.
-        """
+        """Return nats, differentiable, of poses (n, J, 3) and (n, 3) in frames of numbers (n,)."""
         ...
 
 
 @dataclass(frozen=True)
 class PosePrior:
-    """The prior of all corrections of a clip.
+    """The prior of all corrections of a clip."""
 
-    Attributes:
-        noise: stage 1's errors: of each group of joints in radians, of the position in metres.
-        pelvis: process of one joint, which may turn steadily.
-        joints: process of all others but the face, in the order of ``JOINTS``.
-        place: process of the person's position in the camera's axes; it may change steadily.
-        tilt: a :class:`PriorTerm`, whose nats are a mean over the frames.
-        ground: a :class:`PriorTerm`, whose nats are of the whole clip; None before it is fitted.
-        known: names of the models of ``noise`` that are knowledge about the estimator, and are not
-            inferred.
-    """
-
+    # stage 1's errors: of groups of joints in radians, of the position in metres
     noise: Mapping[str, Stage1ErrorModel]
-    pelvis: ProcessPrior
-    joints: ProcessPrior
-    place: ProcessPrior
-    tilt: TiltPrior
-    ground: Ground | None = None
+    pelvis: ProcessPrior  # of one joint, which may turn steadily
+    joints: ProcessPrior  # of all others but the face, in the order of ``JOINTS``
+    place: ProcessPrior  # of the person's position in the camera's axes; it may change steadily
+    tilt: TiltPrior  # its nats are a mean over the frames
+    ground: Ground | None = None  # its nats are of the whole clip; None before it is fitted
+    # models of ``noise`` that are knowledge about the estimator, and are not inferred
     known: frozenset[str] = frozenset()
 
 
@@ -99,10 +84,7 @@ def prior_from_stage1(
 ) -> PosePrior:
     """Infer white errors and the speed of the motion from stage 1 alone.
 
-    Args:
-        stage1: what will be corrected.
-        known: the error model of the estimator that made it, by group; other groups, or None: it
-            is inferred.
+    What is ``known`` of the estimator, by group, is not inferred.
     """
     turns, shifts = stage1.steps(stage1.pose)
     noise = {
@@ -131,11 +113,7 @@ def prior_from_corrections(
 ) -> PosePrior:
     """Infer the prior from corrections that images made under a weaker one.
 
-    Args:
-        before: the prior so far.
-        stage1: what was corrected.
-        turns: (n, J, 3) in the camera's axes, radians.
-        moves: (n, 3) in the camera's axes, metres.
+    The turns (n, J, 3) radians and the moves (n, 3) metres are in the camera's axes.
     """
     noise = _noise(before.noise, stage1.times, turns, moves)
     noise |= {name: before.noise[name] for name in before.known}
@@ -155,13 +133,9 @@ def prior_from_corrections(
 def updated_process(
     before: ProcessPrior, error_models: list[Stage1ErrorModel], corrections: Tensor, steps: Tensor
 ) -> ProcessPrior:
-    """Update a process after corrections have shown more.
+    """Update a process after corrections (n, C, d) have shown more, with C updated error models.
 
-    Args:
-        before: the process so far.
-        error_models: the C updated error models.
-        corrections: (n, C, d).
-        steps: (n - 1, C, ...) from frame to frame, of the coordinates that images show.
+    ``steps`` (n - 1, C, ...) lead from frame to frame, in the coordinates that images show.
     """
     changes = before.changes(steps)
     times = before.times[: len(changes)].float()

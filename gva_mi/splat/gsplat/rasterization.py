@@ -31,8 +31,7 @@ from gva_mi.splat.gsplat.arguments import (
     require_tensors,
     require_unused,
 )
-from gva_mi.splat.gsplat.meta import Meta
-from gva_mi.splat.gsplat.views import RenderedView, RenderedViews, joined
+from gva_mi.splat.gsplat.views import Meta, RenderedView, RenderedViews, joined
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_render import expected_depth

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import weakref
+from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,11 +15,22 @@ from gva_mi.splat.autograd import Render
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.gsplat.means2d import ProjectMeans
-from gva_mi.splat.gsplat.meta import Meta
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
 from gva_mi.splat.torch_passes import Drawn, RenderCall, Tensors
 from gva_mi.splat.torch_render import tensors_of
+
+
+class Meta(UserDict):
+    """A dictionary whose functions are called, and replaced by their result, when they are read.
+
+    Most programs read a few entries of gsplat's ``meta``, and only in some steps.
+    """
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401
+        if callable(self.data[name]):
+            self.data[name] = self.data[name]()
+        return self.data[name]
 
 
 @dataclass(frozen=True)
@@ -125,7 +138,7 @@ class RenderedViews:
     def meta(self, opacities: Tensor, tile_size: int) -> Meta:
         """Return gsplat's ``meta``; the Gaussians' opacities are (..., N)."""
         camera, C = self.camera, self.shape[-1]
-        values = {
+        entries = {
             "means2d": self.means2d,
             "depths": self.join(view.depths for view in self.views),
             "width": camera.width,
@@ -135,8 +148,6 @@ class RenderedViews:
             "n_cameras": C,
             "tile_width": -(-camera.width // tile_size),
             "tile_height": -(-camera.height // tile_size),
-        }
-        recipes = {
             "batch_ids": lambda: self._ids(lambda v: v // C),
             "camera_ids": lambda: self._ids(lambda v: v % C),
             "gaussian_ids": self._gaussian_ids,
@@ -144,7 +155,7 @@ class RenderedViews:
             "conics": lambda: self.of_screens(lambda screen: screen.conics),
             "opacities": lambda: self._opacities(opacities),
         }
-        return Meta(values, recipes)
+        return Meta(entries)
 
     def _ids(self, of_view: Callable[[int], int]) -> Tensor | None:
         """A number of each row's picture; None where rows are not packed."""

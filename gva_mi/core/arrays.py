@@ -10,8 +10,8 @@ from __future__ import annotations
 import io
 import math
 import zipfile
-from collections.abc import Collection, Iterator, Sequence
-from typing import BinaryIO, NamedTuple
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -55,16 +55,12 @@ class Budget:
         self.left -= size
 
 
-class Header(NamedTuple):
-    """Header of a ``.npy``: shape, dtype and order of the array that follows."""
+def read_header(file: BinaryIO) -> tuple[np.dtype, tuple[int, ...], str]:
+    """Return dtype, shape and order ("C" or "F") of a ``.npy``'s array.
 
-    shape: tuple[int, ...]
-    order: str  # "C" or "F"
-    dtype: np.dtype
-
-
-def read_header(file: BinaryIO) -> Header:
-    """Read the header of a ``.npy``; raise Refused or ValueError if it has none."""
+    Raises:
+        Refused, ValueError: it has no header that is known.
+    """
     version = np.lib.format.read_magic(file)
     read = {
         (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
@@ -72,16 +68,22 @@ def read_header(file: BinaryIO) -> Header:
     if read is None:
         raise Refused(f"a .npy of version {version}")
     shape, fortran, dtype = read(file)
-    return Header(shape, "F" if fortran else "C", dtype)
+    return dtype, shape, "F" if fortran else "C"
 
 
-def read_npy(data: bytes) -> np.ndarray:
-    """Return the array of a whole ``.npy``; raise Refused, Damaged or ValueError if it is none."""
+def read_npy(data: bytes, unpickle: Callable[[bytes], Any] | None = None) -> Any:  # noqa: ANN401
+    """Return the array of a whole ``.npy``, or what ``unpickle`` makes of the objects in it.
+
+    Raises:
+        Refused, Damaged, ValueError: it is none.
+    """
     file = io.BytesIO(data)
-    header = read_header(file)
-    if header.dtype.hasobject:
+    dtype, *form = read_header(file)
+    if not dtype.hasobject:
+        return bytes_to_array(memoryview(data)[file.tell() :], dtype, *form)
+    if unpickle is None:
         raise Refused("pickled objects")
-    return bytes_to_array(memoryview(data)[file.tell() :], header.dtype, header.shape, header.order)
+    return unpickle(data[file.tell() :])
 
 
 def read_entry(file: zipfile.ZipFile, name: str, budget: Budget) -> bytes:

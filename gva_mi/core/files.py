@@ -71,15 +71,13 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
         raise InputError(f"{path}: no such file; expected an array (.npy)")
     try:
         with path.open("rb") as file:
-            header = read_header(file)
-            if header.dtype.hasobject:
+            dtype, shape, order = read_header(file)
+            if dtype.hasobject:
                 raise Refused("pickled objects")
-            left = path.stat().st_size - file.tell()
-            require_bytes(header.shape, header.dtype.itemsize, left)
+            require_bytes(shape, dtype.itemsize, path.stat().st_size - file.tell())
             if mapped:
-                form = header.shape, header.order
-                return np.memmap(path, header.dtype, "r", file.tell(), *form)
-            return np.fromfile(file, header.dtype).reshape(header.shape, order=header.order)
+                return np.memmap(path, dtype, "r", file.tell(), shape, order)
+            return np.fromfile(file, dtype).reshape(shape, order=order)
     except Exception as error:
         raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
 

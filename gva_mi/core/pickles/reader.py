@@ -12,20 +12,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from gva_mi.core.arrays import (
-    LARGEST,
-    Budget,
-    Damaged,
-    Refused,
-    arrays_in,
-    bytes_to_array,
-    read_entry,
-    read_header,
-)
+from gva_mi.core.arrays import LARGEST, Budget, Damaged, Refused, arrays_in, read_entry, read_npy
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
-from gva_mi.core.pickles.torch_files import WITH_TENSORS, read_row_of_pickles, read_zip
-from gva_mi.core.pickles.unpickler import Unpickler, require_modest, resolve
+from gva_mi.core.pickles.unpickler import require_modest, resolve
+from gva_mi.core.pickles.values import load, load_row_of_pickles, storage_of
 
 _ROW_OF_PICKLES = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # torch's magic number, pickled
 
@@ -34,10 +25,7 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     """Read a file's dictionaries, lists, text, numbers and arrays.
 
     Tensors, sparse matrices and chumpy's arrays become plain arrays. No code of the file runs.
-
-    Args:
-        path: the file.
-        expected: what it should hold, for the error.
+    ``expected`` says in the error what it should hold.
 
     Raises:
         InputError: no such file; damaged; or it holds something that is not on the list, by name.
@@ -72,39 +60,40 @@ def _load(path: Path) -> Any:  # noqa: ANN401
         entries = Budget()  # apart from the budget of what is made of them
         with zipfile.ZipFile(path) as file:
             if any(name.rsplit("/")[-1] == "data.pkl" for name in file.namelist()):
-                return read_zip(file, lambda name: read_entry(file, name, entries))
-            return {name: _npy(data) for name, data in arrays_in(file, entries)}
+                return _tensors(file, entries)
+            return {name: read_npy(data, _pickle) for name, data in arrays_in(file, entries)}
     data = path.read_bytes()
     if data[:1] == b"\x78" or data[:2] == b"\x1f\x8b":
-        data = _unpacked(zlib.decompressobj(wbits=47), data)
+        packed = zlib.decompressobj(wbits=47)
+        data = packed.decompress(data, LARGEST)
+        if not packed.eof:
+            raise Damaged(f"compressed data end too early, or hold more than {LARGEST >> 30} GiB")
     if data[:6] == b"\x93NUMPY":
-        return _npy(data)
+        return read_npy(data, _pickle)
     if _ROW_OF_PICKLES in data[:32]:
-        return read_row_of_pickles(data)
+        return load_row_of_pickles(data)
     return _pickle(data)
-
-
-def _unpacked(decompressor: Any, data: bytes) -> bytes:  # noqa: ANN401
-    whole = decompressor.decompress(data, LARGEST)
-    if not decompressor.eof:
-        raise Damaged(f"compressed data end too early, or hold more than {LARGEST >> 30} GiB")
-    return whole
-
-
-def _npy(data: bytes) -> Any:  # noqa: ANN401
-    """Return the array of a .npy, or the pickle behind its header where it holds objects."""
-    file = BytesIO(data)
-    header = read_header(file)
-    data = data[file.tell() :]
-    if header.dtype.hasobject:
-        return _pickle(data)
-    return bytes_to_array(data, header.dtype, header.shape, header.order)
 
 
 def _pickle(data: bytes) -> Any:  # noqa: ANN401
     if b"NumpyArrayWrapper" not in data:  # joblib has the bytes of arrays between opcodes
         require_modest(data)
     try:
-        return Unpickler(BytesIO(data), WITH_TENSORS).load()
+        return load(BytesIO(data))
     except MemoryError:  # which it takes for whatever a damaged length claims
         raise Damaged("it claims more bytes than there is memory") from None
+
+
+def _tensors(file: zipfile.ZipFile, budget: Budget) -> Any:  # noqa: ANN401
+    """Read torch's newer container, a zip with one file a storage."""
+    read = lambda name: read_entry(file, name, budget)
+    pickled = next(name for name in file.namelist() if name.rsplit("/")[-1] == "data.pkl")
+    folder = pickled[: -len("data.pkl")]
+    if f"{folder}byteorder" in file.namelist() and read(f"{folder}byteorder") != b"little":
+        raise Refused("tensors in big-endian order")
+    found, data = {}, read(pickled)
+    require_modest(data)
+    root = load(BytesIO(data), lambda pid: storage_of(found, pid))
+    for key, storage in found.items():
+        storage.state = read(f"{folder}data/{key}")
+    return root

@@ -37,6 +37,9 @@ class Call:
 class Shell:
     """An object that a file makes first, of ``args``, and fills afterwards with a ``state``."""
 
+    text: str  # its name in the file
+    unpickler: Unpickler  # that reads it
+
     def __new__(cls, *args: object) -> Shell:
         """Make an empty one; the opcode NEWOBJ does not call ``__init__``."""
         self = super().__new__(cls)
@@ -48,20 +51,20 @@ class Shell:
 
     def value(self, budget: Budget, state: Any, *args: Any) -> Any:  # noqa: ANN401
         """Return the array or value of this shell; ``state`` and ``args`` are resolved."""
-        raise NotImplementedError
-
-
-Allowed = Mapping[str, Callable[..., Any] | None]
+        return state
 
 
 class Unpickler(pickle.Unpickler):
-    """Read one pickle from ``stream``; ``persistent_load`` resolves references out of it."""
+    """Read one pickle from ``stream``; ``outside`` resolves references out of it.
+
+    ``allowed`` names what a file may name: a kind of :class:`Shell`, or what :class:`Call` makes.
+    """
 
     def __init__(
-        self, stream: BytesIO, allowed: Allowed, persistent_load: Callable[[Any], Any] | None = None
+        self, stream: BytesIO, allowed: Mapping[str, Any], outside: Callable[[Any], Any] | None
     ) -> None:
         super().__init__(stream, encoding="latin1")
-        self.stream, self.allowed, self.outside = stream, allowed, persistent_load
+        self.stream, self.allowed, self.outside = stream, allowed, outside
 
     def find_class(self, module: str, name: str) -> type[Shell] | Call:
         module = {"__builtin__": "builtins", "copy_reg": "copyreg"}.get(module, module)

@@ -16,13 +16,15 @@ from gva_mi.data.importers.tracks import Track
 from gva_mi.data.mask_units import MaskMeaning
 from gva_mi.data.video import Splits
 
+Numbered = Mapping[int, Path]  # files by the data set's numbers
+
 
 @dataclass(frozen=True)
 class FixedCamera:
     """One of a data set's cameras: x_cam = R x + T."""
 
-    frames: Mapping[int, Path]  # pictures, by the data set's numbers
-    masks: Mapping[int, Path]  # those that are there, likewise
+    frames: Numbered
+    masks: Numbered  # those that are there
     K: np.ndarray  # (3, 3) pixels
     R: np.ndarray  # (3, 3)
     T: np.ndarray  # (3,) metres
@@ -30,12 +32,7 @@ class FixedCamera:
 
     @staticmethod
     def of_opencv(
-        frames: Mapping[int, Path],
-        masks: Mapping[int, Path],
-        K: object,
-        R: object,
-        T: object,
-        distortion: object,
+        frames: Numbered, masks: Numbered, K: object, R: object, T: object, distortion: object
     ) -> FixedCamera:
         """Make a camera from OpenCV's, whose first pixel has its centre at 0 and not at 0.5."""
         flat = lambda x: np.ravel(np.asarray(x, np.float64))

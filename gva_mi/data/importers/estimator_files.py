@@ -1,8 +1,7 @@
 """Open the files of pose estimators, look what they hold, and join frames to people.
 
-Readers (:mod:`.people_files`, :mod:`.frame_files`, :mod:`.smplx_json`) yield one
-:class:`SeenPerson` a person, with arrays (n, ...) under the file's own names. :mod:`.estimators`
-says what they mean.
+Readers (:mod:`.people_files`, :mod:`.frame_files`) yield one :class:`SeenPerson` a person, with
+arrays (n, ...) under the file's own names. :mod:`.estimators` says what they mean.
 """
 
 from __future__ import annotations
@@ -20,11 +19,12 @@ from gva_mi.core.pickles.reader import read_objects
 from gva_mi.data.importers.numbering import frames_named
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.people import follow
-from gva_mi.data.importers.spellings import holds_pose, unnested
+from gva_mi.data.importers.spellings import holds_pose, one_object, unnested
 
 ROMP = "results"  # the one key of ROMP's .npz
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
 _EXPECTED = "what a pose estimator wrote"
+_OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 _PICTURE = re.compile(r"\d\D*\.(png|jpe?g|bmp|webp)$", re.I)  # a numbered one
 
 
@@ -62,12 +62,18 @@ def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
     return array[0] if array.ndim > 1 and len(array) == 1 else array
 
 
-def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> list[SeenPerson]:
+def followed(
+    where: object, seen: Iterable[tuple[int, Mapping[str, Any]]], place: str
+) -> list[SeenPerson]:
     """Track people without ids: each continues as the nearest, by ``place``, in the next frame.
 
-    People with a lens of their own, K, are compared before one: :mod:`.one_lens`.
+    ``seen`` are frame and arrays of each person in any order of frames. People with a lens of their
+    own, K, are compared before one: :mod:`.one_lens`.
     """
-    frames = list(frames)
+    by_frame: dict[int, list] = {}
+    for number, person in seen:
+        by_frame.setdefault(number, []).append(person)
+    frames = sorted(by_frame.items())
     everyone = [person for _, people in frames for person in people]
     places = np.array([np.ravel(person[place]) for person in everyone]).reshape(-1, 3)
     if everyone and "K" in everyone[0]:
@@ -83,23 +89,18 @@ def followed(where: object, frames: Iterable[tuple[int, list]], place: str) -> l
 
 
 def plain(found: Any) -> Any:  # noqa: ANN401
-    """Unwrap an array of one object, numpy's way to keep a dictionary.
+    """Unwrap an array of one object.
 
     A ``.npz`` of one such array is read as a ``.npy`` of it, whatever its key; but not ROMP's,
     which is recognised by its key.
     """
     if isinstance(found, dict) and len(found) == 1:
         (key, value), *_ = found.items()
-        inner = _one_object(value)
+        inner = one_object(value)
         if key == "arr_0" and isinstance(value, np.ndarray):  # numpy's own name for an unnamed one
             return inner
         return inner if isinstance(inner, dict) and inner is not value and key != ROMP else found
-    return _one_object(found)
-
-
-def _one_object(found: Any) -> Any:  # noqa: ANN401
-    one = isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1
-    return found.item() if one else found
+    return one_object(found)
 
 
 def read_source(source: Path, expected: str = _EXPECTED) -> Any:  # noqa: ANN401
@@ -163,3 +164,20 @@ def any_holds(found: Any, *names: str) -> bool:  # noqa: ANN401
     """Whether one of a file's people, or frames, has all these names."""
     whole = isinstance(found, dict) and all(isinstance(p, dict) for p in found.values())
     return whole and any(holds(person, *names) for person in found.values())
+
+
+def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN401
+    """Refuse by name the parameters of MHR, the body of SAM 3D Body, however deep they lie."""
+    if isinstance(found, np.ndarray):
+        found = found.ravel()[:20].tolist() if found.dtype.hasobject else ()
+    if isinstance(found, Mapping) and _OF_MHR & set(map(str, found)):
+        raise InputError(
+            f"{where}: holds parameters of MHR, as SAM 3D Body writes, which is another body than "
+            "SMPL-X; convert_sam3d_output_to_smplx of tools/mhr_smpl_conversion in MHR's "
+            "repository, not in its pip package, fits SMPL-X to it: save its result_parameters by "
+            "name (.npz)"
+        )
+    if deep and isinstance(found, Mapping | list | tuple):
+        inner = found.values() if isinstance(found, Mapping) else found
+        for value in list(inner)[:20]:  # frames are alike
+            refuse_mhr(where, value, deep - 1)

@@ -41,7 +41,7 @@ class Estimator:
     expects: str  # for messages
     recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
     people: Callable[[str, Any], Iterable[SeenPerson]]
-    lens: Lens
+    lens: Lens = lambda where, arrays, info: arrays["K"]  # noqa: E731 (by default, the file's own)
     names: Names = field(default_factory=dict)  # none: the names of fields.py
     of_pelvis: bool = False  # its translation is the pelvis's position
     mean_hand: bool = False  # fingers are relative to the mean hand
@@ -85,10 +85,6 @@ class Estimator:
 
 def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     return np.eye(3)
-
-
-def own_K(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    return arrays["K"]
 
 
 def focal_of(rule: Callable[[VideoInfo], float]) -> Lens:

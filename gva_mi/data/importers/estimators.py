@@ -6,7 +6,6 @@ focal length that an estimator assumed is kept, because its translations hold wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers import estimator_files as files
 from gva_mi.data.importers import frame_files as frames
 from gva_mi.data.importers import people_files as people
-from gva_mi.data.importers import smplx_json
-from gva_mi.data.importers.estimator_files import SeenPerson, any_holds, holds
+from gva_mi.data.importers.estimator_files import any_holds, holds
 from gva_mi.data.importers.estimator_record import (
     Estimator,
     VideoInfo,
@@ -28,13 +26,11 @@ from gva_mi.data.importers.estimator_record import (
     lens_of_romp,
     lens_of_wham,
     no_lens,
-    own_K,
 )
 from gva_mi.data.importers.spellings import named_rows
 from gva_mi.data.importers.tracks import Track
 
 FAR_FOCAL = 5000.0  # pixels, of estimators that assume that a person stands far away
-_OF_MHR = {"mhr_model_params", "mhr_shape_params", "body_pose_params"}
 
 
 def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
@@ -43,66 +39,21 @@ def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[
                               "its folder")  # fmt: skip
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
         found = named_rows(source, found)
-    refuse_mhr(source, files.first_of(found))
+    files.refuse_mhr(source, files.first_of(found))
     kind = kind_of(found) or "" if kind == "auto" else kind
     if not kind:
         known = "; ".join(f"{name}: {record.expects}" for name, record in KINDS.items())
         raise InputError(f"{source}: of no kind that is known; looked for {known}")
-    return kind, tracks_of(kind, source, found, info)
+    record = KINDS[kind]
+    if not record.recognises(found):
+        raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
+    with expecting(f"{source} (of the kind {kind})", record.expects):
+        return kind, record.tracks(str(source), found, info)
 
 
 def kind_of(found: Any) -> str | None:  # noqa: ANN401
     """Return which of :data:`KINDS` wrote a file (its content) or folder (its path), or None."""
     return next((name for name, record in KINDS.items() if record.recognises(found)), None)
-
-
-def tracks_of(kind: str, source: Path, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
-    """Return a track per person of a file's content or a folder (its path), frames ascending."""
-    record = KINDS[kind]
-    if not record.recognises(found):
-        raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
-    with expecting(f"{source} (of the kind {kind})", record.expects):
-        return record.tracks(str(source), found, info)
-
-
-def refuse_mhr(where: object, found: Any, deep: int = 4) -> None:  # noqa: ANN401
-    """Refuse by name the parameters of MHR, the body of SAM 3D Body, however deep they lie."""
-    if isinstance(found, np.ndarray):
-        found = found.ravel()[:20].tolist() if found.dtype.hasobject else ()
-    if isinstance(found, Mapping) and _OF_MHR & set(map(str, found)):
-        raise InputError(
-            f"{where}: holds parameters of MHR, as SAM 3D Body writes, which is another body than "
-            "SMPL-X; convert_sam3d_output_to_smplx of tools/mhr_smpl_conversion in MHR's "
-            "repository, not in its pip package, fits SMPL-X to it: save its result_parameters by "
-            "name (.npz)"
-        )
-    if deep and isinstance(found, Mapping | list | tuple):
-        inner = found.values() if isinstance(found, Mapping) else found
-        for value in list(inner)[:20]:  # frames are alike
-            refuse_mhr(where, value, deep - 1)
-
-
-def _gvhmr(name: str) -> Callable[[str, dict], Iterable[SeenPerson]]:
-    """Return a reader of one of GVHMR's two parameter sets (camera or world) of one person."""
-
-    def one(where: str, found: dict) -> Iterable[SeenPerson]:
-        person = found[name]
-        yield SeenPerson(
-            "0", np.arange(len(person["body_pose"])), {**person, "K": found.get("K_fullimg")}
-        )
-
-    return one
-
-
-def _along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
-    """Transform TRAM's people to the world of its camera path."""
-    about = people.tram_camera(found)
-    if not holds(about, "pred_cam_R", "pred_cam_T"):
-        return None
-    R, T = (np.asarray(about[f"pred_cam_{x}"], np.float64) for x in "RT")
-    if R.ndim != 3 or T.ndim != 2:
-        return None
-    return [track.seen_from(R[track.frames], T[track.frames]) for track in tracks]
 
 
 _MULTI_HMR_ANGLE = np.radians(60.0 / 2)  # half of what the longer side is seen under
@@ -128,7 +79,7 @@ KINDS: dict[str, Estimator] = {
     ),
     "prompthmr": Estimator(
         "people with smplx_cam, and a camera",
-        lambda x: people.of_prompthmr(x, "smplx_cam"), people.prompthmr("smplx_cam"), own_K,
+        lambda x: people.of_prompthmr(x, "smplx_cam"), people.prompthmr("smplx_cam"),
     ),
     "vibe": Estimator(
         "people with pose, orig_cam and frame_ids",
@@ -138,7 +89,7 @@ KINDS: dict[str, Estimator] = {
     ),
     "gvhmr": Estimator(
         "smpl_params_incam and K_fullimg",
-        lambda x: holds(x, "smpl_params_incam", "K_fullimg"), _gvhmr("smpl_params_incam"), own_K,
+        lambda x: holds(x, "smpl_params_incam", "K_fullimg"), people.gvhmr("smpl_params_incam"),
     ),
     "4dhumans": Estimator(
         "frames with tid, smpl and camera",
@@ -161,9 +112,9 @@ KINDS: dict[str, Estimator] = {
     ),
     "tram": Estimator(
         "a folder with hps/hps_track_0.npy and camera.npy",
-        lambda x: bool(people.tram_files(x)), people.tram, own_K,
-        {"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
-        along_path=_along_path, up=None,
+        lambda x: bool(people.tram_files(x)), people.tram,
+        names={"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
+        along_path=people.along_path, up=None,
     ),
     "romp": Estimator(
         "results with smpl_thetas and cam_trans", frames.is_romp, frames.romp, lens_of_romp,
@@ -182,11 +133,11 @@ KINDS: dict[str, Estimator] = {
     ),
     "smplerx": Estimator(
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
-        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, own_K, mean_hand=True, first=1,
+        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, mean_hand=True, first=1,
     ),
     "osx": Estimator(
         "a folder with 12_0.json of smplx_param and cam_param",
-        smplx_json.is_osx, smplx_json.osx, own_K, mean_hand=True, first=None,
+        frames.is_osx, frames.osx, mean_hand=True, first=None,
     ),
     "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
@@ -204,6 +155,6 @@ WORLDS = {  # of people in the estimator's own world
     ),
     "gvhmr": Estimator(
         "smpl_params_global", lambda x: holds(x, "smpl_params_global"),
-        _gvhmr("smpl_params_global"), no_lens, up="y",
+        people.gvhmr("smpl_params_global"), no_lens, up="y",
     ),
 }  # fmt: skip

@@ -20,8 +20,7 @@ from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hands import SIDES, ForeignHand, read_hands
 from gva_mi.data.importers.people import joint_pixels
-from gva_mi.data.importers.timeline import interpolate
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.tracks import Track, interpolate
 
 NEAR = 5  # frames around a hand that was seen, in which it is held
 _HANDS = {"left": LEFT_HAND, "right": RIGHT_HAND}

@@ -16,9 +16,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.pose import JOINTS, LARGEST, PARENTS
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
-from gva_mi.data.importers.retarget import Retargeted, leg_length, on_body
+from gva_mi.data.importers.retarget import Places, leg_length, on_body
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.world import unit
 
 COUNT = 22  # joints above hands and face
 _PRIOR = 0.08  # weight of the shortest rotation, where a limb bent by 90 degrees weighs 1
@@ -39,20 +41,22 @@ _HINGES = {  # limb: its lower part, and the axis about which that bends, in the
 }  # fmt: skip
 
 
-def poses_from_joints(places: np.ndarray, body: np.ndarray, fps: float) -> Retargeted:
-    """Return poses of a body whose joints lie as ``places``.
+def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
+    """Return the track of a body whose joints lie as ``places``; frames of NaN are left out.
 
     Args:
-        places: (T, 22, 3) of SMPL-X's first joints, finite, in any unit.
-        body: (55, 3) joints at rest.
+        places: (T, 22, 3) of SMPL-X's first joints, in any unit.
         fps: frames a second.
+        body: (55, 3) joints at rest, metres.
     """
+    known = np.flatnonzero((np.abs(places) < LARGEST["transl"]).all((1, 2)))
+    places = places[known]
     at = {name: places[:, k] for k, name in enumerate(JOINTS[:COUNT])}
     own = dict(zip(JOINTS, body, strict=True))
     A = {}
     for name, around in _FIXED.items():
-        ours = np.stack([_unit(own[other] - own[name]) for other in around])
-        theirs = np.stack([_unit(at[other] - at[name]) for other in around], 1)
+        ours = np.stack([unit(own[other] - own[name]) for other in around])
+        theirs = np.stack([unit(at[other] - at[name]) for other in around], 1)
         A[name] = nearest_rotations(np.einsum("tka,kb->tab", theirs, ours))
     A |= _spine(A["pelvis"], A["spine3"], own, at)
     for name, parent in zip(JOINTS, PARENTS, strict=True):
@@ -68,16 +72,10 @@ def poses_from_joints(places: np.ndarray, body: np.ndarray, fps: float) -> Retar
         "what turns about bones is inferred; head, hands and feet follow the bone before them",
         f"places are scaled by {scale:.3g}, by which its legs are as long as the body's",
     ]
-    return Retargeted(*on_body(A, at, own, scale), False, notes)
+    return on_body("joints without rotations", known, A, at, own, scale, notes)
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
-    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
-
-
-def _spine(
-    pelvis: np.ndarray, chest: np.ndarray, own: dict[str, np.ndarray], at: dict[str, np.ndarray]
-) -> dict[str, np.ndarray]:
+def _spine(pelvis: np.ndarray, chest: np.ndarray, own: Places, at: Places) -> Places:
     """Return the rotations of the two joints between pelvis and chest.
 
     They lie between both, turned alike so that the chest is where it is seen from the first. Each
@@ -86,28 +84,26 @@ def _spine(
     between = to_rotvecs(pelvis.swapaxes(1, 2) @ chest)
     first, second = (pelvis @ to_matrices(share * between) for share in (1 / 3, 2 / 3))
     ours = first @ (own["spine2"] - own["spine1"]) + second @ (own["spine3"] - own["spine2"])
-    turn = to_matrices(shortest(_unit(ours), _unit(at["spine3"] - at["spine1"])))
+    turn = to_matrices(shortest(unit(ours), unit(at["spine3"] - at["spine1"])))
     return {"spine1": turn @ first, "spine2": turn @ second}
 
 
-def _pointed(
-    A: np.ndarray, own: dict[str, np.ndarray], at: dict[str, np.ndarray], name: str
-) -> np.ndarray:
+def _pointed(A: np.ndarray, own: Places, at: Places, name: str) -> np.ndarray:
     """Return A (T, 3, 3) turned the shortest way by which the bone of ``name`` points as seen."""
     child = _BONES[name]
-    ours, theirs = _unit(A @ (own[child] - own[name])), _unit(at[child] - at[name])
+    ours, theirs = unit(A @ (own[child] - own[name])), unit(at[child] - at[name])
     return to_matrices(shortest(ours, theirs)) @ A
 
 
-def _turned_by_hinge(A: np.ndarray, at: dict[str, np.ndarray], name: str, fps: float) -> np.ndarray:
+def _turned_by_hinge(A: np.ndarray, at: Places, name: str, fps: float) -> np.ndarray:
     """Return A (T, 3, 3) turned about its bone so that the next joint bends about its hinge."""
     joint, axis = _HINGES[name]
-    bone, lower = _unit(at[joint] - at[name]), _unit(at[_BONES[joint]] - at[joint])
+    bone, lower = unit(at[joint] - at[name]), unit(at[_BONES[joint]] - at[joint])
     seen = np.cross(bone, lower)  # as long as the sine of the bend
     if "knee" in joint:
         ankle, foot = at[_BONES[joint]], at[_BONES[_BONES[joint]]]
-        seen = seen + _FOOT * np.cross(_unit(foot - ankle), bone)
-    hinge = _unit(np.cross(np.cross(bone, A @ np.array(axis)), bone))
+        seen = seen + _FOOT * np.cross(unit(foot - ankle), bone)
+    hinge = unit(np.cross(np.cross(bone, A @ np.array(axis)), bone))
     phase = (seen * hinge).sum(1) + 1j * (seen * np.cross(bone, hinge)).sum(1)
     angle = np.angle(_smoothed(phase, fps) + _PRIOR)
     return to_matrices(angle[:, None] * bone) @ A

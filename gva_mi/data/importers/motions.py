@@ -24,21 +24,21 @@ from gva_mi.body.pose import LEFT_HAND, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, require_ranges
-from gva_mi.data.importers.estimator_files import first_of, holds, read_source
+from gva_mi.data.importers.estimator_files import first_of, holds, read_source, refuse_mhr
 from gva_mi.data.importers.estimator_record import Estimator, VideoInfo, lens_by_name
-from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of, refuse_mhr
+from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of
 from gva_mi.data.importers.frame_rate import FPS, rate_of
 from gva_mi.data.importers.hand_merge import merge_hands
+from gva_mi.data.importers.joint_fit import joints_track
 from gva_mi.data.importers.joint_motion import RATE, joints_in
 from gva_mi.data.importers.lens import through_lens
 from gva_mi.data.importers.mosh import from_mosh
 from gva_mi.data.importers.one_lens import is_one_lens, usual_lens
 from gva_mi.data.importers.people import choose
-from gva_mi.data.importers.skeleton_tracks import bvh_track, joints_track
+from gva_mi.data.importers.retarget import bvh_track
 from gva_mi.data.importers.spellings import named_rows, unnested
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.timeline import interpolate, longest_gap
-from gva_mi.data.importers.tracks import Track, make_track, median_betas
+from gva_mi.data.importers.tracks import Track, interpolate, make_track, median_betas
 from gva_mi.data.importers.world import LEANS, UP, Upward, upright
 
 HANDS = ("relaxed", "flat")
@@ -172,13 +172,12 @@ def _read(
     """Read one person's track, frames per second, the form's own up axis, and notes."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
-        track, fps, notes = bvh_track(path, body)
-        return track, rate_of(where, {"fps": fps}, options.source_fps), None, notes
+        track, fps = bvh_track(path, body)
+        return track, rate_of(where, {"fps": fps}, options.source_fps), None, []
     found = from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
-        track, notes = joints_track(places, rate, body)
-        return track, rate, None, notes
+        return joints_track(places, rate, body.joints), rate, None, []
     refuse_mhr(where, first_of(found))
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
         found = named_rows(path, found)
@@ -269,7 +268,8 @@ def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndar
 def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptions) -> None:
     if not known.any():
         raise InputError(f"{where}: every frame holds a number that is not finite")
-    gap = longest_gap(known) / rate
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
+    gap = (edges[1::2] - edges[::2]).max(initial=0) / rate
     if gap > options.gap:
         raise InputError(
             f"{where}: {gap:.3g} s in a row without numbers, in frames "

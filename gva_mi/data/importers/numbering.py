@@ -10,16 +10,20 @@ from typing import Any
 import numpy as np
 
 
+def numbers_in(name: object) -> list[int]:
+    """Return the numbers in a file's name, without its suffix, from the last to the first."""
+    return [int(x) for x in re.findall(r"\d+", Path(str(name)).stem)[::-1]]
+
+
 def number_in(name: object) -> int:
     """Return the last number in a file's name, usually the frame number.
 
     Raises:
         ValueError: there is none.
     """
-    numbers = re.findall(r"\d+", Path(str(name)).stem)
-    if not numbers:
-        raise ValueError(f"no number in the name '{name}'")
-    return int(numbers[-1])
+    for number in numbers_in(name):
+        return number
+    raise ValueError(f"no number in the name '{name}'")
 
 
 def frames_named(names: Sequence[object]) -> np.ndarray:
@@ -31,11 +35,9 @@ def frames_named(names: Sequence[object]) -> np.ndarray:
         ValueError: a name has no number.
     """
     last = [number_in(name) for name in names]
-    rows = [re.findall(r"\d+", Path(str(name)).stem)[::-1] for name in names]
-    for column in zip(*rows, strict=False):
-        if len(set(map(int, column))) == len(set(map(str, names))):
-            return np.array([int(x) for x in column])
-    return np.array(last)
+    columns = zip(*map(numbers_in, names), strict=False)
+    different = (x for x in columns if len(set(x)) == len(set(map(str, names))))
+    return np.array(next(different, last))
 
 
 def first_number(
@@ -62,8 +64,7 @@ def first_number(
 
 def by_number(path: Path) -> tuple[int, str]:
     """Return a sort key: frame_2 before frame_10, names without a number first."""
-    numbers = re.findall(r"\d+", path.stem)
-    return (int(numbers[-1]) if numbers else -1, path.name)
+    return (*numbers_in(path)[:1], -1)[0], path.name
 
 
 def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401

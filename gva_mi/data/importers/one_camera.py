@@ -15,10 +15,10 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, read_json, require_keys
-from gva_mi.data.importers import smplx_json
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.estimator_files import stacked
 from gva_mi.data.importers.footage import files_of
+from gva_mi.data.importers.frame_files import osx_parameters
 from gva_mi.data.importers.lens import CAMERA, lens_in
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
@@ -52,7 +52,8 @@ def exavatar(where: str, folder: Path, camera: str | None, body: TargetBody) -> 
         raise InputError(f"{poses}: no file has the number of a picture in {folder / 'frames'}")
     lenses = [folder / f"cam_params/{k}.json" for k in numbers]
     about = [read_json(path, CAMERA) for path in lenses]
-    rows = (("0", k, smplx_json.parameters(poses / f"{k}.json")) for k in numbers)
+    of_frame = lambda path: osx_parameters(path, read_json(path, "SMPL-X's parameters of a frame"))
+    rows = (("0", k, of_frame(poses / f"{k}.json")) for k in numbers)
     (person,) = stacked(poses, rows)
     betas = folder / "smplx_optimized/shape_param.json"
     betas = np.ravel(np.asarray(read_json(betas, "the person's betas, numbers"), np.float64))

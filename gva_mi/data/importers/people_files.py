@@ -20,6 +20,7 @@ from gva_mi.data.importers.estimator_files import (
 )
 from gva_mi.data.importers.lens import pinhole_K
 from gva_mi.data.importers.numbering import frame_numbers, frames_named, number_in
+from gva_mi.data.importers.tracks import Track
 
 # Focal length of VIBE and its kin, relative to the width of what they see.
 FAR_SHARE = 5000 / 224
@@ -64,6 +65,17 @@ def prompthmr(which: str) -> Callable[[str, dict], Iterator[SeenPerson]]:
             })  # fmt: skip
 
     return people
+
+
+def gvhmr(which: str) -> Callable[[str, dict], Iterator[SeenPerson]]:
+    """Return a reader of one of GVHMR's parameter sets of one person, of the camera or world."""
+
+    def one(where: str, found: dict) -> Iterator[SeenPerson]:
+        person = found[which]
+        frames, K = np.arange(len(person["body_pose"])), found.get("K_fullimg")
+        yield SeenPerson("0", frames, {**person, "K": K})
+
+    return one
 
 
 def of_prompthmr(found: Any, which: str) -> bool:  # noqa: ANN401
@@ -139,6 +151,17 @@ def tram_camera(found: Path) -> dict:
     """Read TRAM's lens and camera path (``pred_cam_R``, ``pred_cam_T``) from above ``hps/``."""
     above = found if tram_files(found)[0].parent != found else found.parent
     return read_named(above / "camera.npy", "img_focal and img_center, as TRAM writes")
+
+
+def along_path(found: Path, tracks: list[Track]) -> list[Track] | None:
+    """Transform TRAM's people to the world of its camera path; None where it says none."""
+    about = tram_camera(found)
+    if not holds(about, "pred_cam_R", "pred_cam_T"):
+        return None
+    R, T = (np.asarray(about[f"pred_cam_{x}"], np.float64) for x in "RT")
+    if R.ndim != 3 or T.ndim != 2:
+        return None
+    return [track.seen_from(R[track.frames], T[track.frames]) for track in tracks]
 
 
 def tram(where: str, found: Path) -> Iterator[SeenPerson]:

@@ -19,15 +19,19 @@ Lengths are scaled so that the legs are as long as the body's: the files say no 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.bvh import BvhClip
+from gva_mi.data.importers.bvh import BvhClip, read_bvh
 from gva_mi.data.importers.humanoid import FINGERS, SIDES, Humanoid, find_humanoid
+from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.world import unit
 
 _STRAIGHT, _MANY = 1.5, 40  # times the least doubt, of as many reference poses
 _STANDS = np.radians(60)  # a limb farther off the line of the body's axis does not stand
@@ -40,36 +44,34 @@ _LIMBS = {
         *((f"{finger}{k}", f"{finger}{k + 1}") for finger in FINGERS for k in (1, 2)),
     )
 }  # fmt: skip
-Places = dict[str, np.ndarray]  # joint → (..., 3)
+Places = dict[str, np.ndarray]  # joint → (..., 3), or (..., 3, 3) rotations
 
 
-@dataclass(frozen=True)
-class Retargeted:
-    """A motion of SMPL-X's joints, in the axes of its source."""
-
-    rotations: np.ndarray  # (T, 55, 3) axis-angle
-    pelvis: np.ndarray  # (T, 3) metres
-    has_hands: bool
-    notes: list[str]
-
-
-def retarget(where: object, clip: BvhClip, body: np.ndarray) -> Retargeted:
-    """Convert a clip to poses of a body whose joints at rest are ``body`` (55, 3), metres.
+def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float]:
+    """Return the track of a BVH's person on ``body``, and its frames a second.
 
     Raises:
-        InputError: it is no person, or the person stands nowhere.
+        InputError: it is damaged, no person, or the person stands nowhere.
     """
-    human = find_humanoid(where, clip.names, clip.parents)
+    clip, notes = read_bvh(path), []
+    if clip.announced != str(len(clip)):
+        notes.append(f"says that it has {clip.announced} frames, and has {len(clip)}")
+    # Programs put the pose by which they calibrate before the motion.
+    if len(clip) > 2 and not clip.turns_in(0) and clip.turns_in(1):
+        clip = clip.since(1)
+        notes.append("the pose of zero angles before the motion is left out")
+    human = find_humanoid(path, clip.names, clip.parents)
     turns, places = clip.in_world()
-    ref, ref_turns, notes = _stances(where, human, clip, turns, places)
+    ref, ref_turns, more = _stances(path, human, clip, turns, places)
+    notes += more
     if _faces_back(_frame_of(ref, 0)):
         notes.append("left and right are those of left-handed axes; x is mirrored")
         mirror = np.array([-1.0, 1.0, 1.0])
         turns, ref_turns = (mirror[:, None] * x * mirror for x in (turns, ref_turns))
         places, ref = places * mirror, {name: x * mirror for name, x in ref.items()}
-    at, own = _named(human, places), dict(zip(JOINTS, body, strict=True))
+    at, own = _named(human, places), dict(zip(JOINTS, body.joints, strict=True))
     stances = [_reference(_frame_of(ref, k), own) for k in range(len(ref_turns))]
-    A: dict[str, np.ndarray] = {}
+    A: Places = {}
     for name, parent in zip(JOINTS, PARENTS, strict=True):
         if name not in human.joints:
             A[name] = A[JOINTS[parent]]
@@ -85,25 +87,31 @@ def retarget(where: object, clip: BvhClip, body: np.ndarray) -> Retargeted:
         )  # fmt: skip
     scale = leg_length(own) / leg_length(ref)
     notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
-    return Retargeted(*on_body(A, at, own, scale), human.has_hands, notes)
+    track = on_body("BVH", np.arange(len(clip)), A, at, own, scale, notes)
+    return replace(track, has_hands=human.has_hands), 1 / clip.frame_time
 
 
 def on_body(
-    A: dict[str, np.ndarray], at: Places, own: Places, scale: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotations (T, 55, 3) relative to the parents, and places of the pelvis (T, 3).
+    form: str, frames: np.ndarray, A: Places, at: Places, own: Places, scale: float, notes: list
+) -> Track:
+    """Return the track of a skeleton's motion on a body.
 
     Args:
-        A: rotation (T, 3, 3) of each joint in the world.
+        form: what kind of source it is.
+        frames: (T,) frame numbers.
+        A: rotation (T, 3, 3) of each of the body's joints in the world.
         at: (T, 3) of the source's joints, whose hips the body's come to lie between.
         own: (3,) of the body's joints at rest, metres.
         scale: metres in a unit of ``at``.
+        notes: of the track.
     """
     relative = [A[name] if parent < 0 else A[JOINTS[parent]].swapaxes(1, 2) @ A[name]
                 for name, parent in zip(JOINTS, PARENTS, strict=True)]  # fmt: skip
     hips = (own["left_hip"] + own["right_hip"]) / 2 - own["pelvis"]
     pelvis = scale * (at["left_hip"] + at["right_hip"]) / 2 - A["pelvis"] @ hips
-    return to_rotvecs(np.stack(relative, 1)), pelvis
+    K = np.tile(np.eye(3), (len(frames), 1, 1))
+    rotations = to_rotvecs(np.stack(relative, 1))
+    return Track("0", frames, rotations, pelvis, None, K, form, False, notes=tuple(notes))
 
 
 def _stances(
@@ -140,12 +148,8 @@ def _named(human: Humanoid, places: np.ndarray) -> Places:
     return {name: places[:, k] for name, k in human.points.items()}
 
 
-def _unit(x: np.ndarray) -> np.ndarray:
-    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-300)
-
-
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.arccos(np.clip((_unit(a) * _unit(b)).sum(-1), -1, 1))
+    return np.arccos(np.clip((unit(a) * unit(b)).sum(-1), -1, 1))
 
 
 def _trunk(at: Places) -> tuple[np.ndarray, np.ndarray]:
@@ -172,8 +176,8 @@ def _frame(at: Places) -> np.ndarray:
     """Return the axes of somebody who stands, in columns (3, 3): to the left, up, forward."""
     left, up = _trunk(at)
     axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
-    up = axis if _unit(up) @ axis > _UPRIGHT else _unit(up)
-    left = _unit(left - up * (left @ up))
+    up = axis if unit(up) @ axis > _UPRIGHT else unit(up)
+    left = unit(left - up * (left @ up))
     return np.stack([left, up, np.cross(left, up)], 1)
 
 
@@ -181,7 +185,7 @@ def _faces_back(at: Places) -> bool:
     """Return whether both feet point backward, which no names of left and right explain."""
     forward = _frame(at)[:, 2]
     feet = [at[f"{side}_toe"] - at[f"{side}_ankle"] for side in SIDES if f"{side}_toe" in at]
-    return bool(feet) and all(_unit(foot) @ forward < -0.3 for foot in feet)
+    return bool(feet) and all(unit(foot) @ forward < -0.3 for foot in feet)
 
 
 def _reference(ref: Places, body: Places) -> dict[str, np.ndarray]:
@@ -203,7 +207,7 @@ def _reference(ref: Places, body: Places) -> dict[str, np.ndarray]:
 
 def _swung(A: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     """Return A turned the shortest way by which ``ours`` points as ``theirs``."""
-    return to_matrices(shortest(_unit(A @ ours)[None], _unit(theirs)[None]))[0] @ A
+    return to_matrices(shortest(unit(A @ ours)[None], unit(theirs)[None]))[0] @ A
 
 
 def _foot(frame: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
@@ -222,9 +226,9 @@ def _palm(at: Places, side: str) -> np.ndarray:
     """Return the axes of a hand, in columns (3, 3): along it, across it, out of it."""
     knuckles = [at[f"{side}_{finger}1"] for finger in FINGERS
                 if finger != "thumb" and f"{side}_{finger}1" in at]  # fmt: skip
-    along = _unit(np.mean(knuckles, 0) - at[f"{side}_wrist"])
+    along = unit(np.mean(knuckles, 0) - at[f"{side}_wrist"])
     across = knuckles[0] - at[f"{side}_pinky1"]
-    across = _unit(across - along * (along @ across))
+    across = unit(across - along * (along @ across))
     return np.stack([along, across, np.cross(along, across)], 1)
 
 

@@ -35,25 +35,10 @@ SPELLINGS = {  # by our names; the first that a file holds is taken
     ),
 }  # fmt: skip
 # Names of what is neither pose nor shape: lens, time, boxes.
-OTHERS = {
-    "K",
-    "cam_K",
-    "intrinsic",
-    "intrinsics",
-    "focal",
-    "focal_length",
-    "focal_l",
-    "princpt",
-    "bbox",
-    "width",
-    "height",
-    "frame_ids",
-    "frame_id",
-    "frame",
-    "time",
-    "stage",
-    "offsets",
-}
+OTHERS = set(
+    "K cam_K intrinsic intrinsics focal focal_length focal_l princpt bbox width height frame_ids "
+    "frame_id frame time stage offsets".split()
+)
 _DEEP = 3  # dictionaries in dictionaries
 _MODEL = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
 _CAMEL = re.compile("(?<=[a-z0-9])(?=[A-Z])")
@@ -134,15 +119,18 @@ def unnested(found: Any, deep: int = _DEEP) -> Any:  # noqa: ANN401
     parameters by name, the outer names kept; anything else as it is."""
     if not isinstance(found, Mapping) or holds_pose(found) or not deep:
         return found
-    one = lambda x: (
-        x.item() if isinstance(x, np.ndarray) and x.dtype.hasobject and x.size == 1 else x
-    )
-    inner = {name: unnested(one(x), deep - 1) for name, x in found.items()}
+    inner = {name: unnested(one_object(x), deep - 1) for name, x in found.items()}
     posed = [name for name, x in inner.items() if holds_pose(x)]
     if len(posed) != 1:
         return found
     outer = {name: x for name, x in found.items() if name != posed[0]}
     return outer | dict(inner[posed[0]])
+
+
+def one_object(found: Any) -> Any:  # noqa: ANN401
+    """Return what an array of one object holds, numpy's way to keep a dictionary; else the same."""
+    one = isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1
+    return found.item() if one else found
 
 
 def named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import roma
+import torch
 
 from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
 from gva_mi.core.console import listed
@@ -16,7 +18,6 @@ from gva_mi.data.importers.fields import find_body
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.spellings import OTHERS
 from gva_mi.data.importers.target import PELVIS, TargetBody
-from gva_mi.data.importers.timeline import interpolate
 
 BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is given
 
@@ -100,11 +101,8 @@ def make_track(
         raise InputError(f"{where}: {count} poses and K {K.shape} for {len(frames)} frames")
     betas, notes = of.betas, []
     if betas is not None:
-        betas = (
-            betas
-            if betas.shape == (count, betas.shape[-1])
-            else median_betas(np.atleast_2d(betas))[0]
-        )
+        if betas.shape != (count, betas.shape[-1]):
+            betas = median_betas(np.atleast_2d(betas))[0]
         betas = np.broadcast_to(betas, (count, betas.shape[-1]))
     places = of.transl
     if places is None:
@@ -176,6 +174,30 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     filled = {"frames": wanted, "rotations": rotations, "places": places, "K": K}
     filled["expression"] = None if expression is None else moved[:, 3:]
     return replace(track, **filled), inside, notes
+
+
+def interpolate(
+    times: np.ndarray, rotations: np.ndarray, others: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample rotations (n, J, 3) and other numbers (n, D) at times ``wanted`` (m,).
+
+    A joint turns evenly, on the shorter way round; other numbers are interpolated linearly.
+    ``times`` (n,) ascend; the motion is held before the first and after the last. Returned
+    rotations are at most half a turn long.
+    """
+    after = np.clip(np.searchsorted(times, wanted, side="right"), 1, max(1, len(times) - 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    span = np.maximum(times[after] - times[before], 1e-12)
+    s = np.clip((wanted - times[before]) / span, 0, 1)
+    quats = roma.rotvec_to_unitquat(torch.from_numpy(rotations))
+    first, second = quats[before], quats[after]
+    step = roma.quat_product(roma.quat_conjugation(first), second)
+    step = roma.unitquat_to_rotvec(step, shortest_arc=True)
+    step = roma.rotvec_to_unitquat(step * torch.from_numpy(s)[:, None, None])
+    turned = roma.unitquat_to_rotvec(roma.quat_product(first, step), shortest_arc=True)
+    moved = others[before] + s[:, None] * (others[after] - others[before])
+    return turned.numpy(), moved
 
 
 def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:

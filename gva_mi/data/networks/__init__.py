@@ -7,7 +7,8 @@ MediaPipe's landmark networks, fetched once by pip (``weights``) and run by ai-e
 ``person_tracker``    keeps to one person, though others walk past
 ``person_detector``   finds the people of a picture
 ``body_landmarks``    the body's landmarks and silhouette
-``hand_landmarks``    the landmarks of both hands
+``hand_landmarks``    the landmarks of both hands, ``face_landmarks`` of the face
+``seen_part``         a hand or a face, and how it is looked for
 ``turned_square``     the part of a picture that such a network sees
 ``tflite``            runs a network
 ====================  ==================================================================

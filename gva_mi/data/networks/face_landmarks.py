@@ -8,13 +8,14 @@ body's landmarks. A face that is turned away, hidden or small is not found.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.body_landmarks import SeenBody
+from gva_mi.data.networks.seen_part import SeenPart, found_again, with_mirrored
 from gva_mi.data.networks.tflite import TfliteNetwork, sigmoid
 from gva_mi.data.networks.turned_square import TurnedSquare
 from gva_mi.data.networks.weights import weights_file
@@ -36,18 +37,7 @@ _MIRRORED = (  # which of the 51 each of them is in a mirrored picture
 _EYES = (33, 263)  # outer corners in the mesh: right, left
 _AROUND_MESH = 1.5  # side of the next square, relative to the mesh's extent
 _AROUND_BODY = 3.6, 1.9  # of a first square: times the eyes' distance to the mouth, and the ears'
-_LOOKS = 2  # at a face that is found anew: each look centres the next
 _FAR = 0.06  # of the person's circle's diameter: a face farther from the body's is another one
-
-
-@dataclass(frozen=True)
-class SeenFace:
-    """A face in a picture."""
-
-    points: np.ndarray  # (51, 2) pixels
-    spread: np.ndarray  # (51,) pixels: standard deviation between passes, of the worse axis
-    presence: float  # in [0, 1]: that it is a face
-    square: TurnedSquare  # where to look for it again
 
 
 class FaceNetwork:
@@ -58,8 +48,8 @@ class FaceNetwork:
         self._network = TfliteNetwork(weights_file("face_landmark.tflite", folder))
 
     def find(
-        self, image: np.ndarray, body: SeenBody, before: SeenFace | None, passes: int
-    ) -> SeenFace | None:
+        self, image: np.ndarray, body: SeenBody, before: SeenPart | None, passes: int
+    ) -> SeenPart | None:
         """Return the face of a body in a picture (H, W, 3) 8-bit, if the network sees it.
 
         Args:
@@ -68,25 +58,13 @@ class FaceNetwork:
             before: the face in the picture before.
             passes: 1, or 2 with a mirrored one.
         """
-        face = self._see(image, before.square, body) if before is not None else None
-        if face is None:
-            square = _square_of_body(body)
-            for _ in range(_LOOKS):
-                face = self._see(image, square, body)
-                if face is None:
-                    return None
-                square = face.square
-        second = self._see(image, face.square, body, mirrored=True) if passes > 1 else None
-        if second is None:
-            return face
-        points = np.stack([face.points, second.points])
-        spread = points.std(0, ddof=1).max(-1)
-        presence = (face.presence + second.presence) / 2
-        return SeenFace(points.mean(0), spread, presence, face.square)
+        see = partial(self._see, image, body)
+        face = found_again(see, before, _square_of_body(body))
+        return face if face is None or passes == 1 else with_mirrored(see, face)
 
     def _see(
-        self, image: np.ndarray, square: TurnedSquare, body: SeenBody, mirrored: bool = False
-    ) -> SeenFace | None:
+        self, image: np.ndarray, body: SeenBody, square: TurnedSquare, mirrored: bool = False
+    ) -> SeenPart | None:
         """See the face in a square once; None if there is none, or that of somebody else."""
         if square.side < SMALLEST:
             return None
@@ -104,7 +82,9 @@ class FaceNetwork:
         far = np.linalg.norm(points.mean(0) - _middle_of(body)) > _FAR * 2 * body.radius
         if presence < FOUND or far:
             return None
-        return SeenFace(points, np.zeros(len(points)), presence, _square_around(mesh))
+        n = len(points)
+        metric = np.full((n, 3), np.nan)
+        return SeenPart(points, np.zeros(n), metric, presence, _square_around(mesh))
 
 
 def _square_around(mesh: np.ndarray) -> TurnedSquare:

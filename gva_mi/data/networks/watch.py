@@ -14,10 +14,11 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.body_landmarks import BodyNetwork, BodyNetworkName, SeenBody
-from gva_mi.data.networks.face_landmarks import FaceNetwork, SeenFace
-from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork, SeenHand
+from gva_mi.data.networks.face_landmarks import FaceNetwork
+from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork
 from gva_mi.data.networks.person_detector import PersonDetector
 from gva_mi.data.networks.person_tracker import PersonTracker
+from gva_mi.data.networks.seen_part import SeenPart
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
 
@@ -70,16 +71,16 @@ def watch_film(
     tracker = PersonTracker(detector, body_network, options.person)
     rows, body, hands, face = [], None, {}, None
     for k in range(len(pictures)):
-        image = pictures[k]
-        before, hands_before, face_before = body, hands, face
+        image, before = pictures[k], body
         body = tracker.follow(image)
-        if body is not None:
+        if body is None:
+            hands, face = {}, None
+        else:
             body = body_network.see_again(image, body, options.passes, before)
-        hands, face = {}, None
-        if body is not None and hand_network is not None:
-            hands = hand_network.find(image, body, hands_before, options.hand_passes)
-        if body is not None and face_network is not None:
-            face = face_network.find(image, body, face_before, options.face_passes)
+            if hand_network is not None:
+                hands = hand_network.find(image, body, hands, options.hand_passes)
+            if face_network is not None:
+                face = face_network.find(image, body, face, options.face_passes)
         rows.append(_row(body, hands, face))
         if on_silhouette is not None:
             nobody = np.zeros(image.shape[:2], np.float32)
@@ -97,7 +98,7 @@ def watch_film(
 
 
 def _row(
-    body: SeenBody | None, hands: dict[str, SeenHand], face: SeenFace | None
+    body: SeenBody | None, hands: dict[str, SeenPart], face: SeenPart | None
 ) -> tuple[np.ndarray, ...]:
     """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
     pixels, metric = np.full((len(NAMES), 2), np.nan), np.full((len(NAMES), 3), np.nan)
@@ -106,14 +107,11 @@ def _row(
         n = len(BODY)
         pixels[:n], metric[:n] = body.points[:n], body.metric[:n]
         confidence[:n], spread[:n] = body.visibility[:n], body.spread[:n]
-    for side, hand in hands.items():
-        first = NAMES.index(hand_names(side)[0])
-        at = slice(first, first + len(hand.points))
-        pixels[at], metric[at] = hand.points, hand.metric
-        confidence[at], spread[at] = hand.presence, hand.spread
-    if face is not None:
-        at = slice(NAMES.index(FACE[0]), len(NAMES))
-        pixels[at], confidence[at], spread[at] = face.points, face.presence, face.spread
+    parts = {hand_names(side)[0]: hand for side, hand in hands.items()}
+    for name, part in (parts | ({} if face is None else {FACE[0]: face})).items():
+        at = slice(NAMES.index(name), NAMES.index(name) + len(part.points))
+        pixels[at], metric[at] = part.points, part.metric
+        confidence[at], spread[at] = part.presence, part.spread
     return pixels, confidence, spread, metric
 
 

@@ -1,9 +1,12 @@
-"""Allow-list of the names in a pickle, each with a constructor or None (a name without a value)."""
+"""The allow-list: names in pickles of numpy, joblib, torch, scipy and others, and their values."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
+from io import BytesIO
+from struct import unpack
 from typing import Any
 
 import numpy as np
@@ -12,6 +15,20 @@ from gva_mi.core.arrays import Budget, Damaged, Refused, bytes_to_array, require
 from gva_mi.core.pickles.unpickler import Call, Shell, Unpickler
 
 _PLAIN_DTYPE = re.compile(r"[?biufc]\d{0,2}|[SU]\d{0,6}|O8?")
+# Arrays, and classes of arrays whose pickles hold no more than an array's.
+_ARRAYS = (
+    "numpy.ndarray", "numpy.memmap", "numpy.core.memmap.memmap", "numpy._core.memmap.memmap",
+    "numpy.matrix", "numpy.matrixlib.defmatrix.matrix", "trimesh.caching.TrackedArray",
+)  # fmt: skip
+_STORAGES = {  # of torch: their numbers
+    "Float": "f4", "Double": "f8", "Half": "f2", "BFloat16": "u2", "Long": "i8", "Int": "i4",
+    "Short": "i2", "Char": "i1", "Byte": "u1", "Bool": "?",
+}  # fmt: skip
+
+
+def load(stream: BytesIO, outside: Callable[[Any], Any] | None = None) -> Any:  # noqa: ANN401
+    """Read one pickle; arrays in it are shells still."""
+    return Unpickler(stream, ALLOWED, outside).load()
 
 
 class Dtype(Shell):
@@ -57,13 +74,6 @@ def _array(
     return flat.reshape(shape, order=order)
 
 
-# Arrays, and classes of arrays whose pickles hold no more than an array's.
-_ARRAYS = (
-    "numpy.ndarray", "numpy.memmap", "numpy.core.memmap.memmap", "numpy._core.memmap.memmap",
-    "numpy.matrix", "numpy.matrixlib.defmatrix.matrix", "trimesh.caching.TrackedArray",
-)  # fmt: skip
-
-
 class ArrayClass(Shell):
     """A class of arrays, which is only named."""
 
@@ -92,24 +102,19 @@ def _scalar(dtype: Dtype, data: bytes | str) -> np.generic:
 class JoblibArray(Shell):
     """``NumpyArrayWrapper`` of joblib: the bytes of the array follow in the file."""
 
-    unpickler: Unpickler
-
     def __setstate__(self, state: dict) -> None:
         dtype, stream = _read_dtype(state["dtype"]), self.unpickler.stream
         if dtype.hasobject:
-            self.state = Unpickler(stream, self.unpickler.allowed).load()
+            self.state = load(stream)
             return
         if state.get("numpy_array_alignment_bytes") is not None:
             stream.read(stream.read(1)[0])
         data = stream.read(math.prod(state["shape"]) * dtype.itemsize)
         self.state = _frombuffer(data, state["dtype"], state["shape"], state.get("order"))
 
-    def value(self, budget: Budget, state: np.ndarray) -> np.ndarray:
-        return state
 
-
-class Csr(Shell):
-    """A sparse matrix of scipy, stored row by row, which becomes a dense array."""
+class Sparse(Shell):
+    """A sparse matrix of scipy, stored by rows or columns, which becomes a dense array."""
 
     def value(self, budget: Budget, state: dict, *_: object) -> np.ndarray:
         data, counts, indices = state["data"], np.diff(state["indptr"]), state["indices"]
@@ -118,12 +123,8 @@ class Csr(Shell):
         budget.spend(data.itemsize * math.prod(state["_shape"]))
         dense = np.zeros(state["_shape"], data.dtype)
         rows = np.repeat(np.arange(len(counts)), counts)
-        np.add.at(dense.T if isinstance(self, Csc) else dense, (rows, indices), data)
+        np.add.at(dense.T if "csc" in self.text else dense, (rows, indices), data)
         return dense
-
-
-class Csc(Csr):
-    """A sparse matrix that is stored column by column."""
 
 
 class Chumpy(Shell):
@@ -143,8 +144,53 @@ class Setting(Shell):
     def __setstate__(self, state: dict) -> None:
         self.state = state.get("_content", state.get("_val"))
 
-    def value(self, budget: Budget, state: Any, *_: object) -> Any:  # noqa: ANN401
-        return state
+
+class Storage(Shell):
+    """Memory of torch's numbers, of which tensors are views; those of a GPU are read as well."""
+
+    def value(self, budget: Budget, state: bytes, kind: str) -> np.ndarray:
+        row = np.frombuffer(state, _STORAGES[kind])
+        if kind == "BFloat16":  # the upper half of a float32
+            return (row.astype(np.uint32) << 16).view(np.float32)
+        return row
+
+
+class Tensor(Shell):
+    """A view of a storage, which is copied."""
+
+    def value(
+        self, budget: Budget, _: None, row: np.ndarray, offset: int, size: tuple, stride: tuple,
+        *more: object,
+    ) -> np.ndarray:  # fmt: skip
+        if len(size) != len(stride) or min((*size, *stride, offset)) < 0:
+            raise Damaged(f"a tensor of size {size} with strides {stride}")
+        last = sum((n - 1) * step for n, step in zip(size, stride, strict=True))
+        if 0 not in size and offset + last >= len(row):
+            raise Damaged(f"a tensor of size {size} in a storage of {len(row)} numbers")
+        budget.spend(math.prod(size) * row.itemsize)  # because elements may be repeated
+        strides = [step * row.itemsize for step in stride]
+        return np.lib.stride_tricks.as_strided(row[offset:], size, strides).copy()
+
+
+def storage_of(found: dict[str, Storage], pid: tuple) -> Storage:
+    """Return the storage of ``("storage", type, key, device, count, ...)``, kept in ``found``."""
+    _, name, key, *_ = pid
+    kind = name.text[len("torch.") : -len("Storage")] if isinstance(name, Call) else ""
+    if kind not in _STORAGES or not isinstance(key, str):
+        raise Refused(f"a storage of {getattr(name, 'text', name)!s:.60}")
+    return found.setdefault(key, Storage(kind))
+
+
+def load_row_of_pickles(data: bytes) -> Any:  # noqa: ANN401
+    """Read torch's older container: a row of pickles, with the storages behind them."""
+    stream, found = BytesIO(data), {}
+    each = (load(stream, lambda pid: storage_of(found, pid)) for _ in range(5))
+    _magic, _protocol, _sizes, root, keys = each
+    for key in keys:
+        count = unpack("<q", stream.read(8))[0]
+        itemsize = np.dtype(_STORAGES[found[key].args[0]]).itemsize
+        found[key].state = stream.read(count * itemsize)
+    return root
 
 
 def _new(kind: type[Shell], base: Call, _: object = None) -> Shell:
@@ -160,11 +206,11 @@ def _encode(text: str, codec: str = "latin1") -> bytes:
     return text.encode("latin-1")
 
 
-ALLOWED: dict[str, Any] = {
+ALLOWED: dict[str, Any] = {  # None: it can only be named
     **{f"builtins.{name}": None
        for name in ("object", "int", "float", "list", "dict", "long", "str", "bool")},
     "builtins.set": lambda items=(): set(items), "builtins.bytes": lambda: b"",
-    "builtins.complex": complex,
+    "builtins.complex": complex, "typing.Any": None,
     "collections.OrderedDict": lambda pairs=(): dict(pairs),
     "collections.defaultdict": lambda *_: {},  # a missing key stays missing
     "_codecs.encode": _encode, "copyreg._reconstructor": _new,
@@ -173,12 +219,16 @@ ALLOWED: dict[str, Any] = {
         ("multiarray._reconstruct", _reconstruct), ("multiarray.scalar", _scalar),
         ("numeric._frombuffer", _frombuffer))},
     "joblib.numpy_pickle.NumpyArrayWrapper": JoblibArray,
-    "scipy.sparse.csc.csc_matrix": Csc, "scipy.sparse._csc.csc_matrix": Csc,
-    "scipy.sparse.csr.csr_matrix": Csr, "scipy.sparse._csr.csr_matrix": Csr,
-    "typing.Any": None,
+    **{f"scipy.sparse.{module}{kind}.{kind}_matrix": Sparse
+       for kind in ("csc", "csr") for module in ("", "_")},
     **{f"omegaconf.{name}": Setting for name in (
         "base.Metadata", "base.ContainerMetadata", "dictconfig.DictConfig",
         "listconfig.ListConfig",
         *(f"nodes.{of}Node" for of in ("Any", "Boolean", "Float", "Integer", "String")))},
     "chumpy.ch.Ch": Chumpy, "chumpy.reordering.Select": Chumpy,
+    "torch._utils._rebuild_tensor": Tensor, "torch._utils._rebuild_tensor_v2": Tensor,
+    "torch._utils._rebuild_parameter": lambda tensor, *_: tensor,
+    "torch.storage._load_from_bytes": load_row_of_pickles,
+    "torch.Size": lambda size=(): tuple(size), "torch.device": lambda *name: str(name),
+    **{f"torch.{kind}Storage": None for kind in _STORAGES},
 }  # fmt: skip

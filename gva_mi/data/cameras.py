@@ -17,8 +17,10 @@ FOCAL = Within(0.01, 1e6, unit="times the picture's longer side")  # of any lens
 _SIDE_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}  # pixels; metres
 
 
-def load_cameras(path: Path) -> list[Camera]:
-    """Read ``cameras.npz``; one camera stands for all frames."""
+def load_cameras(
+    path: Path, count: int | None = None, of: str = ", but the video has {} frames"
+) -> list[Camera]:
+    """Read ``cameras.npz``; one camera stands for all of ``count``, which errors say are ``of``."""
     data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
     require_keys(path, data, ("K", "T_camera_world", "width", "height"))
     K, T = (_matrices(path, name, data[name]) for name in ("K", "T_camera_world"))
@@ -30,16 +32,20 @@ def load_cameras(path: Path) -> list[Camera]:
             f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
             "below 0); expected x right, y down, z forward"
         )
-    count = max(len(K), len(T))
-    if not {len(K), len(T)} <= {1, count}:
+    there = max(len(K), len(T))
+    if not {len(K), len(T)} <= {1, there}:
         raise InputError(f"{path}: holds {len(K)} 'K', but {len(T)} 'T_camera_world'")
-    K, T = np.broadcast_to(K, (count, 3, 3)), np.broadcast_to(T, (count, 4, 4))
+    K, T = np.broadcast_to(K, (there, 3, 3)), np.broadcast_to(T, (there, 4, 4))
     with expecting(path, "cameras that see something"):
-        cameras = [Camera.from_matrices(K[k], T[k], width, height) for k in range(count)]
+        cameras = [Camera.from_matrices(K[k], T[k], width, height) for k in range(there)]
     for k, camera in enumerate(cameras):
         for focal in (camera.fx, camera.fy):
             share = focal / max(width, height)
             FOCAL.require(str(path), f"the focal length of camera {k} in 'K'", share)
+    if there == 1 and count is not None:
+        cameras *= count
+    if count not in (None, len(cameras)):
+        raise InputError(f"{path}: holds {len(cameras)} cameras{of.format(count)}")
     return cameras
 
 

@@ -130,6 +130,14 @@ class Extent:
         return Box(int(left), int(top), int(right), int(bottom))
 
 
+def bounds(mask: np.ndarray) -> np.ndarray | None:
+    """Return left, top, right, bottom (4,), pixels, of a mask (H, W) bool; None if it is empty."""
+    columns, rows = (np.flatnonzero(mask.any(axis)) for axis in (0, 1))
+    if not len(rows):
+        return None
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+
+
 def mask_extent(mask: np.ndarray) -> Extent:
     """Return the extent of a mask (H, W) in [0, 1].
 
@@ -138,12 +146,8 @@ def mask_extent(mask: np.ndarray) -> Extent:
     """
     if mask.sum() < SMALLEST:
         raise NoEvidence("its mask is empty")
-    inside = mask > 0.5 * mask.max()
-    columns, rows = (np.flatnonzero(inside.any(axis)) for axis in (0, 1))
-    return Extent(
-        np.array([columns[0], rows[0]], np.float64),
-        np.array([columns[-1] + 1, rows[-1] + 1], np.float64),
-    )
+    low, high = bounds(mask > 0.5 * mask.max()).reshape(2, 2)
+    return Extent(low, high)
 
 
 def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:

@@ -37,7 +37,13 @@ class Film(Sequence[np.ndarray]):
             self._tick = float(container.streams.video[0].time_base or 0)
             self.hdr: str | None = None  # the name of its transfer of high dynamic range
             for frame in self._decoded(container):
-                self._take(frame)
+                require_size(str(self.path), frame.width, frame.height)
+                if frame.key_frame:
+                    self._keys.append(len(self))
+                self._near.put(len(self), frame)
+                self.hdr = HDR.get(frame.color_trc, self.hdr)
+                self.sizes.append(size_of(frame))
+                self._moments.append(frame.pts)
         if not self.sizes:
             raise InputError(f"{path}: holds no picture")
 
@@ -57,7 +63,8 @@ class Film(Sequence[np.ndarray]):
         index %= len(self)
         if index in self._near:
             return self._near.rgb(index)
-        if self._at is None or not self._key_before(index) <= self._at[0] <= index:
+        key = self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
+        if self._at is None or not key <= self._at[0] <= index:
             self._seek(index)
         number, frames, container = self._at
         for frame in frames:
@@ -71,20 +78,6 @@ class Film(Sequence[np.ndarray]):
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the open file; another process opens its own."""
         return self.__dict__ | {"_at": None, "_near": _Near(self._kept)}
-
-    def _take(self, frame: Any) -> None:  # noqa: ANN401
-        """Note a picture that was decoded for the first time."""
-        require_size(str(self.path), frame.width, frame.height)
-        if frame.key_frame:
-            self._keys.append(len(self))
-        self._near.put(len(self), frame)
-        self.hdr = HDR.get(frame.color_trc, self.hdr)
-        self.sizes.append(size_of(frame))
-        self._moments.append(frame.pts)
-
-    def _key_before(self, index: int) -> int:
-        """Return the key picture at or before a picture; without one, the start."""
-        return self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
 
     def _seek(self, index: int) -> None:
         """Go to the key picture at or before a picture, or to the start."""

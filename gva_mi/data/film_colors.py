@@ -55,7 +55,7 @@ def rgb_of(
     if kind == "rgb24":
         return pixels
     if not wide_gamut and frame.color_trc not in HDR:
-        return _rounded()[pixels]
+        return _in_8_bits(False)[pixels]
     table, gamma = _light_of(frame.color_trc)
     light = table[pixels]
     if gamma != 1:  # HLG: a display's contrast depends on the luminance of the scene
@@ -65,7 +65,7 @@ def rgb_of(
     if frame.color_trc in HDR:
         most = np.maximum(light.max(axis=2), KNEE)
         light *= ((KNEE + (KNEE - 1) * np.expm1((KNEE - most) / (1 - KNEE))) / most)[..., None]
-    return _encoded()[np.round(np.minimum(light, 1) * 65535).astype(np.uint16)]
+    return _in_8_bits(True)[np.round(np.minimum(light, 1) * 65535).astype(np.uint16)]
 
 
 @lru_cache
@@ -88,14 +88,10 @@ def _light_of(transfer: int) -> tuple[np.ndarray, float]:
 
 
 @lru_cache
-def _rounded() -> np.ndarray:
-    """Return the 8-bit values of all 16-bit values, (65536,)."""
-    return np.round(np.arange(65536) / 257).astype(np.uint8)
-
-
-@lru_cache
-def _encoded() -> np.ndarray:
-    """Return sRGB's 8-bit values of linear light in 16 bits, (65536,)."""
+def _in_8_bits(linear: bool) -> np.ndarray:
+    """Return the 8-bit values (65536,) of sRGB's values, or of linear light, in 16 bits."""
+    if not linear:
+        return np.round(np.arange(65536) / 257).astype(np.uint8)
     x = np.arange(65536) / 65535
     value = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     return np.round(255 * value).astype(np.uint8)

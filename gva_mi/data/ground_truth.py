@@ -20,7 +20,6 @@ from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.core.errors import InputError
 from gva_mi.data.video import Video, load_cameras
 from gva_mi.splat import Camera
 
@@ -48,11 +47,8 @@ def load_ground_truth(folder: Path, body: BodyModel, count: int | None = None) -
     foreign = file.is_file()
     true = load_body(file, body.v_template.dtype) if foreign else body
     own = Path(folder) / CAMERAS
-    cameras = load_cameras(own if own.is_file() else own.parents[1] / CAMERAS)
-    if len(cameras) == 1:
-        cameras = cameras * len(pose)
-    if len(cameras) != len(pose):
-        raise InputError(f"{folder}: holds {len(cameras)} cameras for {len(pose)} poses")
+    own = own if own.is_file() else own.parents[1] / CAMERAS
+    cameras = load_cameras(own, len(pose), " for {} poses")
     return GroundTruth(true, pose, shape, cameras, foreign)
 
 

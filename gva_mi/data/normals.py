@@ -74,9 +74,11 @@ class NormalMaps:
 
         ``camera`` is the frame's, for size and rays; ``part`` is of the frame.
         """
-        stored, path = self._stored(index)
-        if stored is None:
+        path = self.folder / f"{index:06d}.npy"
+        path = path if path.exists() else path.with_suffix(".png")
+        if not path.exists():
             return None
+        stored = read_map(path)
         rows, columns = (
             range(*wanted.indices(count))
             for wanted, count in zip(part, (camera.height, camera.width), strict=True)
@@ -96,7 +98,7 @@ class NormalMaps:
             normals = normals * (1, -1, -1)
         if self.convention == "icon":
             seen = camera.cropped(columns.start, rows.start, len(columns), len(rows))
-            normals = _along_rays(normals, seen)
+            normals = _turned(normals, seen, 1)
         square = _square_lengths(normals)
         long = square > SHORTEST**2
         return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
@@ -104,14 +106,6 @@ class NormalMaps:
     def check(self, index: int, camera: Camera) -> None:
         """Raise the errors of :meth:`read` without decoding all of the file."""
         self.read(index, camera, (slice(0, 1), slice(0, 1)))
-
-    def _stored(self, index: int) -> tuple[np.ndarray | None, Path]:
-        """Return the file's array (h, w, 3), 8-bit or floating point, and its path."""
-        for suffix in (".npy", ".png"):
-            path = self.folder / f"{index:06d}{suffix}"
-            if path.exists():
-                return read_map(path), path
-        return None, path
 
 
 def read_map(path: Path) -> np.ndarray:
@@ -150,9 +144,7 @@ def _square_lengths(normals: np.ndarray) -> np.ndarray:
 
 def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
     """Convert normals (H, W, 3) from camera space, zero where unknown, to ICON's convention."""
-    v, z = _turns_to_rays(camera)
-    once = np.cross(-v, normals)
-    return (normals + once + np.cross(-v, once) / (1 + z)) * (1, -1, -1)
+    return _turned(normals, camera, -1) * (1, -1, -1)
 
 
 def in_convention(normals: np.ndarray, camera: Camera, convention: Convention) -> np.ndarray:
@@ -180,20 +172,18 @@ def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.n
     return out
 
 
-def _along_rays(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Compute ``R(d) n`` for each pixel's ray ``d``, by Rodrigues' formula with ``v = z × d``."""
-    v, z = _turns_to_rays(camera)
-    once = np.cross(v, normals)
-    return normals + once + np.cross(v, once) / (1 + z)
+def _turned(normals: np.ndarray, camera: Camera, sign: int) -> np.ndarray:
+    """Compute ``R(d) n`` for each pixel's ray ``d``, or ``R(d)ᵀ n`` for a sign of -1.
 
-
-def _turns_to_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Compute ``v = z × d`` (H, W, 3) and ``z · d`` (H, W, 1) of each pixel's ray ``d``."""
+    It is Rodrigues' formula with ``v = z × d``.
+    """
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     d = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
-    return np.stack([-d[..., 1], d[..., 0], np.zeros_like(d[..., 0])], axis=-1), d[..., 2:]
+    v = sign * np.stack([-d[..., 1], d[..., 0], np.zeros_like(d[..., 0])], axis=-1)
+    once = np.cross(v, normals)
+    return normals + once + np.cross(v, once) / (1 + d[..., 2:])
 
 
 def _read_about(path: Path, frames: int) -> dict:

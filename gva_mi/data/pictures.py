@@ -24,13 +24,16 @@ MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
 SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
-# x264 writes its settings into the file, the number of threads among them: always use one.
-LOSSLESS = {"crf": "0", "preset": "veryfast", "threads": "1"}  # with libx264rgb
-# With libx264 and yuv420p. mbtree reads uninitialised memory: other bits in every run.
-PLAYABLE = {"crf": "18", "threads": "1", "mbtree": "0"}
-_WITH_ALPHA = {  # with libvpx-vp9 and yuva420p
-    "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
-    "auto-alt-ref": "0",
+_WAYS = {  # of a film: container, codec, its pixels and options, the pixels that it is given
+    # x264 writes its settings into the file, the number of threads among them: always use one.
+    "lossless": ("mp4", "libx264rgb", "rgb24", {
+        "crf": "0", "preset": "veryfast", "threads": "1"}, "rgb24"),
+    # mbtree reads uninitialised memory: other bits in every run.
+    "playable": ("mp4", "libx264", "yuv420p", {
+        "crf": "18", "threads": "1", "mbtree": "0"}, "rgb24"),
+    "alpha": ("webm", "libvpx-vp9", "yuva420p", {
+        "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
+        "auto-alt-ref": "0"}, "rgba"),
 }  # fmt: skip
 
 
@@ -40,7 +43,7 @@ def read_image(path: Path, channels: int) -> np.ndarray:
     ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
     (H, W), of 8 bits (:mod:`.mattes`) or 16, which :mod:`.mask_units` interprets.
     """
-    from PIL import ImageOps
+    from PIL import Image, ImageOps
 
     with opened(path) as stored:
         image = ImageOps.exif_transpose(stored)
@@ -48,20 +51,13 @@ def read_image(path: Path, channels: int) -> np.ndarray:
             raw = np.asarray(image)
             if 0 <= raw.min(initial=0) <= raw.max(initial=0) <= 65535:
                 return raw.astype(np.uint16)
-        image = to_8_bits(image)
+        if image.mode.startswith("I") or image.mode == "F":  # which Pillow would clip
+            raw = np.asarray(image).astype(np.float64)
+            raw = raw / (257 if raw.max(initial=0) > 255 else 1)
+            image = Image.fromarray(raw.astype(np.uint8))
         if channels == 1:
             return matte_of(str(path), image)
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
-
-
-def to_8_bits(image: Image.Image) -> Image.Image:
-    """Scale a picture of 16 bits or of whole numbers to 8 bits, which Pillow would clip."""
-    from PIL import Image
-
-    if not image.mode.startswith("I") and image.mode != "F":
-        return image
-    raw = np.asarray(image).astype(np.float64)
-    return Image.fromarray((raw / (257 if raw.max(initial=0) > 255 else 1)).astype("u1"))
 
 
 @contextmanager
@@ -230,13 +226,16 @@ def write_movie(
     path: Path, images: Iterable[np.ndarray], fps: int = 25, lossless: bool = True
 ) -> None:
     """Write an mp4, lossless RGB by default; otherwise yuv420p, which every player shows."""
-    import av
+    _write_film(path, images, fps, "lossless" if lossless else "playable")
 
-    with atomic_write(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
-        stream = container.add_stream("libx264rgb" if lossless else "libx264", rate=fps)
-        stream.pix_fmt = "rgb24" if lossless else "yuv420p"
-        stream.options = LOSSLESS if lossless else PLAYABLE
-        _write_film(container, stream, images, "rgb24", halved=not lossless)
+
+def write_alpha_film(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
+    """Write a film with alpha, a .webm of VP9 in yuva420p.
+
+    Images are RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
+    row or column.
+    """
+    _write_film(path, images, fps, "alpha")
 
 
 def require_alpha_codec(path: Path) -> None:
@@ -250,41 +249,25 @@ def require_alpha_codec(path: Path) -> None:
         )
 
 
-def write_alpha_film(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
-    """Write a film with alpha, a .webm of VP9 in yuva420p.
-
-    Images are RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
-    row or column.
-    """
+def _write_film(path: Path, images: Iterable[np.ndarray], fps: int, way: str) -> None:
     import av
 
-    bare = {"fflags": "+bitexact"}  # no time stamp or random number
+    kind, codec, pixels, options, given = _WAYS[way]
+    bare = {"fflags": "+bitexact"} if way == "alpha" else {}  # no time stamp or random number
     with (
         atomic_write(path) as unfinished,
-        av.open(str(unfinished), "w", format="webm", options=bare) as container,
+        av.open(str(unfinished), "w", format=kind, options=bare) as container,
     ):
-        stream = container.add_stream("libvpx-vp9", rate=fps)
-        stream.pix_fmt, stream.options = "yuva420p", _WITH_ALPHA
-        stream.metadata["alpha_mode"] = "1"  # players need it
-        _write_film(container, stream, images, "rgba", halved=True)
-
-
-def _write_film(
-    container: av.container.OutputContainer,
-    stream: av.VideoStream,
-    images: Iterable[np.ndarray],
-    kind: str,
-    halved: bool,
-) -> None:
-    """Encode pictures of a pixel format; ``halved`` crops them to even sizes."""
-    import av
-
-    for k, image in enumerate(images):
-        image = in_8_bits(image)
-        if halved:
-            image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-        if k == 0:
-            stream.height, stream.width = image.shape[:2]
-        picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), kind)
-        container.mux(stream.encode(picture))
-    container.mux(stream.encode())
+        stream = container.add_stream(codec, rate=fps)
+        stream.pix_fmt, stream.options = pixels, options
+        if way == "alpha":
+            stream.metadata["alpha_mode"] = "1"  # players need it
+        for k, image in enumerate(images):
+            image = in_8_bits(image)
+            if way != "lossless":  # halved colours: even sizes
+                image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
+            if k == 0:
+                stream.height, stream.width = image.shape[:2]
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), given)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())

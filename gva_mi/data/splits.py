@@ -11,7 +11,7 @@ neighbours of any other test frame were seen in training.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container
+from collections.abc import Collection, Container, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -33,15 +33,13 @@ class Splits:
     @staticmethod
     def every(step: int, frames: int) -> Splits:
         """Make every ``step``-th frame a test frame."""
-        test = list(range(step // 2, frames, step))
-        return Splits([k for k in range(frames) if k not in set(test)], test)
+        return Splits._of(frames, range(step // 2, frames, step))
 
     @staticmethod
     def one_range(share: int, frames: int) -> Splits:
         """Make one ``share``-th of the frames, consecutive and in the middle, test frames."""
         count = max(1, frames // share)
-        test = list(range((frames - count) // 2, (frames + count) // 2))
-        return Splits([k for k in range(frames) if k not in set(test)], test)
+        return Splits._of(frames, range((frames - count) // 2, (frames + count) // 2))
 
     @staticmethod
     def of_film(frames: int, step: int = TEST_EVERY, share: int = 10) -> Splits:
@@ -52,10 +50,13 @@ class Splits:
         """
         count = max(1, frames // share)
         first = min(frames - count, 3 * frames // 4 - count // 2)
-        held_out = list(range(first, first + count))
-        test = sorted({*range(step // 2, frames, step), *held_out})
-        train = [k for k in range(frames) if k not in set(test)]
-        return Splits(train, test, held_out)
+        held_out = range(first, first + count)
+        return Splits._of(frames, {*range(step // 2, frames, step), *held_out}, held_out)
+
+    @staticmethod
+    def _of(frames: int, test: Collection[int], held_out: Iterable[int] = ()) -> Splits:
+        train = [k for k in range(frames) if k not in test]
+        return Splits(train, sorted(test), list(held_out))
 
     def to_json(self) -> dict[str, list[int]]:
         """Return what ``splits.json`` holds; no range where there is none."""
@@ -80,21 +81,16 @@ def load_splits(folder: Path, frames: int) -> Splits:
         held_out = list(data.get("held_out_range", []))
         if odd := [k for k in (*train, *test, *held_out) if type(k) is not int]:
             raise InputError(f"{path}: frames must be whole numbers, got {str(odd[0]):.40}")
-    outside = [k for k in (*train, *test) if not 0 <= k < frames]
-    both = sorted(set(train) & set(test))
-    twice = [k for split in (train, test) for k, times in Counter(split).items() if times > 1]
-    strange = sorted(set(held_out) - set(test))
-    if outside or both or twice or strange or not train:
-        reason = (
-            f"frame {outside[0]} does not exist"
-            if outside
-            else f"frame {strange[0]} of the held-out range is no test frame"
-            if strange
-            else f"frame {both[0]} is in both"
-            if both
-            else f"frame {twice[0]} is there twice"
-            if twice
-            else "no train frame"
-        )
-        raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
+    faults = {
+        "frame {} does not exist": [k for k in (*train, *test) if not 0 <= k < frames],
+        "frame {} of the held-out range is no test frame": sorted(set(held_out) - set(test)),
+        "frame {} is in both": sorted(set(train) & set(test)),
+        "frame {} is there twice": [
+            k for split in (train, test) for k, times in Counter(split).items() if times > 1],
+        "no train frame": [] if train else [None],
+    }  # fmt: skip
+    for fault, wrong in faults.items():
+        if wrong:
+            reason = fault.format(wrong[0])
+            raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
     return Splits(train, test, held_out)

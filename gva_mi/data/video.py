@@ -197,25 +197,24 @@ def load_video(
             f"{folder}: no such folder; expected a subject with video.mp4 or frames/, masks/, "
             "cameras.npz and poses.npz"
         )
-    cameras = load_cameras(folder / "cameras.npz")
     images, numbers = _open_pictures(folder)
     count = numbers[-1] + 1
+    cameras = load_cameras(folder / "cameras.npz", count)
     poses = poses or folder / POSES
     found = read_pose_file(poses, count)
     # Where the refinement moved the focal length too, its poses hold for that one only.
     if found.focal != 1:
         cameras = [camera.zoomed(found.focal) for camera in cameras]
-    if len(cameras) == 1:
-        cameras = cameras * count
-    if len(cameras) != count:
-        raise InputError(
-            f"{folder / 'cameras.npz'}: holds {len(cameras)} cameras, "
-            f"but the video has {count} frames"
-        )
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
     absent = {k: "it has no picture" for k in range(count) if k not in set(numbers)}
     for k in numbers:
-        _check_picture(folder, k, images.sizes[k] if images else None, cameras[k])
+        image = folder / "frames" / f"{k:06d}.png"
+        width, height = images.sizes[k] if images else read_image(image, 3).shape[1::-1]
+        if (width, height) != (cameras[k].width, cameras[k].height):
+            raise InputError(
+                f"{folder}: frame {k} is {width}x{height}, "
+                f"but cameras.npz says {cameras[k].width}x{cameras[k].height}"
+            )
         if (reason := _why_absent(folder / "masks", k, cameras[k])) is not None:
             absent[k] = reason
         elif maps is not None:
@@ -254,17 +253,6 @@ def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]
         images = Film(folder / "video.mp4")
         return images, range(len(images))
     raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
-
-
-def _check_picture(folder: Path, index: int, size: tuple[int, int] | None, camera: Camera) -> None:
-    if size is None:
-        size = read_image(folder / "frames" / f"{index:06d}.png", 3).shape[1::-1]
-    width, height = size
-    if (width, height) != (camera.width, camera.height):
-        raise InputError(
-            f"{folder}: frame {index} is {width}x{height}, "
-            f"but cameras.npz says {camera.width}x{camera.height}"
-        )
 
 
 def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:

@@ -48,14 +48,7 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
     if not folder.is_dir():
         return None
     frames = _frames(folder / ABOUT, count)
-    cameras = load_cameras(folder / "cameras.npz")
-    if len(cameras) == 1:
-        cameras = cameras * len(frames)
-    if len(cameras) != len(frames):
-        raise InputError(
-            f"{folder / 'cameras.npz'}: holds {len(cameras)} cameras for {len(frames)} pictures of "
-            f"{ABOUT}"
-        )
+    cameras = load_cameras(folder / "cameras.npz", len(frames), f" for {{}} pictures of {ABOUT}")
     for k, camera in enumerate(cameras):
         size = (camera.height, camera.width)
         image = read_image(folder / "frames" / f"{k:06d}.png", 3)

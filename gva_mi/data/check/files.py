@@ -52,11 +52,6 @@ class MaskSummary:
         """Whether the mask shows the background instead of the person."""
         return AROUND < self.border and self.share < FULL
 
-    @property
-    def has_outline(self) -> bool:
-        """Whether the mask is neither empty nor full."""
-        return 0 < self.share < FULL
-
 
 @dataclass
 class SubjectFiles:
@@ -107,7 +102,12 @@ def read_subject(
         raise InputError(f"{folder}: no subject's folder; expected some of {', '.join(parts)}")
     files = SubjectFiles(folder, poses or folder / POSES)
     _read_pictures(files)
-    _read_masks(files, progress)
+    for done, k in enumerate(sorted(files.pictures), 1):
+        if progress is not None:
+            progress(done, len(files.pictures))
+        mask = files.attempt("unreadable", lambda k=k: read_mask(folder / "masks", k))
+        if mask is not None and mask.size:
+            files.masks[k] = _summary(mask)
     _read_poses(files, body)
     _read_cameras(files)
     files.problems += _sizes_and_masks(files)
@@ -148,15 +148,6 @@ def _read_pictures(files: SubjectFiles) -> None:
             error("no pictures", "0 frames", "neither frames/ nor video.mp4 is there",
                   "put video.mp4 or frames/000000.png ... into the folder")
         )  # fmt: skip
-
-
-def _read_masks(files: SubjectFiles, progress: Progress | None) -> None:
-    for done, k in enumerate(sorted(files.pictures)):
-        if progress is not None:
-            progress(done + 1, len(files.pictures))
-        mask = files.attempt("unreadable", lambda k=k: read_mask(files.folder / "masks", k))
-        if mask is not None and mask.size:
-            files.masks[k] = _summary(mask)
 
 
 def _summary(mask: np.ndarray) -> MaskSummary:
@@ -228,10 +219,8 @@ def _sizes_and_masks(files: SubjectFiles) -> Iterator[Problem]:
                     "with a step", "number frames, masks and poses 0, 1, 2, ...", gaps)  # fmt: skip
     sizes = {k: (c.width, c.height) for k, c in files.cameras.items()}
     of_masks = {k: m.size for k, m in masks.items()}
-    for what, found, wanted in (
-        ("picture size", there, sizes),
-        ("mask size", of_masks, sizes or there),
-    ):
+    each = ("picture size", there, sizes), ("mask size", of_masks, sizes or there)
+    for what, found, wanted in each:
         if other := [k for k, size in found.items() if size != wanted.get(k, size)]:
             (w, h), (W, H) = found[other[0]], wanted[other[0]]
             yield error(what, f"{w}x{h}, expected {W}x{H}", "one of them was shrunk or turned",

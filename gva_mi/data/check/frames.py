@@ -11,7 +11,7 @@ import torch
 from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.check.files import SubjectFiles, small_size
+from gva_mi.data.check.files import FULL, SubjectFiles, small_size
 from gva_mi.data.joints import count_in_mask, joint_places, joints_seen
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
@@ -71,7 +71,7 @@ def frames_of(files: SubjectFiles, body: BodyModel) -> CheckedFrames | None:
     size = first.width, first.height
     numbers = [
         k for k, m in sorted(files.masks.items())
-        if k in files.cameras and k < len(pose) and m.size == size and m.has_outline
+        if k in files.cameras and k < len(pose) and m.size == size and 0 < m.share < FULL
     ]  # fmt: skip
     if not numbers:
         return None

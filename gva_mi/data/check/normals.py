@@ -53,7 +53,11 @@ def check_normals(
         except InputError:  # reported when the maps were opened
             continue
         if normals is not None:
-            normals = _sampled(normals, frames.masks.shape[1:])
+            rows, columns = (  # at the middles of the small picture's pixels
+                ((np.arange(n) + 0.5) * total / n).astype(int)
+                for n, total in zip(frames.masks.shape[1:], normals.shape[:2], strict=True)
+            )
+            normals = normals[rows[:, None], columns[None]]
             both = (normals != 0).any(-1) & frames.masks[i] & (images[i, ..., 3] > 0.5)
             if both.sum() >= FEWEST_PIXELS:
                 found.append(images[i][both][:, :3].T @ normals[both] / both.sum())
@@ -76,12 +80,3 @@ def _axes(M: np.ndarray) -> Iterator[Problem]:
     elif mean[plain] < FOLLOWS:
         yield doubt("normals do not follow the body", f"mean cosine {mean[plain]:.2f}",
                     "maps of other frames, or in the world's axes", _AXES)  # fmt: skip
-
-
-def _sampled(normals: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return normals (H, W, 3) at the middles of the pixels of a smaller picture (h, w)."""
-    rows, columns = (
-        ((np.arange(n) + 0.5) * total / n).astype(int)
-        for n, total in zip(size, normals.shape[:2], strict=True)
-    )
-    return normals[rows[:, None], columns[None]]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Literal
 
 from gva_mi.core.console import listed
 
-LONGEST = 40  # characters of a list of frames
+LONGEST = 44  # characters of a list of frames; all of them are in the JSON
 
 
 @dataclass(frozen=True)
@@ -21,17 +22,13 @@ class Problem:
     figure: str  # what was measured, with its unit
     cause: str
     remedy: str
-    frames: tuple[int, ...] = ()  # empty if it is about no frame in particular
+    frames: Iterable[int] = ()  # empty if it is about no frame in particular
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frames", tuple(map(int, self.frames)))
 
 
-def error(what: str, figure: str, cause: str, remedy: str, frames: Iterable[int] = ()) -> Problem:
-    """Return a problem that spoils the results."""
-    return Problem("error", what, figure, cause, remedy, tuple(map(int, frames)))
-
-
-def doubt(what: str, figure: str, cause: str, remedy: str, frames: Iterable[int] = ()) -> Problem:
-    """Return a problem that may spoil the results."""
-    return Problem("doubtful", what, figure, cause, remedy, tuple(map(int, frames)))
+error, doubt = (partial(Problem, severity) for severity in ("error", "doubtful"))
 
 
 @dataclass
@@ -56,16 +53,13 @@ class CheckReport:
         }  # fmt: skip
 
     def lines(self, width: int) -> Iterator[str]:
-        """Yield the problems for people, in lines of at most ``width`` characters."""
+        """Yield the problems in lines of at most ``width`` characters."""
         for p in self.problems:
-            frames = f" in {self._listed(p.frames)}" if p.frames else ""
+            frames = f" in frames {listed(sorted(p.frames))}" if p.frames else ""
+            if len(frames) > LONGEST:
+                frames = f" in {len(p.frames)} frames from {p.frames[0]} on"
+            if len(p.frames) == self.frames > 0:
+                frames = " in all frames"
             yield from textwrap.wrap(f"{p.severity}: {p.what}{frames}: {p.figure}", width)
             why = f"likely cause: {p.cause}; what to do: {p.remedy}"
             yield from textwrap.wrap(why, width, initial_indent="  ", subsequent_indent="  ")
-
-    def _listed(self, frames: tuple[int, ...]) -> str:
-        """Return frame numbers in a few words; all of them are in the JSON."""
-        if len(frames) == self.frames:
-            return "all frames"
-        text = f"frames {listed(sorted(frames))}"
-        return text if len(text) <= LONGEST else f"{len(frames)} frames from {frames[0]} on"

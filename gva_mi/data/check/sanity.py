@@ -48,7 +48,10 @@ def doubt_of(
         inside, seen, of = inside + hits, seen + there, of + len(joints)
         size = small_size(camera.width, camera.height, COARSE)
         pixels = joints_seen(camera.resized(*size), posed.vertices[0].double().numpy())
-        shown = occupied(pixels, size)
+        whole = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int)
+        x, y = whole[((whole >= 0) & (whole < size)).all(1)].T
+        shown = np.zeros(size[::-1], bool)  # pixels that hold a vertex
+        shown[y, x] = True
         there = shrunk(mask > 0.5, size)
         both, either = both + (shown & there).sum(), either + (shown | there).sum()
     if not of:
@@ -63,12 +66,3 @@ def doubt_of(
     else:
         return None
     return f"doubtful: {figure}, expected most of them"
-
-
-def occupied(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the pixels (h, w) bool of a picture of ``size`` (w, h) that hold a point (n, 2)."""
-    whole = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int)
-    x, y = whole[((whole >= 0) & (whole < size)).all(1)].T
-    shown = np.zeros(size[::-1], bool)
-    shown[y, x] = True
-    return shown

@@ -11,8 +11,9 @@ from torch import Tensor
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
+from gva_mi.data.crop import bounds
 from gva_mi.data.masks import read_mask
-from gva_mi.data.networks.crop import CropBox, box_of_mask
+from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.normals import ABOUT, in_convention
@@ -83,7 +84,7 @@ def write_normals(
     boxes, maps = [[0, 0, 1, 1]] * len(cameras), 0
     for k, camera in enumerate(cameras):
         mask = read_mask(folder / "masks", k)
-        box = None if mask is None else box_of_mask(mask > 0.5)
+        box = None if mask is None else bounds(mask > 0.5)
         if box is not None:
             image = read_image(folder / "frames" / f"{k:06d}.png", 3)
             body = _body_normals(network, camera, posed(k), faces) if network.needs_body else None

@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.console import Progress, listed
+from gva_mi.data.crop import bounds
 from gva_mi.data.matting.camera import ShrunkPicture, camera_motion
 from gva_mi.data.matting.grid import WorkGrid
 from gva_mi.data.matting.scene import FilmScene, GridPicture
 from gva_mi.data.pictures import write_image
+from gva_mi.data.video import spread
 
 GATHERED = 48  # pictures that the plate and the colours are gathered from
 COMPARED = 6  # pictures that show whether the camera moves at all
@@ -52,7 +54,7 @@ def film_masks(
     notes: list[str] = []
     if len(shown):
         film = _FilmOnGrid(pictures, probabilities, extents, shown)
-        scene = FilmScene.gather([film.view(k) for k in _spread(shown, GATHERED)])
+        scene = FilmScene.gather([film.view(k) for k in spread(shown, GATHERED)])
         notes = film.notes()
         if scene.plate.seen.any() and np.median(scene.plate.spread[scene.plate.seen]) > UNSTEADY:
             notes.append("the background changes, so masks rely on the network and on colours")
@@ -75,8 +77,7 @@ def _extent(probability: np.ndarray) -> np.ndarray:
     inside = probability > 255 * PERSON
     if inside.sum() < SMALLEST:
         return np.zeros(4)
-    columns, rows = (np.flatnonzero(inside.any(axis)) for axis in (0, 1))
-    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+    return bounds(inside)
 
 
 @dataclass
@@ -92,7 +93,7 @@ class _FilmOnGrid:
         first = int(self.shown[0])
         self.grid = WorkGrid.around(self.extents[self.shown], self.pictures[first].shape[:2])
         self._motions: dict[int, np.ndarray | None] | None = None  # None: the camera stands
-        some = _spread(self.shown, COMPARED)
+        some = np.array(spread(self.shown, COMPARED))
         if any(A is None or self._pixels(A) > STILL for A in self._found(some).values()):
             self._motions = self._found(self.shown)
 
@@ -133,8 +134,3 @@ class _FilmOnGrid:
         corners = np.array([[x, y, 1.0] for x in (-1, 1) for y in (-1, 1)])
         away = (corners @ A.T - corners)[:, :2] * self.grid.picture[::-1] / 2
         return float(np.abs(away).max() * self.grid.scale)
-
-
-def _spread(numbers: np.ndarray, count: int) -> np.ndarray:
-    """Return at most ``count`` of some numbers, evenly spread."""
-    return numbers[np.unique(np.linspace(0, len(numbers) - 1, count).round().astype(int))]

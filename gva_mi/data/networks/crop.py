@@ -51,11 +51,3 @@ class CropBox:
         """Convert picture pixels (..., 2) to pixels of the resized rectangle of ``size`` (w, h)."""
         scale = np.array(size) / (self.width, self.height)
         return (np.asarray(pixels, np.float64) - (self.left, self.top)) * scale
-
-
-def box_of_mask(mask: np.ndarray) -> np.ndarray | None:
-    """Return left, top, right, bottom (4,) of a mask (H, W) bool; None if it is empty."""
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return None
-    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)

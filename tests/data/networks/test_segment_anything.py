@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.networks.crop import CropBox, box_of_mask
+from gva_mi.data.crop import bounds
+from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything, load_network
 
 transformers = pytest.importorskip("transformers")
@@ -43,7 +44,7 @@ def ellipse(size, centre, radii):
 
 
 def prompt(inside, points):
-    return Prompt(box_of_mask(inside), np.array(points, float), np.ones(len(points), int))
+    return Prompt(bounds(inside), np.array(points, float), np.ones(len(points), int))
 
 
 def test_a_point_keeps_its_place_in_the_crop():
@@ -74,7 +75,7 @@ def test_logits_are_resampled_to_another_crop():
 def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
     """A crop that is the picture itself: the network's own preparation gives the same guesses."""
     image, inside = ellipse((64, 64), (30, 33), (12, 20))
-    points, box = np.array([[30.0, 33.0], [28.0, 25.0]]), box_of_mask(inside)
+    points, box = np.array([[30.0, 33.0], [28.0, 25.0]]), bounds(inside)
     sam = SegmentAnything.load(tiny_sam)
     told = Prompt(box, points, np.array([1, 1]))
     size = {"longest_edge": 64}, {"height": 64, "width": 64}

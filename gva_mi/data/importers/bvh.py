@@ -8,7 +8,7 @@ any unit. An ``End Site`` is a point without channels.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,18 +37,9 @@ class BvhClip:
     def __len__(self) -> int:
         return len(self.rotations)
 
-    def since(self, first: int) -> BvhClip:
-        """Return the clip without the frames before ``first``."""
-        return replace(self, rotations=self.rotations[first:], places=self.places[first:])
-
     def turns_in(self, frame: int) -> bool:
         """Return whether any joint but the root turns in a frame."""
         return bool(abs(self.rotations[frame, 1:] - np.eye(3)).max(initial=0) > 1e-3)
-
-    def at_zero(self) -> BvhClip:
-        """Return one frame of the pose whose angles are all zero."""
-        eye = np.broadcast_to(np.eye(3), (1, len(self.names), 3, 3))
-        return replace(self, rotations=eye, places=self.offsets[None])
 
     def in_world(self) -> tuple[np.ndarray, np.ndarray]:
         """Return rotations (T, J, 3, 3) and places (T, J, 3) of all joints in the world."""
@@ -85,7 +76,6 @@ def read_bvh(path: Path) -> BvhClip:
         raise InputError(
             f"{path}: holds a word among the numbers of its frames ({error})"
         ) from None
-    timing = frame_time, found[1]
     width = sum(map(len, channels))
     if not 0 < frame_time < np.inf:
         raise InputError(f"{path}: 'Frame Time' must be seconds above 0, got {found[2]}")
@@ -94,23 +84,10 @@ def read_bvh(path: Path) -> BvhClip:
             f"{path}: has {values.size} numbers, expected a multiple of its {width} channels; it "
             "may be cut short"
         )
-    return _posed(names, parents, offsets, channels, values.reshape(-1, width), *timing)
-
-
-def _posed(
-    names: list[str],
-    parents: list[int],
-    offsets: list[list[float]],
-    channels: list[list[tuple[int, bool]]],
-    values: np.ndarray,
-    frame_time: float,
-    announced: str,
-) -> BvhClip:
-    """Return the clip of channel values (T, channels); a channel is an axis, and if it turns."""
-    rest = np.array(offsets)
-    places = np.tile(rest, (len(values), 1, 1))
-    turns = np.tile(np.eye(3), (len(values), len(names), 1, 1))
-    columns = iter(values.T)
+    rest, columns = np.array(offsets), values.reshape(-1, width).T
+    count, columns = columns.shape[1], iter(columns)
+    places = np.tile(rest, (count, 1, 1))
+    turns = np.tile(np.eye(3), (count, len(names), 1, 1))
     for joint, of_joint in enumerate(channels):
         for axis, turning in of_joint:
             column = next(columns)
@@ -118,7 +95,7 @@ def _posed(
                 turns[:, joint] @= to_matrices(np.radians(column)[:, None] * np.eye(3)[axis])
             else:
                 places[:, joint, axis] = column
-    return BvhClip(tuple(names), np.array(parents), rest, turns, places, frame_time, announced)
+    return BvhClip(tuple(names), np.array(parents), rest, turns, places, frame_time, found[1])
 
 
 def _hierarchy(

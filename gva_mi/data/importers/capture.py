@@ -6,12 +6,12 @@ An estimator's file holds people alone; a data set also has pictures, masks and 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from gva_mi.data.importers.footage import Pictures, mask_meaning, masks
+from gva_mi.data.importers.footage import Pictures, masks
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.mask_units import MaskMeaning
 from gva_mi.data.video import Splits
@@ -60,9 +60,3 @@ class Capture:
     def read_masks(self, source: Pictures | None = None) -> Iterator[np.ndarray]:
         """Yield the data set's masks, or those of another source, with 255 inside."""
         return masks(source or self.masks, self.meaning)
-
-    def understood(self) -> Capture:
-        """Return the capture with the meaning of its masks' values, decided once for all."""
-        if self.masks is None or self.meaning is not None:
-            return self
-        return replace(self, meaning=mask_meaning(self.masks))

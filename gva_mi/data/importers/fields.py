@@ -15,7 +15,7 @@ of :mod:`.joint_rotations`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,22 +60,21 @@ def find_body(
             f"{where}: holds no poses; expected one of {', '.join(WHOLE)}, or root_orient and "
             f"pose_body, or global_orient and body_pose; found: {names}"
         )
-    turns = None
+    turns, frames = None, len(joints.rotations)
     if {"Rh", "Th"} <= arrays.keys():
-        joints, turns = _about_origin(arrays, joints)
-    frames = len(joints.rotations)
+        Rh = _vectors(where, *arrays.take("Rh"), frames)
+        joints.rotations[:, 0] = composed(Rh, joints.rotations[:, 0])
+        turns = to_matrices(Rh)
     transl = _transl(arrays, frames, "Th" if turns is not None else "transl")
-    expression = _rows_of(arrays, "expression", frames)
-    return FoundBody(joints, transl, turns, _betas(arrays), expression, arrays.unused())
-
-
-def _about_origin(arrays: NamedArrays, joints: JointRotations) -> tuple[JointRotations, np.ndarray]:
-    """Turn the roots by EasyMocap's Rh; return the rotations, and its matrices (T, 3, 3)."""
-    name, Rh = arrays.take("Rh")
-    rotations = joints.rotations.copy()
-    Rh = _vectors(arrays.where, name, Rh, len(rotations))
-    rotations[:, 0] = composed(Rh, rotations[:, 0])
-    return replace(joints, rotations=rotations), to_matrices(Rh)
+    name, face = arrays.take("expression")
+    if name is None or not face.size:
+        face = None
+    else:
+        rows = face.reshape(1 if face.size == face.shape[-1] else len(face), -1)
+        if len(rows) not in (1, frames):  # one row is every frame's
+            raise InputError(f"{where}: '{name}' must be ({frames}, n), got {face.shape}")
+        face = np.broadcast_to(rows, (frames, rows.shape[1]))
+    return FoundBody(joints, transl, turns, _betas(arrays), face, arrays.unused())
 
 
 def _vectors(where: str, name: str, x: np.ndarray, frames: int) -> np.ndarray:
@@ -116,14 +115,3 @@ def _betas(arrays: NamedArrays) -> np.ndarray | None:
     if not betas.size or betas.ndim not in (1, 2) or not np.isfinite(betas).all():
         raise InputError(f"{arrays.where}: '{name}' must be finite (B,) or (T, B), got {given}")
     return betas
-
-
-def _rows_of(arrays: NamedArrays, ours: str, frames: int) -> np.ndarray | None:
-    """Return rows of numbers (T, n); one row is every frame's."""
-    name, x = arrays.take(ours)
-    if name is None or not x.size:
-        return None
-    rows = x.reshape(1, -1) if x.size == x.shape[-1] else x.reshape(len(x), -1)
-    if len(rows) not in (1, frames):
-        raise InputError(f"{arrays.where}: '{name}' must be ({frames}, n), got {x.shape}")
-    return np.broadcast_to(rows, (frames, rows.shape[1]))

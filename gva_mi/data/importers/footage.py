@@ -32,10 +32,16 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
         raise InputError(
             f"{source}: expected a film, a folder of pictures, or for masks one .npy (T, H, W)"
         )
-    elif source.is_file():
-        yield from _film(source, channels)
-    else:
+    elif not source.is_file():
         raise InputError(f"{source}: no such film or folder of pictures")
+    else:
+        for number, frame in enumerate(decoded(source)):
+            if channels == 3:
+                yield pixels_of(frame, "rgb24")
+                continue
+            has_alpha = any(component.is_alpha for component in frame.format.components)
+            pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
+            yield matte_of_pixels(f"{source}: picture {number}", pixels)
 
 
 def files_of(source: Pictures) -> list[Path] | None:
@@ -56,10 +62,10 @@ def folder_of(source: Pictures) -> Path:
 
 
 def masks(source: Pictures, meaning: MaskMeaning | None = None) -> Iterator[np.ndarray]:
-    """Yield the masks of a film, a folder, or a stack (T, H, W): each (H, W) 8-bit, 255 inside.
+    """Yield the masks of a film, a folder, or a .npy (T, H, W): each (H, W) 8-bit, 255 inside.
 
-    A stack is a .npy; a folder may hold a .npy (H, W) a frame. ``meaning`` is that of their values;
-    without it, what all of them together say.
+    A folder may hold a .npy (H, W) a frame. ``meaning`` is that of their values; without it, what
+    all of them together say.
     """
     meaning = mask_meaning(source) if meaning is None else meaning
     for where, mask in raw_masks(source):
@@ -78,8 +84,9 @@ def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
         for path in files:
             yield str(path), _stack(path, read_array(path)[None])[0]
     elif whole and source.suffix == ".npy" and source.is_file():
-        for k, mask in enumerate(_rows_of_npy(source)):
-            yield f"{source}: mask {k}", mask
+        # Mapped anew each time: pages that were read through one mapping stay in memory with it.
+        for k in range(len(_stack(source, read_array(source, mapped=True)))):
+            yield f"{source}: mask {k}", _stack(source, read_array(source, mapped=True))[k]
     else:
         for k, mask in enumerate(pictures(source, 1)):
             yield f"{folder_of(source)}: mask {k}", mask
@@ -92,23 +99,6 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
     if stack.ndim != 3 or stack.dtype.kind not in "bufi":
         raise InputError(f"{path}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
     return stack
-
-
-def _rows_of_npy(path: Path) -> Iterator[np.ndarray]:
-    """Yield the masks of a stack in order, with one at a time in memory."""
-    for k in range(len(_stack(path, read_array(path, mapped=True)))):
-        # Mapped anew: pages that were read through one mapping stay in memory with it.
-        yield _stack(path, read_array(path, mapped=True))[k]
-
-
-def _film(path: Path, channels: int) -> Iterator[np.ndarray]:
-    for number, frame in enumerate(decoded(path)):
-        if channels == 3:
-            yield pixels_of(frame, "rgb24")
-        else:
-            has_alpha = any(component.is_alpha for component in frame.format.components)
-            pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
-            yield matte_of_pixels(f"{path}: picture {number}", pixels)
 
 
 def count_of(source: Pictures) -> int:

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -72,13 +72,11 @@ def read_hands(path: Path, first: int = 0) -> tuple[list[ForeignHand], list[str]
     bend = np.median([hand.fingers[_FINGERS, 2].mean() for hand in left]) if left else -1.0
     if bend <= 0:
         return found, []
-    mirrored = [
-        ForeignHand(h.side, h.frame, h.fingers * MIRROR,
-                 None if h.wrist is None else h.wrist * MIRROR, h.centre)
-        if h.side == "left" else h
-        for h in found
-    ]  # fmt: skip
-    return mirrored, ["left hands bend as right ones, so they are mirrored back"]
+    for k, h in enumerate(found):
+        if h.side == "left":
+            wrist = None if h.wrist is None else h.wrist * MIRROR
+            found[k] = replace(h, fingers=h.fingers * MIRROR, wrist=wrist)
+    return found, ["left hands bend as right ones, so they are mirrored back"]
 
 
 def _content(path: Path) -> Any:  # noqa: ANN401
@@ -136,20 +134,15 @@ def _hands_of(
     if len(wrists) != count:
         raise InputError(f"{where}: {len(wrists)} wrists for {count} hands of '{name}'")
     # Several videos' worth of rows, (hands, frames, ...): frames run in the last axis.
-    rows = np.shape(value[name])[1] if _leading(value[name]) == 2 else count
+    shape = np.shape(value[name])
+    of_hand = 3 if shape[-2:] == (3, 3) else 2 if shape[-1] == 3 else 1  # axes of one
+    rows = shape[1] if len(shape) - of_hand == 2 else count
     for k in range(count):
         yield ForeignHand(
             SIDES[int(rights[k])], k % rows if frame is None else frame, fingers[k],
             None if wrists[k] is None else wrists[k][0],
             None if boxes[k] is None else (boxes[k][:2] + boxes[k][2:]) / 2,
         )  # fmt: skip
-
-
-def _leading(value: Any) -> int:  # noqa: ANN401
-    """Return how many axes an array of fingers has before those of one hand."""
-    shape = np.shape(value)
-    of_hand = 3 if shape[-2:] == (3, 3) else 2 if shape[-1] == 3 else 1
-    return len(shape) - of_hand
 
 
 def _rotations(where: Path, name: str, value: Any, joints: int) -> np.ndarray:  # noqa: ANN401

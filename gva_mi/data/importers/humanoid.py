@@ -106,7 +106,8 @@ def _with_trunk(tree: _NamedTree, points: dict[str, int]) -> Humanoid:
 def _fingers(tree: _NamedTree, side: str, wrist: int | None) -> dict[str, int]:
     """Return the three joints of each finger, by SMPL-X's names."""
     found = {}
-    on_hand = [] if wrist is None else [k for k in tree.hanging_on(wrist) if tree.names[k]]
+    on_hand = [k for k, name in enumerate(tree.names)
+               if name and k != wrist and wrist in tree.to_root(k)]  # fmt: skip
     for finger, words in FINGERS.items():
         of_finger = [k for k in on_hand if re.search(words, tree.names[k])]
         if len(of_finger) > 3:
@@ -133,9 +134,11 @@ class _NamedTree:
         self.twin = {
             k: number[other]
             for name, k in number.items()
-            for other in (name.replace("left", "right"), *_swapped(name))
+            # The name with right for left, or with each of its letters l in turn as an r.
+            for other in (name.replace("left", "right"), *(
+                f"{name[:at]}r{name[at + 1 :]}" for at, letter in enumerate(name) if letter == "l"))
             if other != name and other in number
-        }
+        }  # fmt: skip
         self.sided = {*self.twin, *self.twin.values()}
 
     def both(self, words: Sequence[str]) -> tuple[int, int] | tuple[None, None]:
@@ -167,10 +170,6 @@ class _NamedTree:
         """Return the nearest joint on which both hang."""
         return [k for k in self.to_root(a) if k in self.to_root(b)][-1]
 
-    def hanging_on(self, joint: int) -> list[int]:
-        """Return all that hangs on a joint, in the file's order."""
-        return [k for k in range(len(self.names)) if k != joint and joint in self.to_root(k)]
-
     def branch(self, joint: int) -> list[int]:
         """Return what follows a joint up to an end: the first child each time, but no heel."""
         found: list[int] = []
@@ -178,8 +177,3 @@ class _NamedTree:
                            if parent == joint and "heel" not in self.names[k]]:  # fmt: skip
             found.append(joint := children[0])
         return found
-
-
-def _swapped(name: str) -> list[str]:
-    """Return a name with each of its letters l in turn as an r."""
-    return [f"{name[:k]}r{name[k + 1 :]}" for k, letter in enumerate(name) if letter == "l"]

@@ -63,8 +63,10 @@ def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
         if name in A:
             continue
         A[name] = A[JOINTS[parent]]
-        if name in _BONES:
-            A[name] = _pointed(A[name], own, at, name)
+        if name in _BONES:  # the shortest way by which the bone points as seen
+            child = _BONES[name]
+            ours, theirs = unit(A[name] @ (own[child] - own[name])), unit(at[child] - at[name])
+            A[name] = to_matrices(shortest(ours, theirs)) @ A[name]
         if name in _HINGES:
             A[name] = _turned_by_hinge(A[name], at, name, fps)
     scale = leg_length(own) / leg_length(at)
@@ -86,13 +88,6 @@ def _spine(pelvis: np.ndarray, chest: np.ndarray, own: Places, at: Places) -> Pl
     ours = first @ (own["spine2"] - own["spine1"]) + second @ (own["spine3"] - own["spine2"])
     turn = to_matrices(shortest(unit(ours), unit(at["spine3"] - at["spine1"])))
     return {"spine1": turn @ first, "spine2": turn @ second}
-
-
-def _pointed(A: np.ndarray, own: Places, at: Places, name: str) -> np.ndarray:
-    """Return A (T, 3, 3) turned the shortest way by which the bone of ``name`` points as seen."""
-    child = _BONES[name]
-    ours, theirs = unit(A @ (own[child] - own[name])), unit(at[child] - at[name])
-    return to_matrices(shortest(ours, theirs)) @ A
 
 
 def _turned_by_hinge(A: np.ndarray, at: Places, name: str, fps: float) -> np.ndarray:

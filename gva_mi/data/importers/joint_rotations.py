@@ -10,6 +10,7 @@ hand, with the components C of the body's file.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ _NO_ANGLES = {  # of a row: numbers of other rotations, whose order programs do 
     k * n: words for n in _COUNTS
     for k, words in ((4, "quaternions"), (6, "two columns or rows of matrices (6D)"))
 }  # fmt: skip
+_BELOW_THE_ROOT = 3 * (BODY.stop - 1), 3 * (len(SMPL.joints) - 1)  # numbers of joints below it
 _FINGERS = 3 * (LEFT_HAND.stop - LEFT_HAND.start)  # numbers of a hand in axis-angle
 # Some programs add whole turns to a limb's rotation, but not so many; in degrees, arms that hang
 # down are turned by more than this.
@@ -57,7 +59,9 @@ def find_rotations(
     ``components`` are the body file's PCA of hands (2, K, 45), left before right.
     """
     whole, pose = arrays.take(*WHOLE)
-    root, orient = arrays.take("global_orient") if whole is None or _is_body(pose) else (None, None)
+    root = orient = None
+    if whole is None or math.prod(pose.shape[pose.ndim > 1 :]) in _BELOW_THE_ROOT:
+        root, orient = arrays.take("global_orient")
     if whole is not None and root is not None:
         arrays["body_pose"] = pose
         whole = None
@@ -81,14 +85,6 @@ def find_rotations(
             "rotations in degrees; expected axis-angle in radians"
         )
     return found
-
-
-def _is_body(pose: np.ndarray) -> bool:
-    """Whether an array named as all joints has those below the root alone."""
-    return (int(np.prod(pose.shape[1:])) if pose.ndim > 1 else pose.size) in (
-        3 * (BODY.stop - 1),
-        3 * (len(SMPL.joints) - 1),
-    )
 
 
 def _whole(where: str, name: str, pose: np.ndarray) -> tuple[JointRotations, int]:

@@ -159,7 +159,8 @@ def with_keypoints(
         guide = network if np.isfinite(network).any() else before
         if not people or guide is None:
             continue
-        off = [_apart(x[:, :2], guide) for x in people]
+        off = [np.linalg.norm(x[:, :2] - guide, axis=1) for x in people]
+        off = [np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.inf for x in off]
         person = people[int(np.argmin(off))]
         if guide is network:
             apart.append(min(off) / np.ptp(guide[np.isfinite(guide[:, 1]), 1]))
@@ -177,10 +178,3 @@ def with_keypoints(
     count = int(np.isfinite(pixels[:, at]).any((1, 2)).sum())
     replaced = Landmarks(landmarks.names, pixels, confidence, spread, landmarks.metric)
     return replaced, [f"keypoints of {path} in {count} of {len(pixels)} frames"]
-
-
-def _apart(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the median distance of the points (P, 2) that both have; infinite without any."""
-    off = np.linalg.norm(a - b, axis=1)
-    off = off[np.isfinite(off)]
-    return float(np.median(off)) if len(off) else np.inf

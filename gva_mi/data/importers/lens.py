@@ -13,6 +13,7 @@ phone's film has a focal length up to a fifth longer than eq. 1.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -87,16 +88,16 @@ def filmed_with(
     estimator assumed.
     """
     known = recorded(frames, size)
-    assumed = float(np.median(np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])))
+    each = np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])
+    assumed = float(np.median(each))
     if given is None and not is_one_lens(track.K):
-        focal = np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])
         return track, [
-            f"the estimator took another lens in each frame, of {focal.min():.0f} to "
-            f"{focal.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
+            f"the estimator took another lens in each frame, of {each.min():.0f} to "
+            f"{each.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
         ]
+    if given is None and (known is None or abs(np.log(known / assumed)) < NEARLY):
+        return track, []
     if given is None:
-        if known is None or abs(np.log(known / assumed)) < NEARLY:
-            return track, []
         return track, [
             f"the poses are for a focal length of {assumed:.0f} pixels; the recording says "
             f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
@@ -139,8 +140,12 @@ def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
 
 def recorded_35mm(source: Pictures) -> float | None:
     """Return the 35 mm focal length (mm) that the film or first picture records, if it does."""
-    files = files_of(source)
-    found = numbers(source).get(_QUICKTIME, 0) if files is None else _of_photograph(files[0])
+    files, found = files_of(source), 0.0
+    if files is None:
+        found = numbers(source).get(_QUICKTIME, 0)
+    else:
+        with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):
+            found = float(image.getexif().get_ifd(_EXIF).get(_IN_35MM, 0))  # or readable without
     return found if found in MILLIMETRES else None
 
 
@@ -164,12 +169,3 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
     if found not in PIXELS:
         raise InputError(f"prepare: --lens must be {EXPECTED}; got {text}")
     return found
-
-
-def _of_photograph(path: Path) -> float:
-    """Return the 35 mm focal length (mm) that EXIF records; 0 without one."""
-    with opened(path) as image:
-        try:
-            return float(image.getexif().get_ifd(_EXIF).get(_IN_35MM, 0))
-        except (*MALFORMED, ZeroDivisionError):  # the picture is readable without its tags
-            return 0.0

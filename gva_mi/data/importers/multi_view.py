@@ -47,11 +47,13 @@ def zju(where: str, folder: Path, camera: str | None, body: TargetBody) -> Captu
     }
     name, own = _chosen(folder, cameras, camera)
     params = folder / ("new_params" if (folder / "new_params").is_dir() else "params")
+    # 000010.jpg, or CoreView_313_Camera_(1)_0010_...jpg
+    number = lambda path: int((path.stem.split("_")[4:] or [path.stem])[0])
     people = [
-        read_source(params / f"{_zju_number(path)}.npy", "poses, shapes, Rh and Th of a frame")
+        read_source(params / f"{number(path)}.npy", "poses, shapes, Rh and Th of a frame")
         for path in own.frames.values()
     ]
-    track = _stacked(where, "0", np.arange(len(people)), people, own, body)
+    track = _stacked(where, "0", range(len(people)), people, own, body)
     numbers = list(own.frames)
     return replace(_among([track], name, own, cameras, numbers), meaning=MaskMeaning(parts=True))
 
@@ -66,12 +68,6 @@ def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
         {i: (masks / name).with_suffix(".png") for i, name in enumerate(names)},
         K, R, T.ravel() / 1000, D,
     )  # fmt: skip
-
-
-def _zju_number(path: Path) -> int:
-    """Return the frame number in ``000010.jpg`` or ``CoreView_313_Camera_(1)_0010_...jpg``."""
-    parts = path.stem.split("_")
-    return int(parts[4]) if len(parts) > 4 else int(path.stem)
 
 
 def _among(
@@ -113,12 +109,8 @@ def easymocap(where: str, folder: Path, camera: str | None, body: TargetBody) ->
             if number in own.frames:
                 seen.append((numbers.index(number), person))
     tracks = [
-        _stacked(
-            f"{params}: person {person}", person, np.array([k for k, _ in seen]),
-            [found for _, found in seen], own, body,
-        )
-        for person, seen in people.items()
-        if seen
+        _stacked(f"{params}: person {person}", person, *zip(*seen, strict=True), own, body)
+        for person, seen in people.items() if seen
     ]  # fmt: skip
     return _among(tracks, name, own, cameras, numbers)
 
@@ -127,11 +119,8 @@ def _easymocap_camera(
     folder: Path, inner: Mapping[str, np.ndarray], outer: Mapping[str, np.ndarray], name: str
 ) -> FixedCamera:
     masks = folder / "mask" / _inside(folder, name)
-    R = (
-        outer[f"Rot_{name}"]
-        if f"Rot_{name}" in outer
-        else to_matrices(np.ravel(outer[f"R_{name}"]))
-    )
+    R = outer.get(f"Rot_{name}")
+    R = to_matrices(np.ravel(outer[f"R_{name}"])) if R is None else R
     return FixedCamera.of_opencv(
         _numbered(folder / "images" / _inside(folder, name)),
         _numbered(masks) if masks.is_dir() else {}, inner[f"K_{name}"], R, outer[f"T_{name}"],
@@ -140,13 +129,9 @@ def _easymocap_camera(
 
 
 def _stacked(
-    where: str,
-    person: str,
-    frames: np.ndarray,
-    each: Sequence[Mapping[str, Any]],
-    own: FixedCamera,
-    body: TargetBody,
-) -> Track:
+    where: str, person: str, frames: Sequence[int], each: Sequence[Mapping[str, Any]],
+    own: FixedCamera, body: TargetBody,
+) -> Track:  # fmt: skip
     """Convert EasyMocap's parameters (SMPL, SMPL+H or SMPL-X) to the axes of the camera ``own``."""
     if "handl" in each[0]:
         raise InputError(
@@ -159,6 +144,7 @@ def _stacked(
         given["expression"] = rows("expression")
     if given["poses"].shape[1] == 69:  # without the root
         given["poses"] = np.pad(given["poses"], ((0, 0), (3, 0)))
+    frames = np.array(frames)
     return make_track(where, person, frames, given, own.K, body).seen_from(own.R, own.T)
 
 
@@ -204,7 +190,7 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 def _yaml(path: Path) -> dict[str, np.ndarray]:
     """Read the matrices of an OpenCV file, by name."""
-    found = {}
-    for name, rows, cols, data in _MATRIX.findall(path.read_text(errors="replace")):
-        found[name] = np.array([float(x) for x in data.split(",")]).reshape(int(rows), int(cols))
-    return found
+    return {
+        name: np.array([float(x) for x in data.split(",")]).reshape(int(rows), int(cols))
+        for name, rows, cols, data in _MATRIX.findall(path.read_text(errors="replace"))
+    }

@@ -37,6 +37,7 @@ from gva_mi.data.importers.footage import (
     count_of,
     files_of,
     folder_of,
+    mask_meaning,
     pictures,
     raw_masks,
     uneven_pixels,
@@ -157,7 +158,9 @@ def _capture(
     if kind not in DATASETS:
         kind, tracks = read_estimator(kind, source, VideoInfo(size, options.focal, body))
         capture = replace(capture, tracks=tracks)
-    return kind, capture.understood(), size
+    if capture.masks is not None and capture.meaning is None:  # decided once for all
+        capture = replace(capture, meaning=mask_meaning(capture.masks))
+    return kind, capture, size
 
 
 def _numbered(kind: str, capture: Capture, first: int | None) -> tuple[Capture, int, list[str]]:

@@ -58,7 +58,7 @@ def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float]:
         notes.append(f"says that it has {clip.announced} frames, and has {len(clip)}")
     # Programs put the pose by which they calibrate before the motion.
     if len(clip) > 2 and not clip.turns_in(0) and clip.turns_in(1):
-        clip = clip.since(1)
+        clip = replace(clip, rotations=clip.rotations[1:], places=clip.places[1:])
         notes.append("the pose of zero angles before the motion is left out")
     human = find_humanoid(path, clip.names, clip.parents)
     turns, places = clip.in_world()
@@ -118,7 +118,9 @@ def _stances(
     where: object, human: Humanoid, clip: BvhClip, turns: np.ndarray, places: np.ndarray
 ) -> tuple[Places, np.ndarray, list[str]]:
     """Return places (n, 3) and rotations (n, J, 3, 3) of the reference poses, and notes."""
-    zero_turns, zero_places = clip.at_zero().in_world()
+    eye = np.broadcast_to(np.eye(3), (1, len(clip.names), 3, 3))
+    zero = replace(clip, rotations=eye, places=clip.offsets[None])
+    zero_turns, zero_places = zero.in_world()
     at = _named(human, zero_places)
     if _doubt(at)[0, :2].max() < _STANDS:
         return at, zero_turns, []

@@ -46,7 +46,11 @@ class TargetBody:
             components = np.stack([arrays[f"hands_components{side}"] for side in "lr"])
         model = BodyModel(arrays)
         joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()
-        form = _form(arrays["weights"], joints[0])
+        # The model is known by the joints that move it and by its pelvis: other bodies come in
+        # SMPL-X's format, too, and have betas of their own.
+        moved = set(np.flatnonzero(arrays["weights"].any(0)).tolist())
+        form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
+        form = form if np.linalg.norm(joints[0] - PELVIS[form]) < _NEAR else "own"
         hands = np.stack(hands).reshape(30, 3)
         return TargetBody(body_name(path), model, form, joints, hands, components)
 
@@ -91,13 +95,3 @@ class TargetBody:
             f"retargeted to the body {self.name}: rotations and the pelvis's place are the "
             "source's; lengths of limbs and shape are this body's"
         )
-
-
-def _form(weights: np.ndarray, pelvis: np.ndarray) -> str:
-    """Return the model of a body file by the joints that move it, weights (V, 55), and its pelvis.
-
-    Other bodies come in SMPL-X's format, too, and have betas of their own.
-    """
-    moved = set(np.flatnonzero(weights.any(0)).tolist())
-    form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
-    return form if np.linalg.norm(pelvis - PELVIS[form]) < _NEAR else "own"

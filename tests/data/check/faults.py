@@ -128,7 +128,7 @@ FAULTS = {
     "masks beside the poses": aside,
     "inverted masks": masks(lambda m: 255 - m),
     "full masks": masks(lambda m: 255 * np.ones_like(m)),
-    "empty masks": masks(lambda m: (m > 127) * np.uint8(3)),
+    "empty masks": masks(lambda m: 0 * m),
     "mask size": masks(lambda m: m[::2, ::2]),
     "missing masks": lambda folder: shutil.rmtree(folder / "masks"),
     "mirrored video": both(

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import roma
 import torch
 
+from gva_mi.body.rotations import composed, to_matrices
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
@@ -46,9 +46,7 @@ def walk():
 def seen(walk):
     """A person before the camera, in its axes: upright there is half a turn about x."""
     rotations, _ = walk(FRAMES)
-    upright = torch.tensor([np.pi, 0.0, 0.0], dtype=torch.float64)
-    root = torch.from_numpy(rotations[:, 0])
-    rotations[:, 0] = roma.rotvec_composition([upright.expand_as(root), root]).numpy()
+    rotations[:, 0] = composed([np.pi, 0, 0], rotations[:, 0])
     return rotations, np.tile([0.1, -0.3, 4.0], (FRAMES, 1))
 
 
@@ -119,8 +117,7 @@ def stands():
         video = load_video(folder)
         n = len(rotations)
         assert len(video) == n
-        matrices = lambda x: roma.rotvec_to_rotmat(torch.as_tensor(x, dtype=torch.float64)).numpy()
-        found, wanted = matrices(video.pose.rotations), matrices(rotations)
+        found, wanted = to_matrices(video.pose.rotations), to_matrices(rotations)
         assert np.abs(found[:, 0] - np.diag([1.0, -1.0, -1.0]) @ wanted[:, 0]).max() < 1e-5
         assert np.abs(found[:, 1:joints] - wanted[:, 1:joints]).max() < 1e-5
         with torch.no_grad():

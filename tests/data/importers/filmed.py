@@ -7,9 +7,8 @@ MOVE take to the camera.
 import json
 
 import numpy as np
-import roma
-import torch
 
+from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.data.pictures import write_image
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
@@ -22,14 +21,6 @@ HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel i
 BUILT_IN_BODY = ("--body", "puppet")
 MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
 MASK[10:40, 20:40] = 255
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
-
-
-def vectors(R):
-    return roma.rotmat_to_rotvec(torch.as_tensor(R, dtype=torch.float64)).numpy()
 
 
 def shots():

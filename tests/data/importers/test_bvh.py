@@ -4,10 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
-import roma
-import torch
 
 from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
@@ -80,10 +79,6 @@ def _joint(names, skeleton, turns, root, rows, orders, name):
     text = " ".join(f"{x:.8f}" for x in offset)
     channels = f"CHANNELS {len(channels)} {' '.join(channels)}"
     return f"{head} {name}\n{{\n\tOFFSET {text}\n\t{channels}\n{inner}}}\n"
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
 
 
 def chained(skeleton, turns, root):

@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-import roma
 import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_record import VideoInfo
 from gva_mi.data.importers.estimators import read_estimator
@@ -24,10 +24,6 @@ LENSES = np.array([  # another one a frame, as of networks that look at a box
     [[300.0 + 10 * k, 0, 30 + k], [0, 310 + 10 * k, 25 - k], [0, 0, 1]] for k in range(FRAMES)
 ])  # fmt: skip
 VIDEO = VideoInfo((WIDTH, HEIGHT))
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
 
 
 def tensor(x):

@@ -5,10 +5,11 @@ import pickle
 
 import numpy as np
 import pytest
-import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.people import joint_pixels
@@ -19,14 +20,6 @@ from gva_mi.data.video import load_video
 FRAMES = 40
 MIRRORED = np.diag([-1.0, 1.0, 1.0])
 ELBOWS = {"left": (0, 3, 6, 9, 13, 16, 18), "right": (0, 3, 6, 9, 14, 17, 19)}  # from the root
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
-
-
-def vectors(R):
-    return roma.rotmat_to_rotvec(torch.as_tensor(R)).numpy()
 
 
 @pytest.fixture

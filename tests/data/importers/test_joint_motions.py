@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import roma
-import torch
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
@@ -14,10 +13,6 @@ from gva_mi.data.joints import joint_places
 BODY = TargetBody.read(None)
 AS_IT_IS = MotionOptions(fps=20, hands="flat")
 FRAMES = 30
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
 
 
 @pytest.fixture(scope="module")

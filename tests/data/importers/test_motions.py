@@ -9,11 +9,13 @@ import roma
 import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import PARENTS, Shape, load_poses
+from gva_mi.body.pose import Shape, load_poses
+from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.joints import joint_places
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -33,13 +35,9 @@ def read(tmp_path):
     return save_and_read
 
 
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64))
-
-
 def same(found, wanted, tolerance=2e-6):
     """Equal as rotations: an axis-angle is known but for whole turns."""
-    return (matrices(found) - matrices(wanted)).abs().max() < tolerance
+    return np.abs(matrices(found) - matrices(wanted)).max() < tolerance
 
 
 def test_amass_in_every_width(read, walk):
@@ -74,8 +72,8 @@ def test_amass_in_parts(read, walk):
     assert same(read(**parts).pose.rotations, rotations)
     names = {"global_orient": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)), "transl": transl}
     assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
-    turned = matrices(rotations[:, 1:22]).numpy()
-    names |= {"body_pose": turned, "global_orient": matrices(rotations[:, :1]).numpy()}
+    turned = matrices(rotations[:, 1:22])
+    names |= {"body_pose": turned, "global_orient": matrices(rotations[:, :1])}
     assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
 
 
@@ -99,23 +97,16 @@ TURNS = {"z": (np.pi / 2, 0, 0), "-y": (np.pi, 0, 0), "-z": (-np.pi / 2, 0, 0),
 def test_any_axis_may_be_up(read, walk, body, up):
     """The same walk in another world comes back to where each joint was."""
     rotations, transl = walk(6)
-    joints = body.rest(Shape(torch.zeros(10))).joints.double()
-    before = places(rotations, transl, joints)
-    W = matrices(np.array(TURNS[up])).numpy()
+    joints = body.rest(Shape(torch.zeros(10))).joints.double().numpy()
+    before = joint_places(rotations, transl, joints)
+    W = matrices(np.array(TURNS[up]))
     turned = rotations.copy()
-    turned[:, 0] = roma.rotmat_to_rotvec(torch.from_numpy(W @ matrices(rotations[:, 0]).numpy()))
-    pelvis = joints[0].numpy()
-    moved = (pelvis + transl) @ W.T - pelvis
+    turned[:, 0] = vectors(W @ matrices(rotations[:, 0]))
+    moved = (joints[0] + transl) @ W.T - joints[0]
     found = read(poses=turned.reshape(6, -1), trans=moved, mocap_frame_rate=30)
     assert f"{up} up" in found.notes[0]
-    after = places(found.pose.rotations.double().numpy(), found.pose.transl.numpy(), joints)
+    after = joint_places(found.pose.rotations, found.pose.transl, joints)
     assert np.abs(after - before).max() < 1e-5
-
-
-def places(rotations, transl, joints):
-    moves = torch.as_tensor(transl).double()
-    T = joint_transforms(torch.as_tensor(rotations), joints, PARENTS, moves)
-    return (torch.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]).numpy()
 
 
 def test_a_lying_person_needs_an_up_axis(read, walk):
@@ -154,7 +145,7 @@ def test_short_gaps_are_filled_and_listed(read, walk):
     holes[[3, 10, 11]] = np.nan
     found = read(poses=holes, trans=transl, fps=30)
     assert "frames without numbers, interpolated: 3, 10-11" in found.notes
-    assert (matrices(found.pose.rotations) - matrices(rotations)).abs().max() < 5e-3
+    assert np.abs(matrices(found.pose.rotations) - matrices(rotations)).max() < 5e-3
     holes[2:39] = np.nan
     with pytest.raises(InputError, match=r"1.23 s in a row without numbers, in frames 2-38; --gap"):
         read(poses=holes, trans=transl, fps=30)
@@ -267,20 +258,14 @@ def test_the_up_axis_is_that_of_the_floor_and_the_first_frames(read, walk, body)
     for end in (LIE, 2 * LIE):  # on the back, head down
         rotations = np.zeros((90, 55, 3))
         rotations[:, 0] = share * end
-        down = joints_at(rotations, joints)[..., 1].min(1)
+        down = joint_places(rotations, 0 * rotations[:, 0], joints)[..., 1].min(1)
         moved = transl * [1, 0, 1] - np.outer(down, [0, 1, 0])  # on the floor
         for up in ("y", "z"):
-            W = np.eye(3) if up == "y" else matrices(np.array(TURNS["z"])).numpy()
+            W = np.eye(3) if up == "y" else matrices(np.array(TURNS["z"]))
             turned = rotations.copy()
-            turned[:, 0] = roma.rotmat_to_rotvec(
-                torch.from_numpy(W @ matrices(rotations[:, 0]).numpy())
-            )
+            turned[:, 0] = vectors(W @ matrices(rotations[:, 0]))
             found = read(poses=turned, trans=moved @ W.T, fps=30)
             assert f"{up} up" in found.notes[0] and not any("leans" in n for n in found.notes)
-
-
-def joints_at(rotations, joints):
-    return places(rotations, np.zeros((len(rotations), 3)), torch.from_numpy(joints))
 
 
 @pytest.mark.parametrize("degrees", [15, 37])

@@ -4,10 +4,9 @@ import pickle
 
 import numpy as np
 import pytest
-import roma
-import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import find_body
@@ -16,10 +15,6 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
 
 T = 6
-
-
-def matrices(rotations):
-    return roma.rotvec_to_rotmat(torch.as_tensor(rotations, dtype=torch.float64)).numpy()
 
 
 @pytest.fixture

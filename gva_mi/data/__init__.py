@@ -5,8 +5,7 @@
 ``cameras``         ``cameras.npz``
 ``splits``          train and test frames
 ``pictures``        8-bit pictures and films on disk (``film``: in any order)
-``masks``           masks as segmenters write them (``mattes``: of pictures;
-                    ``mask_units``: units and labels, decided once)
+``masks``           masks as segmenters write them (``mattes``: of pictures)
 ``normals``         normal maps as networks write them
 ``backdrop``        the person without the background
 ``views``           what other cameras saw, for evaluation

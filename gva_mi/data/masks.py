@@ -6,21 +6,34 @@
 ``000000.npy``            Boolean; whole numbers as above; or floating point in [0, 1]
 ========================  ====================================================
 
-What whole numbers mean is decided once for all masks of a folder: :mod:`.mask_units`.
+What whole numbers mean, 0 to 1, 0 to 255, 16 bits or labels, is decided once for all masks. One
+mask alone says little: a person who has left the picture has an empty one, and a segmenter's noise
+of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
+
+Few whole numbers that never come near the unit are labels, and so are those beside a border of 255,
+which is nobody's. The only label beside 0 is the person's; of several, the one under the person's
+joints: :func:`gva_mi.data.importers.people.label_under`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
-from gva_mi.data.mask_units import MaskMeaning, meaning_of
 from gva_mi.data.pictures import read_image
+
+BARELY = 127  # 8-bit masks above this are inside
+_MOST = 64  # labels; more values are those of a soft and dim mask
+_FEW = 6  # values that are named
+_NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
+_BORDER = 255  # round each object of PASCAL VOC's and others' drawings of labels
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
@@ -51,10 +64,110 @@ def _values(path: Path) -> np.ndarray:
 @lru_cache(maxsize=16)
 def _meaning(folder: Path, changed: int, dtype: np.dtype) -> MaskMeaning:
     """Return what the masks of one kind mean in a folder that was ``changed`` last at that time."""
+    masks = (_values(x) for x in sorted(folder.iterdir()) if x.suffix in (".npy", ".png"))
+    return meaning_of(mask for mask in masks if mask.dtype == dtype)
 
-    def alike() -> Iterator[np.ndarray]:
-        for path in sorted(folder.iterdir()):
-            if path.suffix in (".npy", ".png") and (mask := _values(path)).dtype == dtype:
-                yield mask
 
-    return meaning_of(alike())
+@dataclass(frozen=True)
+class MaskMeaning:
+    """What the values of a video's masks mean."""
+
+    full: int = 255  # the value that is fully inside: 1, 255 or 65535
+    labels: tuple[int, ...] = ()  # of which the masks are drawings; empty: shares of ``full``
+    label: int | None = None  # the person's
+    parts: bool = False  # labels are parts of the person: whatever is not zero is inside
+
+    @property
+    def people(self) -> tuple[int, ...]:
+        """Labels of which one has to be the person's."""
+        return () if self.parts or self.label is not None else self.labels
+
+    def inside(self, where: str, mask: np.ndarray) -> np.ndarray:
+        """Convert a mask (H, W) to 8 bits, 255 inside."""
+        if self.parts:
+            return (mask > 0) * np.uint8(255)
+        if self.people:
+            raise InputError(
+                f"{where}: masks of labels {listed(self.labels)}, and nothing says which is the "
+                "person; save (label == the person's) * 255"
+            )
+        if self.label is not None:
+            return (mask == self.label) * np.uint8(255)
+        low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
+        if not 0 <= low <= high <= self.full:  # NaN is neither
+            raise InputError(
+                f"{where}: its values go from {low:g} to {high:g}, such as a network's own before "
+                "they are shares; expected Boolean, 0 to 1, or 0 to 255"
+            )
+        if mask.dtype == np.uint8 and self.full == 255:
+            return mask
+        return np.round(mask.astype(np.float32) * (255 / self.full)).astype(np.uint8)
+
+
+def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
+    """Return what the values of a video's masks (H, W) mean."""
+    full, found = 1, set()  # of labels; None: they are none
+    for mask in masks:
+        if mask.dtype.kind == "b":
+            return MaskMeaning(1)
+        most = mask.max(initial=0)
+        if most > 1:
+            full = max(full, 65535 if mask.dtype == np.uint16 and most > 255 else 255)
+        counts = None if found is None else _whole_numbers(mask)
+        if full > 1 and most >= _NEARLY * full and not (counts and _drop_border(counts)):
+            if mask.dtype == np.uint8 or full > 255:
+                return MaskMeaning(full)  # no later mask says more
+            counts = None
+        found = None if counts is None else found | set(counts)
+        found = None if found is None or len(found) > _MOST else found
+    if full == 1 or found is None:
+        return MaskMeaning(full)
+    labels = tuple(sorted(found))
+    people = tuple(x for x in labels if x) if 0 in labels and len(labels) == 2 else labels
+    return MaskMeaning(255, labels, people[0] if len(people) == 1 else None)
+
+
+def _drop_border(counts: dict[int, int]) -> bool:
+    """Remove the border's value from the counts of a drawing of labels; False if it is none."""
+    labels = [count for value, count in counts.items() if 0 < value <= BARELY]
+    if max(counts) != _BORDER or any(BARELY < value < _BORDER for value in counts):
+        return False
+    return sum(labels) > counts[_BORDER] and bool(counts.pop(_BORDER))
+
+
+def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
+    """Count the values of a mask, if they are whole numbers from 0 on, else None."""
+    if mask.dtype == np.uint8:
+        counts = np.bincount(mask.ravel(), minlength=256)
+        return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
+    if not (mask >= 0).all() or (mask.dtype.kind == "f" and (mask != np.floor(mask)).any()):
+        return None
+    values, counts = np.unique(mask, return_counts=True)
+    return dict(zip(map(int, values), map(int, counts), strict=True))
+
+
+def require_person(where: str, counts: np.ndarray) -> None:
+    """Refuse a video's masks if no pixel or every pixel is inside; ``counts`` (256,) per value."""
+    values = np.flatnonzero(counts).tolist()
+    if not values or values[0] <= BARELY < values[-1]:
+        return
+    if values == [0]:
+        what = "all masks are empty: every pixel is 0; expected 255 inside the person"
+    elif values[0] > BARELY:
+        what = (
+            f"all masks are full, of {_named(values)} alone: opaque pictures, or of another "
+            "video? Expected 255 inside the person, and 0 outside"
+        )
+    else:
+        what = (
+            f"no pixel of any mask is above half, they hold {_named(values)}; expected 255 inside "
+            "the person"
+        )
+    raise InputError(f"{where}: {what}")
+
+
+def _named(values: list[int]) -> str:
+    if len(values) > _FEW:
+        return f"values {values[0]} to {values[-1]}"
+    *most, last = map(str, values)
+    return f"values {', '.join(most)} and {last}" if most else f"the value {last}"

@@ -36,7 +36,7 @@ _BORDER = 255  # label of pixels that are nobody's, round each object of PASCAL 
 def matte_of(where: str, image: Image.Image) -> np.ndarray:
     """Convert an 8-bit picture to a mask (H, W) 8-bit, 255 inside; ``where`` names it in errors.
 
-    Labels of a palette are returned as they are: :mod:`.mask_units` says what they mean.
+    Labels of a palette are returned as they are: :mod:`.masks` says what they mean.
     """
     if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
         image.mode == "P" and "transparency" in image.info

@@ -41,7 +41,7 @@ def read_image(path: Path, channels: int) -> np.ndarray:
     """Read a picture, turned as its metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
-    (H, W), of 8 bits (:mod:`.mattes`) or 16, which :mod:`.mask_units` interprets.
+    (H, W), of 8 bits (:mod:`.mattes`) or 16, which :mod:`.masks` interprets.
     """
     from PIL import Image, ImageOps
 

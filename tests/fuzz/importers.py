@@ -12,8 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import read_estimator
+from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody

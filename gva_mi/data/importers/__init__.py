@@ -6,14 +6,12 @@
 ``tracks``              one person, frame by frame, in a camera's axes
 ``people``              choice of the subject among several people
 ``numbering``           frame numbers
-``timeline``            missing frames, other frame rates
 ``world``               which axis is up
 ``one_lens``            places seen through another lens in each frame
-``lens``                focal lengths: assumed, recorded (``quicktime``), or given
-``distortion``          pictures without their lens's distortion
-``estimators``          one record for each pose estimator (``estimator_record``), and
-                        the readers of their files (``estimator_files``, ``people_files``,
-                        ``frame_files``, ``smplx_json``)
+``lens``                focal lengths: assumed, recorded (``quicktime``), or given;
+                        distortion
+``estimators``          one record for each pose estimator; the readers of their files
+                        are ``estimator_files``, ``people_files``, ``frame_files``
 ``motions``             AMASS, AIST++ and what estimators saw, as driving poses
 ``capture``             people with their pictures, masks and splits
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)

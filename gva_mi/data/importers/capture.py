@@ -13,7 +13,7 @@ import numpy as np
 
 from gva_mi.data.importers.footage import Pictures, masks
 from gva_mi.data.importers.tracks import Track
-from gva_mi.data.mask_units import MaskMeaning
+from gva_mi.data.masks import MaskMeaning
 from gva_mi.data.video import Splits
 
 Numbered = Mapping[int, Path]  # files by the data set's numbers

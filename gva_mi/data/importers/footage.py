@@ -10,7 +10,7 @@ import numpy as np
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
 from gva_mi.data.importers.numbering import by_number
-from gva_mi.data.mask_units import MaskMeaning, meaning_of
+from gva_mi.data.masks import MaskMeaning, meaning_of
 from gva_mi.data.mattes import matte_of_pixels
 from gva_mi.data.pictures import decoded, open_film, pixels_of, read_image, steps_of
 

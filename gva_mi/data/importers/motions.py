@@ -25,8 +25,14 @@ from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source, refuse_mhr
-from gva_mi.data.importers.estimator_record import Estimator, VideoInfo, lens_by_name
-from gva_mi.data.importers.estimators import KINDS, WORLDS, kind_of
+from gva_mi.data.importers.estimators import (
+    KINDS,
+    WORLDS,
+    Estimator,
+    VideoInfo,
+    kind_of,
+    lens_by_name,
+)
 from gva_mi.data.importers.frame_rate import FPS, rate_of
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.joint_fit import joints_track

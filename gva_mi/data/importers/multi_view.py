@@ -25,7 +25,7 @@ from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, make_track
-from gva_mi.data.mask_units import MaskMeaning
+from gva_mi.data.masks import MaskMeaning
 
 _SMPL = (
     "output-smpl-3d/smpl", "output-smpl-3d/smplfull", "output/smplx/smpl", "output/smplh/smpl",

@@ -15,8 +15,8 @@ import numpy as np
 from gva_mi.body.rotations import nearest_rotations
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers.capture import Capture, FixedCamera
-from gva_mi.data.importers.distortion import undistort
 from gva_mi.data.importers.footage import pictures
+from gva_mi.data.importers.lens import undistort
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import spread
 from gva_mi.data.views import VIEWS, save_views

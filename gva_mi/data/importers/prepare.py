@@ -30,9 +30,7 @@ from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
-from gva_mi.data.importers.distortion import undistort
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import KINDS, read_estimator
+from gva_mi.data.importers.estimators import KINDS, VideoInfo, read_estimator
 from gva_mi.data.importers.footage import (
     count_of,
     files_of,
@@ -44,7 +42,7 @@ from gva_mi.data.importers.footage import (
     uneven_rate,
 )
 from gva_mi.data.importers.hand_merge import merge_hands
-from gva_mi.data.importers.lens import filmed_with
+from gva_mi.data.importers.lens import filmed_with, undistort
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
 from gva_mi.data.importers.numbering import first_number
 from gva_mi.data.importers.other_views import known_names, write_views
@@ -54,8 +52,7 @@ from gva_mi.data.importers.prompts import prompts_of
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
-from gva_mi.data.mask_units import require_person
-from gva_mi.data.masks import read_mask
+from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import POSES, save_cameras, spread
 from gva_mi.splat import Camera

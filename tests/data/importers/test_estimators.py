@@ -12,8 +12,7 @@ import torch
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.rotations import to_matrices as matrices
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import read_estimator
+from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.lens import rescaled
 from gva_mi.data.importers.people import follow
 

@@ -9,7 +9,7 @@ from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.datasets import dataset_of
-from gva_mi.data.importers.distortion import undistort
+from gva_mi.data.importers.lens import undistort
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import load_video
 

@@ -9,8 +9,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.check.numbers import check_intrinsics, check_poses
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import read_estimator
+from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.target import TargetBody

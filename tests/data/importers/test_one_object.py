@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.data.importers.estimator_record import VideoInfo
-from gva_mi.data.importers.estimators import read_estimator
+from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 

@@ -117,7 +117,7 @@ def stands():
         video = load_video(folder)
         n = len(rotations)
         assert len(video) == n
-        found, wanted = to_matrices(video.pose.rotations), to_matrices(rotations)
+        found, wanted = to_matrices(video.pose.rotations.numpy()), to_matrices(rotations)
         assert np.abs(found[:, 0] - np.diag([1.0, -1.0, -1.0]) @ wanted[:, 0]).max() < 1e-5
         assert np.abs(found[:, 1:joints] - wanted[:, 1:joints]).max() < 1e-5
         with torch.no_grad():

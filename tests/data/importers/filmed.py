@@ -8,8 +8,10 @@ import json
 
 import numpy as np
 
-from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.data.pictures import write_image
+
+matrices, vectors = to_matrices, to_rotvecs
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])  # pelvises

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
+
+matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 
 def same(found, wanted, tolerance=2e-6):

@@ -10,11 +10,13 @@ import pytest
 import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.lens import rescaled
 from gva_mi.data.importers.people import follow
+
+matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 SMPL, SMPLX = np.array([-0.0018, -0.2233, 0.0282]), np.array([0.0031, -0.3514, 0.0120])

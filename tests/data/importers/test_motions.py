@@ -10,12 +10,14 @@ import torch
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape, load_poses
-from gva_mi.body.rotations import to_matrices as matrices
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.joints import joint_places
+
+matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -105,7 +107,7 @@ def test_any_axis_may_be_up(read, walk, body, up):
     moved = (joints[0] + transl) @ W.T - joints[0]
     found = read(poses=turned.reshape(6, -1), trans=moved, mocap_frame_rate=30)
     assert f"{up} up" in found.notes[0]
-    after = joint_places(found.pose.rotations, found.pose.transl, joints)
+    after = joint_places(found.pose.rotations.numpy(), found.pose.transl.numpy(), joints)
     assert np.abs(after - before).max() < 1e-5
 
 

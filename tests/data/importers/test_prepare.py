@@ -39,7 +39,7 @@ def test_the_longest_track_is_taken_and_gaps_are_filled(wham, tmp_path, cli, see
     assert "frames without a pose, interpolated: 2" in said and "left out: 4" in said
     video = load_video(tmp_path / "s")
     assert set(video.absent) == {4}
-    middle = to_matrices(video.pose.rotations[2, 1:22])
+    middle = to_matrices(video.pose.rotations[2, 1:22].numpy())
     assert np.abs(middle - to_matrices(rotations[2, 1:22])).max() < 1e-3
     code, _, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "3")
     assert code == 2 and "has no person '3'; it has 0 (3 frames), 7 (2 frames)" in err

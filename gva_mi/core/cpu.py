@@ -36,15 +36,11 @@ def cpu_settings() -> dict[str, str]:
     flags = next((line for line in _FLAGS.read_text().splitlines() if line.startswith("flags")), "")
     if not set(flags.split()) >= REQUIRED_FLAGS:
         return {}
-    return SETTINGS | (
-        {LEFT_OUT_BY_NUMPY: _wider_than_avx2()} if "avx512f" in flags.split() else {}
-    )
-
-
-def _wider_than_avx2() -> str:
-    """Return the names of code wider than AVX2 in the installed numpy, which is not imported."""
-    major, minor = metadata.version("numpy").split(".")[:2]
-    return WIDER_THAN_AVX2 if (int(major), int(minor)) >= (2, 4) else WIDER_BEFORE_2_4
+    if "avx512f" not in flags.split():
+        return SETTINGS
+    major, minor = metadata.version("numpy").split(".")[:2]  # which is not imported
+    wider = WIDER_THAN_AVX2 if (int(major), int(minor)) >= (2, 4) else WIDER_BEFORE_2_4
+    return SETTINGS | {LEFT_OUT_BY_NUMPY: wider}
 
 
 def pin_cpu_features() -> None:

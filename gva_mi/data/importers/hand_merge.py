@@ -59,10 +59,9 @@ def merge_hands(
     for k, side in enumerate(SIDES):
         if not track.has_hands:
             put_hand(rotations, side, GESTURES["rest"].values)
-        at = None if at_wrists is None else dict(
-            zip(track.frames.tolist(), at_wrists[:, k], strict=True)
-        )  # fmt: skip
-        chosen = _one_each(hands, side, set(track.frames.tolist()), at)
+        numbers = track.frames.tolist()
+        at = None if at_wrists is None else dict(zip(numbers, at_wrists[:, k], strict=True))
+        chosen = _one_each(hands, side, set(numbers), at)
         said.append(f"{len(chosen)} {side}")
         if chosen:
             mean = mean_hands[15 * k : 15 * (k + 1)] if from_mean else 0.0
@@ -99,14 +98,9 @@ def _one_each(
 
 
 def _put(
-    path: Path,
-    rotations: np.ndarray,
-    frames: np.ndarray,
-    hands: dict[int, ForeignHand],
-    side: str,
-    wrists: bool,
-    mean: np.ndarray | float,
-) -> None:
+    path: Path, rotations: np.ndarray, frames: np.ndarray, hands: dict[int, ForeignHand],
+    side: str, wrists: bool, mean: np.ndarray | float,
+) -> None:  # fmt: skip
     """Write one side's hands into rotations (n, 55, 3) of ``frames`` (n,)."""
     order = sorted(hands)
     seen = np.stack([hands[k].fingers + mean for k in order])
@@ -116,7 +110,10 @@ def _put(
             raise InputError(f"{path}: holds no wrists (global_orient), which are asked for")
         wrist = JOINTS.index(f"{side}_wrist")
         rows = np.searchsorted(frames, order)
-        elbow = _in_world(rotations[rows], PARENTS[wrist])
+        joint = PARENTS[wrist]
+        elbow = to_matrices(rotations[rows, joint])  # in the axes of the root's parent
+        while (joint := PARENTS[joint]) >= 0:
+            elbow = to_matrices(rotations[rows, joint]) @ elbow
         own = elbow.swapaxes(1, 2) @ to_matrices(np.stack([hands[k].wrist for k in order]))
         seen, joints = np.concatenate([to_rotvecs(own)[:, None], seen], 1), [wrist, *joints]
     known = np.array(order, float)
@@ -127,11 +124,3 @@ def _put(
     turn = to_rotvecs(to_matrices(base).swapaxes(-1, -2) @ to_matrices(merged))
     blended = to_rotvecs(to_matrices(base) @ to_matrices(weight * turn))
     rotations[:, joints] = np.where(weight == 1, merged, blended)
-
-
-def _in_world(rotations: np.ndarray, joint: int) -> np.ndarray:
-    """Return the rotation (n, 3, 3) of a joint in the axes of the root's parent."""
-    R = to_matrices(rotations[:, joint])
-    while (joint := PARENTS[joint]) >= 0:
-        R = to_matrices(rotations[:, joint]) @ R
-    return R

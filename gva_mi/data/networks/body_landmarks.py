@@ -34,8 +34,6 @@ _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
 _PEAK = 0.5  # least probability in the window for this
-
-
 _LIMBS = [
     [BODY.index(f"{side}_{part}") for part in parts]
     for parts in (("elbow", "wrist", "pinky", "index", "thumb"),
@@ -45,14 +43,11 @@ _LIMBS = [
 _APART = 0.1  # of the radius: passes that see a limb farther apart see two different ones
 
 
-def _mirrored() -> np.ndarray:
-    """Return which landmark (39,) a landmark of the mirrored picture is."""
-    other = {"left": "right", "right": "left"}
-    swap = lambda name: "_".join(other.get(word, word) for word in name.split("_"))
-    return np.array([*(BODY.index(swap(name)) for name in BODY), *range(33, _POINTS)])
-
-
-_MIRRORED = _mirrored()
+_OTHER = {"left": "right", "right": "left"}
+_MIRRORED = np.array([  # which landmark (39,) a landmark of the mirrored picture is
+    *(BODY.index("_".join(_OTHER.get(word, word) for word in name.split("_"))) for name in BODY),
+    *range(33, _POINTS),
+])  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the ne
 FRONT, BACK = "T_normal_F", "T_normal_B"
 PATCH = 14  # pixels
 if TYPE_CHECKING:
-    from onnxruntime import InferenceSession, NodeArg
+    from onnxruntime import InferenceSession
 
 _ASKED = (
     f"a network that takes a picture (1, 3, h, w), and perhaps ICON's {FRONT} and {BACK}, and "
@@ -67,8 +67,22 @@ class NormalNetwork:
                 f"{path}: no such network of normals; expected a file .onnx of {_ASKED}"
             )
         self.path, self._session = path, _session(path)
-        self._picture = _picture_of(path, self._session.get_inputs())
-        self._output = _output_of(path, self._session, spec.output)
+        inputs = self._session.get_inputs()
+        pictures = [x for x in inputs if len(x.shape) == 4 and x.type == "tensor(float)"]
+        others = [x for x in pictures if x.name not in (FRONT, BACK)]
+        numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
+        if len(others) != 1 or len(pictures) + len(numbers) != len(inputs) or len(numbers) > 1:
+            found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
+            raise InputError(f"{path}: takes {found}; expected {_ASKED}")
+        names, self._picture = [x.name for x in self._session.get_outputs()], others[0]
+        self._output = names[0] if spec.output is None and len(names) == 1 else spec.output
+        if self._output not in names:
+            several = (
+                "has several outputs" if spec.output is None else f"has no output {spec.output}"
+            )
+            raise InputError(
+                f"{path}: {several}; expected --normals-output with one of {', '.join(names)}"
+            )
         fixed = self._picture.shape[:1:-1]  # (w, h), where the file says them
         sides = all(isinstance(side, int) for side in fixed)
         self.spec = replace(spec, size=tuple(fixed) if sides else spec.size)
@@ -167,27 +181,3 @@ def _session(path: Path) -> InferenceSession:
         reason = f"no ONNX network ({reason_of(error)})"
         raise InputError(f"{path}: {reason}; expected {_ASKED}") from None
     return session
-
-
-def _picture_of(path: Path, inputs: list[NodeArg]) -> NodeArg:
-    """Return the input that takes the picture; refuse a file that takes what is not known here."""
-    pictures = [x for x in inputs if len(x.shape) == 4 and x.type == "tensor(float)"]
-    others = [x for x in pictures if x.name not in (FRONT, BACK)]
-    numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
-    if len(others) != 1 or len(pictures) + len(numbers) != len(inputs) or len(numbers) > 1:
-        found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
-        raise InputError(f"{path}: takes {found}; expected {_ASKED}")
-    return others[0]
-
-
-def _output_of(path: Path, session: InferenceSession, name: str | None) -> str:
-    """Return the output of this name; without a name, the only one."""
-    names = [output.name for output in session.get_outputs()]
-    if name is None and len(names) == 1:
-        return names[0]
-    if name not in names:
-        problem = "has several outputs" if name is None else f"has no output {name}"
-        raise InputError(
-            f"{path}: {problem}; expected --normals-output with one of {', '.join(names)}"
-        )
-    return name

@@ -78,7 +78,8 @@ class PersonTracker:
         while len(seen) < MOST:
             people = self._detector.find(rest)
             body = self._look(rest, people[0]) if people else None
-            if body is None or any(_same(body, other) for other in seen):
+            near = lambda x, y: np.linalg.norm(x.hips - y.hips) < _SAME * min(x.radius, y.radius)
+            if body is None or any(near(body, other) for other in seen):
                 break
             seen = [*seen, body]
             _paint_over(rest, body, grey)
@@ -150,10 +151,6 @@ def _is_ambiguous(score: np.ndarray, b: int) -> bool:
         return False
     elsewhere = np.delete(score[order[:2]], b, axis=1)
     return not elsewhere.size or elsewhere.max() < _LEAST
-
-
-def _same(one: SeenBody, other: SeenBody) -> bool:
-    return bool(np.linalg.norm(one.hips - other.hips) < _SAME * min(one.radius, other.radius))
 
 
 def _paint_over(image: np.ndarray, body: SeenBody, colour: np.ndarray) -> None:

@@ -51,9 +51,6 @@ def read_film(
         side: pixels, at most, of the shorter side of the pictures; None: as they are.
         start: seconds; earlier pictures are left out.
         end: seconds; later pictures are left out; None: the end of the film.
-
-    Raises:
-        InputError: it cannot be read, its pictures have several sizes, or none is left.
     """
     path = Path(path)
     if not path.exists():

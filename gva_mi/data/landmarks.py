@@ -68,11 +68,7 @@ class Landmarks:
 
     @staticmethod
     def load(path: Path) -> Landmarks:
-        """Read the file.
-
-        Raises:
-            InputError: it lacks an array, or one has another shape than the names ask for.
-        """
+        """Read the file."""
         arrays = read_arrays(path, "landmarks of a film")
         require_keys(path, arrays, ("names", *_SHAPES))
         names = tuple(map(str, np.atleast_1d(arrays["names"])))

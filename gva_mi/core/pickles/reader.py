@@ -26,9 +26,6 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
 
     Tensors, sparse matrices and chumpy's arrays become plain arrays. No code of the file runs.
     ``expected`` says in the error what it should hold.
-
-    Raises:
-        InputError: no such file; damaged; or it holds something that is not on the list, by name.
     """
     path = Path(path)
     if not path.is_file():

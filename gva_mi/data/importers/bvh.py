@@ -53,11 +53,7 @@ class BvhClip:
 
 
 def read_bvh(path: Path) -> BvhClip:
-    """Read a file.
-
-    Raises:
-        InputError: it is damaged, cut short, or of several skeletons.
-    """
+    """Read a file."""
     try:
         text = path.read_bytes().decode("utf-8-sig", errors="replace")
     except OSError as error:

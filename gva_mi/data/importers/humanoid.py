@@ -43,11 +43,7 @@ class Humanoid:
 
 
 def find_humanoid(where: object, names: Sequence[str], parents: np.ndarray) -> Humanoid:
-    """Find a person's joints; ``names`` are "" for points that are no joints.
-
-    Raises:
-        InputError: legs or arms are not found.
-    """
+    """Find a person's joints; ``names`` are "" for points that are no joints."""
     tree = _NamedTree([name.lower().rsplit(":")[-1] for name in names], parents.tolist())
     points: dict[str, int] = {}
     for ends, chain in _CHAINS:

@@ -48,11 +48,7 @@ Places = dict[str, np.ndarray]  # joint → (..., 3), or (..., 3, 3) rotations
 
 
 def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float]:
-    """Return the track of a BVH's person on ``body``, and its frames a second.
-
-    Raises:
-        InputError: it is damaged, no person, or the person stands nowhere.
-    """
+    """Return the track of a BVH's person on ``body``, and its frames a second."""
     clip, notes = read_bvh(path), []
     if clip.announced != str(len(clip)):
         notes.append(f"says that it has {clip.announced} frames, and has {len(clip)}")

@@ -81,7 +81,31 @@ class SegmentAnything:
     @staticmethod
     def load(path: Path) -> SegmentAnything:
         """Load a checkpoint, a folder as the module's docstring says."""
-        return SegmentAnything(load_network(path))
+        if not path.is_dir():
+            what = "is a file" if path.exists() else "no such checkpoint of Segment Anything"
+            raise InputError(f"{path}: {what}; expected {GET}")
+        try:
+            import transformers
+        except ModuleNotFoundError:
+            raise InputError(
+                f"{path}: masks by Segment Anything need the package transformers; "
+                "pip install 'gva_mi[sam]'"
+            ) from None
+        transformers.utils.logging.set_verbosity_error()
+        transformers.utils.logging.disable_progress_bar()
+        about = read_json(path / "config.json", GET)
+        kind = about.get("model_type") if isinstance(about, dict) else None
+        if not isinstance(kind, str) or kind not in MODELS:
+            raise InputError(f"{path}: holds a network of the kind {kind}; expected {GET}")
+        try:
+            network = getattr(transformers, MODELS[kind]).from_pretrained(
+                path, local_files_only=True, use_safetensors=True, dtype=torch.float32
+            )
+        except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
+            raise InputError(
+                f"{path}: cannot be read ({reason_of(error)}); expected {GET}"
+            ) from None
+        return SegmentAnything(network.eval().requires_grad_(False))
 
     @torch.inference_mode()
     def find(self, image: np.ndarray, prompt: Prompt, before: MaskGuess | None = None) -> MaskGuess:
@@ -117,33 +141,6 @@ class SegmentAnything:
             multimask_output=last is None,
         )
         return found.pred_masks[0, 0], found.iou_scores[0, 0]
-
-
-def load_network(path: Path) -> torch.nn.Module:
-    """Read a checkpoint's network, ready to be called."""
-    if not path.is_dir():
-        what = "is a file" if path.exists() else "no such checkpoint of Segment Anything"
-        raise InputError(f"{path}: {what}; expected {GET}")
-    try:
-        import transformers
-    except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: masks by Segment Anything need the package transformers; "
-            "pip install 'gva_mi[sam]'"
-        ) from None
-    transformers.utils.logging.set_verbosity_error()
-    transformers.utils.logging.disable_progress_bar()
-    about = read_json(path / "config.json", GET)
-    kind = about.get("model_type") if isinstance(about, dict) else None
-    if not isinstance(kind, str) or kind not in MODELS:
-        raise InputError(f"{path}: holds a network of the kind {kind}; expected {GET}")
-    try:
-        network = getattr(transformers, MODELS[kind]).from_pretrained(
-            path, local_files_only=True, use_safetensors=True, dtype=torch.float32
-        )
-    except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
-        raise InputError(f"{path}: cannot be read ({reason_of(error)}); expected {GET}") from None
-    return network.eval().requires_grad_(False)
 
 
 def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:

@@ -19,11 +19,7 @@ class TfliteNetwork:
     """A network that takes a square picture (1, S, S, 3) float32."""
 
     def __init__(self, path: Path) -> None:
-        """Open the file.
-
-        Raises:
-            InputError: ai-edge-litert is missing, or the file is damaged.
-        """
+        """Open the file."""
         try:
             from ai_edge_litert.interpreter import Interpreter
         except ImportError as error:

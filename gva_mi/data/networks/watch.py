@@ -58,9 +58,6 @@ def watch_film(
             a pixel is of the person; zero where the person is not found.
         options: how.
         progress: called after every picture.
-
-    Raises:
-        InputError: nobody is found, weights are missing, or an option is out of its range.
     """
     options = options or WatchOptions()
     require_ranges("watch_film", options)

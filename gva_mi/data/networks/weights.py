@@ -77,9 +77,6 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
     Args:
         name: such as ``pose_detection.tflite``.
         folder: where the files lie; see the module for the default.
-
-    Raises:
-        InputError: the file can neither be found nor fetched, or is another one than expected.
     """
     path = _place(folder) / name
     if not path.is_file() and name in _IN_WHEEL:

@@ -7,7 +7,7 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.data.crop import bounds
 from gva_mi.data.networks.crop import CropBox
-from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything, load_network
+from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 
 transformers = pytest.importorskip("transformers")
 
@@ -159,7 +159,7 @@ def test_the_mask_lies_in_the_picture_where_the_crop_does(left):
 def test_a_bad_checkpoint_is_refused_in_one_sentence(tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
-            load_network(path)
+            SegmentAnything.load(path)
         assert "\n" not in str(error.value) and "facebook/sam-vit-base" in str(error.value)
 
     refused(tmp_path / "none.pth", "no such checkpoint")

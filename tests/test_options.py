@@ -2,15 +2,30 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import pytest
 
+from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.avatar.densify import DensifyOptions
+from gva_mi.avatar.reinit import ReinitOptions
+from gva_mi.avatar.residual import ResidualOptions
+from gva_mi.avatar.skin_weights import SkinningOptions
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Within, from_json, require_ranges
-from gva_mi.fit.options import FitOptions, Rates
-from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.core.options import Within, from_json, ranges, require_ranges
+from gva_mi.fit.camera_paths import CameraPath
+from gva_mi.fit.losses import LossOptions
+from gva_mi.fit.options import FitOptions, Rates, Schedule
+from gva_mi.fit.photometric import PhotometricOptions
+from gva_mi.fit.poses import PoseOptions
+from gva_mi.pose import SequenceOptions, SingleFrameOptions
 from gva_mi.splat import SplatOptions
+
+KINDS = (
+    CameraPath, DensifyOptions, FitOptions, LossOptions, PhotometricOptions, PoseOptions, Rates,
+    ReinitOptions, ResidualOptions, Schedule, SeedOptions, SequenceOptions, SingleFrameOptions,
+    SkinningOptions, SplatOptions,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,16 +79,18 @@ def test_a_value_of_another_type_is_an_error():
         from_json(Outer, asdict(WHOLE) | {"unknown": 1})
 
 
-def test_ranges_hold_for_options_made_in_python():
-    for bad in (float("nan"), float("inf"), 1e30, 10**20, -1):
-        for make in (
-            lambda bad: FitOptions(steps=bad),
-            lambda bad: Rates(means=bad),
-            lambda bad: SequenceOptions(height=bad),
-            lambda bad: SplatOptions(far=bad),
-        ):
-            with pytest.raises(InputError, match=r"^\w+: \w+ must be (from|above) .*, got "):
-                make(bad)
+@pytest.mark.parametrize("kind", KINDS)
+def test_ranges_hold_for_options_made_in_python(kind):
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        for _, within in ranges(hint):
+            for bad in (float("nan"), float("inf"), 2 * within.high + 1, within.low - 1):
+                with pytest.raises(
+                    InputError, match=rf"^\w+: {name} must be (from|above) .*, got "
+                ):
+                    kind(**{name: bad})
+
+
+def test_a_number_of_steps_is_a_whole_one():
     with pytest.raises(InputError, match=r"fit: steps must be a whole number, got 2\.5"):
         FitOptions(steps=2.5)
 

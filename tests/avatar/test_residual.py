@@ -78,17 +78,3 @@ def test_every_parameter_receives_a_gradient_after_one_step(points, weights, rot
         optimizer.step()
     for name, parameter in mlp.named_parameters():
         assert parameter.grad.abs().max() > 0, name
-
-
-def test_pose_gradient_in_double_precision(points, weights):
-    mlp = network(width=8, frequencies=2).double()
-    rotations = 0.3 * torch.ones(55, 3, dtype=torch.float64)
-    rotations += 0.1 * torch.arange(165).view(55, 3).sin()
-    rotations.requires_grad_()
-    some = points[:2].double(), weights[:2].double()
-    assert torch.autograd.gradcheck(lambda r: mlp(*some, r).sum(), rotations)
-
-
-def test_options_are_checked():
-    with pytest.raises(ValueError, match="must be from 1 to"):
-        ResidualOptions(width=0)

@@ -87,8 +87,3 @@ def test_the_window_confines_the_costly_terms(generator):
     target = target_of(target, window=Box(6, 0, 20, 16))
     losses = render_losses(render_of(color, mask), target, torch.zeros(0, 3), ALL, mean_square)
     assert losses.recon > 0 and losses.perceptual < 1e-12 and losses.ssim < 1e-6
-
-
-def test_a_negative_weight_is_refused():
-    with pytest.raises(ValueError, match="perceptual must be from 0"):
-        LossOptions(perceptual=-0.1)

@@ -7,7 +7,6 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.core.errors import InputError
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
 from gva_mi.pose.stage1 import turns_between
 
@@ -199,12 +198,3 @@ def test_a_long_video_is_trained_in_parts(truth, known, camera):
     assert len(poses.state()) == 2 and len(poses.all()) == FRAMES
     for k in range(FRAMES):
         torch.testing.assert_close(poses(k).transl, poses.all().transl[k : k + 1])
-
-
-@pytest.mark.parametrize("change, match", [
-    ({"every": 0}, "every"), ({"prior_weight": 0.0}, "prior_weight"),
-    ({"learn_at": (1.5,)}, "learn_at"),
-], ids=str)  # fmt: skip
-def test_options_that_make_no_sense_are_refused(change, match):
-    with pytest.raises(InputError, match=match):
-        PoseOptions(**change)

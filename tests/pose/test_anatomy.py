@@ -133,13 +133,9 @@ def test_left_and_right_are_symmetric(anatomy, size):
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)
 
 
-def test_gradient_matches_differences_and_reaches_every_held_joint(anatomy):
-    rotations, direction = noise(0.5).cumsum(0) / 5, noise(1.0, seed=1)
-    leaf = rotations.clone().requires_grad_()
+def test_the_gradient_reaches_every_held_joint(anatomy):
+    leaf = (noise(0.5).cumsum(0) / 5).requires_grad_()
     energy(anatomy, leaf).backward()
-    at = lambda step: float(energy(anatomy, rotations + step * direction))
-    slope = float((leaf.grad * direction).sum())
-    assert slope == pytest.approx((at(0.02) - at(-0.02)) / 0.04, rel=2e-3)
     kinds = ("knee", "elbow", "foot", "index", "middle", "ring", "pinky", "thumb2", "thumb3")
     held = {i for i, name in enumerate(JOINTS) if name.split("_")[-1].startswith(kinds)}
     assert set(leaf.grad.any(2).any(0).nonzero()[:, 0].tolist()) == held

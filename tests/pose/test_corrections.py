@@ -142,29 +142,6 @@ def test_constant_turns_cost_in_each_frame_if_the_person_turns(with_turns, round
     assert costs[1] > 0.9 * costs[0] > 0.1 if rounds else max(costs) < 1e-6
 
 
-def test_gradient_matches_differences(make, true_pose):
-    corrections = make(true_pose)
-    generator = torch.Generator().manual_seed(0)
-    leaves = corrections.turns, corrections.moves
-    with torch.no_grad():
-        for leaf in leaves:
-            leaf += 0.1 * torch.randn(leaf.shape, generator=generator)
-    directions = [torch.randn(leaf.shape, generator=generator) for leaf in leaves]
-    corrections.energy().backward()
-    slope = sum(float((x.grad * d).sum()) for x, d in zip(leaves, directions, strict=True))
-
-    @torch.no_grad()
-    def at(step):
-        for leaf, d in zip(leaves, directions, strict=True):
-            leaf += step * d
-        value = float(corrections.energy())
-        for leaf, d in zip(leaves, directions, strict=True):
-            leaf -= step * d
-        return value
-
-    assert slope == pytest.approx((at(2e-3) - at(-2e-3)) / 4e-3, rel=5e-3)
-
-
 def test_the_error_model_is_inferred_from_corrections(make):
     """Errors of 0.2 rad that last for about six frames, at the elbows alone."""
     from scipy.ndimage import gaussian_filter1d

@@ -45,13 +45,3 @@ def test_hands_stay_bare(body):
     with torch.no_grad():
         cloth.raw.fill_(1.0)
     assert hands.any() and not cloth.offsets[hands].any() and (cloth.offsets[~hands] == 1).all()
-
-
-def test_gradient_matches_differences(cloth, body):
-    generator = torch.Generator().manual_seed(0)
-    x = 0.01 * torch.randn(body.v_template.shape, generator=generator)
-    d = torch.randn(x.shape, generator=generator)
-    leaf = x.clone().requires_grad_()
-    cloth.energy(leaf, 3.0, 2.0, 5.0).backward()
-    up, down = (cloth.energy(x + s * 1e-3 * d, 3.0, 2.0, 5.0) for s in (1, -1))
-    assert float((leaf.grad * d).sum()) == pytest.approx(float(up - down) / 2e-3, rel=1e-2)

@@ -35,22 +35,6 @@ def test_a_stretched_body_looks_as_through_the_other_lens(scene, camera, vertice
     assert float((found - expected)[..., :3].abs().mean()) > 20 * error
 
 
-def test_the_derivatives_are_right(camera, vertices):
-    points = vertices[:, ::400].double().requires_grad_()
-    s = torch.tensor(S, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda x, k: stretched(x, [camera] * 3, k), (points, s))
-    rendered = torch.nn.functional.normalize(torch.randn(5, 3, dtype=torch.float64), dim=-1)
-    assert torch.autograd.gradcheck(lambda k: brought_back(rendered, k), s)
-
-
-def test_a_factor_of_one_changes_nothing(camera, vertices):
-    one = torch.tensor(1.0)
-    torch.testing.assert_close(stretched(vertices, [camera] * 3, one), vertices)
-    normals = torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)
-    torch.testing.assert_close(brought_back(normals, one), normals)
-    assert not brought_back(torch.zeros(5, 3), torch.tensor(S)).any()
-
-
 def test_a_person_who_follows_keeps_the_size_in_the_image(body, camera, true_pose):
     moved = follow(true_pose, body.rest(SHAPE).joints[0], [camera] * 3, S)
     place = lambda pose, view: view.project(body(pose, SHAPE).joints[:, 0].double().numpy())

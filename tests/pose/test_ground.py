@@ -134,16 +134,6 @@ def test_on_stairs_the_term_is_weak(soles, moving):
     assert held[0] > 5 * abs(held[1])
 
 
-def test_the_gradient_is_right(soles, moving):
-    pose = moving("walk", 12).to(torch.float64)
-    exact = Soles(soles.joints.double(), soles.points.double())
-    rng = torch.Generator().manual_seed(0)
-    shaken = pose.rotations + 0.02 * torch.randn(pose.rotations.shape, generator=rng)
-    ground = under(exact, Pose(shaken, pose.transl, pose.expression), CAMERA.double())
-    energy = lambda rotations: ground.energy(rotations, pose.transl, torch.arange(12))
-    assert torch.autograd.gradcheck(energy, shaken.requires_grad_(), fast_mode=True)
-
-
 def test_the_user_is_told_what_was_inferred():
     assert not list(describe_prior({}, ContactStats(0.004, 0.6, 0.05)))
     noise = {name: Stage1ErrorModel(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}

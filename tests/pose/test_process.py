@@ -28,21 +28,6 @@ def rms(x):
     return float(x.square().mean().sqrt())
 
 
-def moving_average(y, half):
-    padded = torch.cat([y[:1].expand(half, -1, -1), y, y[-1:].expand(half, -1, -1)])
-    return torch.stack([padded[k : k + 2 * half + 1].mean(0) for k in range(len(y))])
-
-
-def test_white_errors_fall_as_under_the_best_moving_average():
-    """Nearly as much as under the best of nine, which one cannot know beforehand."""
-    t = TIMES[:, None, None] / 15.0
-    truth = 0.3 * torch.sin(t + torch.arange(3))
-    y = noisy(truth, 0.1)
-    means = [rms(moving_average(y, half) - truth) for half in range(9)]
-    left = rms(estimate(y, 0.1)[0] - truth)
-    assert left < means[2] and left < 1.25 * min(means)
-
-
 def test_a_joint_at_rest_stays_at_rest():
     found, _ = estimate(noisy(torch.zeros(N, 4, 3), 0.1), 0.1)
     assert rms(found.diff(dim=0)) < 0.01

@@ -109,16 +109,3 @@ def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
     assert errors["iou"] == errors["iou_truth"] and errors["frames_worse"] == 0
     unknown = measure(clip, body, perfect).means
     assert unknown["vertex_mm"] is None is unknown["iou_truth"] and unknown["iou"] == errors["iou"]
-
-
-@pytest.mark.parametrize(
-    ("options", "field", "value"),
-    [
-        (SequenceOptions, "faces", 4), (SingleFrameOptions, "faces", 4),
-        (SequenceOptions, "passes", 0), (SequenceOptions, "skim", 0),
-        (SequenceOptions, "prior_weight", 0.0), (SingleFrameOptions, "steps", 0),
-    ],
-)  # fmt: skip
-def test_wrong_options_are_refused(options, field, value):
-    with pytest.raises(ValueError, match=f"refine: {field} must be (from|above)"):
-        options(**{field: value})

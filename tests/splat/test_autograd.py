@@ -113,12 +113,6 @@ SECOND = {
 }
 
 
-@pytest.mark.parametrize("name", SECOND)
-def test_second_derivatives_are_refused(name):
-    with pytest.raises(RuntimeError, match=REFUSED):
-        SECOND[name](like(MEANS))
-
-
 INPUTS = {"K": torch.tensor(SCENE.camera.K), "T": POSE, "background": SCENE.background}
 INPUTS |= SCENE.gaussians.arrays()
 

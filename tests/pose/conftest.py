@@ -83,14 +83,22 @@ def camera(body_camera):
 
 
 @pytest.fixture(scope="session")
-def clip(body, scene, camera, true_pose):
+def seen_in(body, scene, camera):
+    """``seen_in(poses)``: mask and normals of the bare body in each of some poses."""
+
+    @torch.no_grad()
+    def pictures(poses):
+        vertices = body(poses, Shape(torch.zeros(10))).vertices
+        images = [scene.render(x, camera).numpy() for x in vertices]
+        return [(image[..., 3].copy(), image[..., :3].copy()) for image in images]
+
+    return pictures
+
+
+@pytest.fixture(scope="session")
+def clip(seen_in, camera, true_pose):
     """Stage 1 has constant errors at shoulders and an elbow."""
-    shape, pictures = Shape(torch.zeros(10)), []
-    for k in range(len(true_pose)):
-        with torch.no_grad():
-            vertices = body(true_pose[k], shape).vertices[0]
-            image = scene.render(vertices, camera).numpy()
-        pictures.append((image[..., 3].copy(), image[..., :3].copy()))
+    shape, pictures = Shape(torch.zeros(10)), seen_in(true_pose)
     rotations = true_pose.rotations.clone()
     for name, angle in (("left_shoulder", 0.25), ("right_shoulder", 0.2), ("left_elbow", -0.2)):
         rotations[:, JOINTS.index(name), 2] += angle

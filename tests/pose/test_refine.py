@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JAW_AND_EYES
+from gva_mi.body.pose import JAW_AND_EYES, JOINTS
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.study.measure import measure
@@ -56,13 +56,17 @@ def test_what_is_not_refined_stays(sequence, paper, clip):
 
 
 @pytest.mark.slow
-def test_without_normals_the_silhouette_suffices(clip, body, true_pose):
-    blind = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
+def test_without_normals_the_silhouette_suffices(clip, seen_in, turning, body):
+    """If the person turns: a single silhouette does not show depth."""
+    true, shape = turning(24)
+    rotations = true.rotations.clone()
+    for name, angle in (("left_shoulder", 0.25), ("right_shoulder", 0.2), ("left_elbow", -0.2)):
+        rotations[:, JOINTS.index(name), 2] += angle
+    masks = [(mask, None) for mask, _ in seen_in(true)]
+    blind = replace(clip, pose=replace(true, rotations=rotations), pictures=masks)
     refined = refine(blind, body, SequenceOptions(size=96))
-    assert refined.without_normals == [0, 1, 2]
-    errors = measure(
-        blind, body, refined, GroundTruth(body, true_pose, clip.shape, clip.cameras)
-    ).means
+    assert refined.without_normals == list(range(24))
+    errors = measure(blind, body, refined, GroundTruth(body, true, shape, blind.cameras)).means
     assert errors.relative("body") < 0.55 - 1
 
 

@@ -114,12 +114,9 @@ def test_only_images_can_swap_a_whole_video(walk):
     assert torch.equal(fixed.rotations, walk.rotations)
 
 
-def test_refine_fixes_swaps_first(body, scene, camera, walk, clip):
+def test_refine_fixes_swaps_first(body, seen_in, walk, clip):
     frames, part = [3, 4, 5], walk[2:12]
-    with torch.no_grad():
-        views = [scene.render(body(pose, MEAN).vertices[0], camera).numpy()
-                 for pose in map(part.__getitem__, range(10))]  # fmt: skip
-    pictures = [(view[..., 3].copy(), view[..., :3].copy()) for view in views]
+    pictures = seen_in(part)
     wrong = replace(clip, pose=swapped_in(part, "legs", frames), pictures=pictures)
     refined = refine(wrong, body, SequenceOptions(size=96, faces=2000, passes=1, learn=0))
     assert refined.swapped == {"legs": frames}

@@ -101,7 +101,6 @@ def test_adjoint_and_tangent_are_each_others_derivative():
     torch.testing.assert_close(by_brightness, by_autograd(mean, MEANS).sum())
 
 
-SECOND = {
     "functional.hvp": lambda v: functional.hvp(mean, MEANS, v),
     "func.hessian": lambda v: hessian(mean)(MEANS),
     "grad of jvp": lambda v: grad(lambda x: jvp(mean, (x,), (v,))[1])(MEANS),

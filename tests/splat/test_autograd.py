@@ -101,6 +101,7 @@ def test_adjoint_and_tangent_are_each_others_derivative():
     torch.testing.assert_close(by_brightness, by_autograd(mean, MEANS).sum())
 
 
+SECOND = {
     "functional.hvp": lambda v: functional.hvp(mean, MEANS, v),
     "func.hessian": lambda v: hessian(mean)(MEANS),
     "grad of jvp": lambda v: grad(lambda x: jvp(mean, (x,), (v,))[1])(MEANS),
@@ -110,6 +111,12 @@ def test_adjoint_and_tangent_are_each_others_derivative():
     "rasterization": lambda v: functional.hvp(lambda x: called(x, False)[0].mean(), MEANS, v),
     "packed": lambda v: hessian(lambda x: called(x, True)[0].mean())(MEANS),
 }
+
+
+@pytest.mark.parametrize("name", SECOND)
+def test_second_derivatives_are_refused(name):
+    with pytest.raises(RuntimeError, match=REFUSED):
+        SECOND[name](like(MEANS))
 
 
 INPUTS = {"K": torch.tensor(SCENE.camera.K), "T": POSE, "background": SCENE.background}

@@ -48,6 +48,7 @@ from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_arrays, write_arrays
+from gva_mi.core.options import from_json
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 5"
@@ -67,14 +68,6 @@ class AvatarOptions:
     # What colour depends on: the light's direction, or the view's (harmonics of degree 1).
     color: Literal["light", "view"] = "light"
     skinning: SkinningOptions = SkinningOptions()
-
-    @staticmethod
-    def from_plain(options: dict[str, Any]) -> AvatarOptions:
-        """Restore options from ``asdict``; what an older file lacks has its default."""
-        kinds = {"seed": SeedOptions, "residual": ResidualOptions, "skinning": SkinningOptions}
-        return AvatarOptions(
-            **{k: kinds[k](**value) if k in kinds else value for k, value in options.items()}
-        )
 
 
 @dataclass(frozen=True)
@@ -222,7 +215,7 @@ class Avatar(nn.Module):
         if record.get("format") != FORMAT:
             raise ValueError(f"Avatar: 'format' must be '{FORMAT}', got {record.get('format')!r}")
         described = json.loads(record["description"])
-        options = AvatarOptions.from_plain(described["options"])
+        options = from_json(AvatarOptions, described["options"])
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
         require_valid(state, described["parents"])
         tensors = {name: state[f"rest_{name}"] for name in RIG}

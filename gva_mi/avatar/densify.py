@@ -49,15 +49,6 @@ class DensifyOptions:
             )
 
 
-@dataclass(frozen=True)
-class Densified:
-    """Numbers of Gaussians that one round of density control cloned, split and pruned."""
-
-    cloned: int
-    split: int
-    pruned: int
-
-
 class ScreenGradients:
     """Sum over views of the length of the loss's gradient by each Gaussian's screen position.
 
@@ -96,7 +87,7 @@ def densify(
     gradients: ScreenGradients,
     options: DensifyOptions = DensifyOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
-) -> Densified:
+) -> None:
     """Run one round of density control; replaces ``avatar.canonical`` and the optimiser's state.
 
     Args:
@@ -133,7 +124,6 @@ def densify(
         binding = {name: getattr(G, name)[parents] for name in BINDING}
         canonical = CanonicalGaussians(**values, **binding)
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
-    return Densified(int(cloned.sum()), int(split.sum()), int(pruned.sum()))
 
 
 def replace_gaussians(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,6 +85,12 @@ class Pose:
         """Return the pose under SMPL-X's names, in the order of files."""
         joints = {name: self.rotations[:, part].flatten(1) for name, part in SMPLX_FIELDS.items()}
         return joints | {"transl": self.transl, "expression": self.expression}
+
+    @staticmethod
+    def cat(poses: Sequence[Pose]) -> Pose:
+        """Join poses one after the other in time."""
+        fields = ((pose.rotations, pose.transl, pose.expression) for pose in poses)
+        return Pose(*map(torch.cat, zip(*fields, strict=True)))
 
     def __len__(self) -> int:
         return self.transl.shape[0]

@@ -11,7 +11,6 @@ the middle of the motion, and stand far enough away to see all of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -91,27 +90,16 @@ def shots(options: CameraPath, rig: Rig, motion: Pose, held: int = 0) -> list[Ca
     if options.path == "static":
         angles = np.full(count, angle)
     elevation = math.radians(options.elevation)
-    toward = distance * math.cos(elevation) * around.front
-    views = circle(around.centre, toward, around.up, math.tan(elevation), angles)
-    lens = (focal, focal, width / 2, height / 2)
-    return [
-        CameraShot(k, Camera(*lens, v, width, height)) for k, v in zip(frames, views, strict=True)
-    ]
-
-
-def circle(
-    centre: np.ndarray, toward: np.ndarray, up: np.ndarray, rise: float, angles: Iterable[float]
-) -> Iterator[np.ndarray]:
-    """Yield ``T_camera_world`` (4, 4) of cameras on a circle that look at its middle.
-
-    ``toward`` (3,), perpendicular to the unit vector ``up``, leads from the centre to below the
-    camera at angle 0; ``rise`` is the height of the circle above the centre, in its radii. Angles
-    are radians, counter-clockwise seen from above.
-    """
-    across = np.cross(up, toward)
-    for angle in angles:
-        eye = centre + np.cos(angle) * toward + np.sin(angle) * across
-        yield look_at(eye + rise * np.linalg.norm(toward) * up, centre, up)
+    ahead = distance * math.cos(elevation) * around.front
+    across = np.cross(around.up, ahead)  # counter-clockwise seen from above
+    rise = math.tan(elevation) * np.linalg.norm(ahead) * around.up
+    found = []
+    for k, turned in zip(frames, angles, strict=True):
+        eye = around.centre + np.cos(turned) * ahead + np.sin(turned) * across + rise
+        T_camera_world = look_at(eye, around.centre, around.up)
+        lens = (focal, focal, width / 2, height / 2)
+        found.append(CameraShot(k, Camera(*lens, T_camera_world, width, height)))
+    return found
 
 
 @dataclass(frozen=True)

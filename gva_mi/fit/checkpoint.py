@@ -9,8 +9,9 @@ from typing import Any
 
 import torch
 
-from gva_mi.core.atomic import atomic_write, part_of
+from gva_mi.core.atomic import part_of, write_bytes
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_bytes
 from gva_mi.fit.run_folder import CHECKPOINT, OPTIONS
 
 
@@ -22,8 +23,7 @@ def save_state(out: Path, state: dict[str, Any]) -> None:
     """
     whole = io.BytesIO()  # torch's own writer hides a full disk
     torch.save(state, whole)
-    with atomic_write(out / CHECKPOINT) as unfinished:
-        unfinished.write_bytes(whole.getvalue() + _digest(out, whole.getbuffer()))
+    write_bytes(out / CHECKPOINT, whole.getbuffer(), _digest(out, whole.getbuffer()))
 
 
 def load_state(out: Path) -> dict[str, Any] | None:
@@ -31,10 +31,7 @@ def load_state(out: Path) -> dict[str, Any] | None:
     path = out / CHECKPOINT
     if not path.exists():
         return None
-    try:
-        whole = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    whole = read_bytes(path, "the checkpoint of a run")
     content = memoryview(whole)[: -sha256().digest_size]
     if whole[len(content) :] != _digest(out, content):
         raise InputError(

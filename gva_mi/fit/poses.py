@@ -140,11 +140,7 @@ class TrainedPoses:
         if not self._clips:
             return self.given
         found = [clip.pose(range(len(clip.frames))) for clip in self._clips]
-        parts = (
-            torch.cat([getattr(pose, name) for pose in found])
-            for name in ("rotations", "transl", "expression")
-        )
-        return Pose(*parts)
+        return Pose.cat(found)
 
     def state(self) -> list[dict[str, Any]]:
         """Return the state for a checkpoint."""

@@ -28,27 +28,22 @@ def render_frame(
     pose: Pose,
     camera: Camera,
     background: tuple[float, float, float] = WHITE,
-    options: SplatOptions | None = None,
 ) -> np.ndarray:
     """Render an avatar in a pose of one frame on a colour: 8-bit (H, W, 3)."""
-    image = render(avatar(pose), camera, options or DRAWN, torch.tensor(background))
+    image = render(avatar(pose), camera, DRAWN, torch.tensor(background))
     return in_8_bits(image.color.numpy())
 
 
 @torch.no_grad()
-def render_layer(
-    avatar: Avatar, pose: Pose, camera: Camera, options: SplatOptions | None = None
-) -> np.ndarray:
+def render_layer(avatar: Avatar, pose: Pose, camera: Camera) -> np.ndarray:
     """Render an avatar without background: (H, W, 4) float32, colour times alpha, and alpha."""
-    return layer_of(avatar(pose), camera, options)
+    return layer_of(avatar(pose), camera)
 
 
 @torch.no_grad()
-def layer_of(
-    gaussians: Gaussians, camera: Camera, options: SplatOptions | None = None
-) -> np.ndarray:
+def layer_of(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     """Render Gaussians in the world without background, as :func:`render_layer` does."""
-    image = render(gaussians, camera, options or DRAWN)
+    image = render(gaussians, camera, DRAWN)
     return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
 
 

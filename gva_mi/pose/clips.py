@@ -56,19 +56,18 @@ def poses_of_clip(clip: range, pose: Pose) -> Pose:
 
 def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
     """Return the poses of all frames from those of the clips that :func:`cut` made."""
-    first, *_ = poses
-    R, t, psi = first.rotations, first.transl, first.expression
+    whole = poses[0]
     for clip, other in zip(clips[1:], poses[1:], strict=True):
-        shared = len(R) - clip.start
-        weight = (torch.arange(shared, dtype=t.dtype) + 1)[:, None] / (shared + 1)
-        rotations, transl = other.rotations, other.transl
-        between = _slerp(R[clip.start :], rotations[:shared], weight[..., None])
-        R = torch.cat([R[: clip.start], between, rotations[shared:]])
-        between = torch.lerp(t[clip.start :], transl[:shared], weight)
-        t = torch.cat([t[: clip.start], between, transl[shared:]])
-        between = torch.lerp(psi[clip.start :], other.expression[:shared], weight)
-        psi = torch.cat([psi[: clip.start], between, other.expression[shared:]])
-    return Pose(R, t, psi)
+        ours, theirs = whole[slice(clip.start, None)], other[slice(len(whole) - clip.start)]
+        weight = (torch.arange(len(ours)).to(ours.transl) + 1)[:, None] / (len(ours) + 1)
+        between = Pose(
+            _slerp(ours.rotations, theirs.rotations, weight[..., None]),
+            torch.lerp(ours.transl, theirs.transl, weight),
+            torch.lerp(ours.expression, theirs.expression, weight),
+        )
+        rest = other[slice(len(ours), None)]
+        whole = Pose.cat([whole[slice(clip.start)], between, rest])
+    return whole
 
 
 def _slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:

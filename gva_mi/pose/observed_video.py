@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -33,7 +34,6 @@ from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.film_errors import FPS, film_errors
-from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
 from gva_mi.pose.single_frame import FRAMES_A_JOB, refine_single_frames
 from gva_mi.pose.stage1 import Stage1
@@ -42,13 +42,10 @@ from gva_mi.pose.swaps import fix_swaps
 from gva_mi.splat import Camera
 
 
-@dataclass(frozen=True)
-class Refined:
-    """Poses after stage 2, and figures of the refinement."""
+@dataclass(frozen=True, kw_only=True)
+class Refined(Solution):
+    """Solution of all frames after stage 2, and figures of the refinement."""
 
-    pose: Pose  # all frames
-    shape: Shape
-    offsets: Tensor  # (V, 3) displacement of the rest surface, shared by all frames, metres
     losses_stage1: Tensor  # (T,) of the evidence at stage 1; NaN where there is none
     losses: Tensor  # (T,) the data term at the poses found, rejected ones included
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
@@ -56,11 +53,6 @@ class Refined:
     seconds_per_frame: float  # summed over all workers
     cameras: list[Camera] | None = None  # of all frames if the focal length was refined
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
-    noise: Mapping[str, Stage1ErrorModel] = field(
-        default_factory=dict
-    )  # stage 1's errors, if inferred
-    footing: ContactStats | None = None  # how the feet touch the ground, if inferred
-    focal: float = 1.0  # factor on the focal lengths of the video's cameras
     # Pairs of limbs that stage 1 had swapped, and in which frames.
     swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
@@ -171,37 +163,43 @@ class ObservedVideo:
             return None
         seen = sorted(self.evidence)
         frames = [seen[i] for i in skim(len(seen), self.options.skim)]
-        evidence, pictures = self.evidence.part(frames), self.pictures.part(frames)
-        if not evidence:
+        if not frames:
             return None
-        job = RefineJob(
-            evidence,
-            self.coarse.body,
-            self.pose,
-            self.shape,
-            fine=pictures,
-            landmarks=self.landmarks,
-            errors=self.errors,
-        )
-        return RefineTask(job, self.options)
+        return self._task(frames, 0, self.pose)
 
     def clip_tasks(self, known: Done[Solution] | None) -> list[RefineTask]:
         """Return the tasks of the clips, once the first round is done."""
-        jobs = [
-            RefineJob(
-                self.evidence.part(clip, clip.start),
-                self.coarse.body,
+        return [
+            self._task(
+                clip,
+                clip.start,
                 poses_of_clip(clip, self.pose),
-                self.shape,
-                None if known is None else known.result,
-                self.pictures.part(clip, clip.start),
-                [k - clip.start for k in clip if k in self.held_out],
-                None if self.landmarks is None else self.landmarks.part(clip),
-                self.errors,
+                known=None if known is None else known.result,
+                following=[k - clip.start for k in clip if k in self.held_out],
             )
             for clip in self.clips
         ]
-        return [RefineTask(job, self.options) for job in jobs]
+
+    def _task(
+        self,
+        frames: Sequence[int],
+        first: int,
+        pose: Pose,
+        **more: Any,  # noqa: ANN401
+    ) -> RefineTask:
+        """Return the task of some frames, numbered from ``first`` on, as in ``pose``."""
+        landmarks = self.landmarks
+        job = RefineJob(
+            self.evidence.part(frames, first),
+            self.coarse.body,
+            pose,
+            self.shape,
+            fine=self.pictures.part(frames, first),
+            landmarks=landmarks and landmarks.part(range(first, first + len(pose))),
+            errors=self.errors,
+            **more,
+        )
+        return RefineTask(job, self.options)
 
     def finished(self, known: Done[Solution] | None, found: Sequence[Done[Solution]]) -> Refined:
         """Join the clips, and keep stage 1 in frames whose loss did not fall."""
@@ -219,11 +217,9 @@ class ObservedVideo:
             pelvis = self.coarse.body.rest(shared.shape).joints[0]
             pose = follow(pose, pelvis, self.cameras, shared.focal)
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
+        shared = replace(shared, pose=pose, offsets=self.coarse.spread(shared.offsets))
         return Refined(
-            pose=pose,
-            shape=shared.shape,
-            offsets=self.coarse.spread(shared.offsets),
-            focal=shared.focal,
+            **vars(shared),
             cameras=[c.zoomed(shared.focal) for c in self.cameras] if shared.focal != 1 else None,
             losses_stage1=losses_stage1,
             losses=losses,
@@ -231,8 +227,6 @@ class ObservedVideo:
             without_normals=[k for k, seen in self.evidence.items() if seen.normals is None],
             seconds_per_frame=(work + time.perf_counter() - begin) / len(self.pose),
             held_out=list(self.held_out),
-            noise=shared.noise,
-            footing=shared.footing,
             swapped=self.swapped,
         )
 

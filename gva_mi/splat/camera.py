@@ -133,13 +133,10 @@ class Camera:
         K: Any = None,  # noqa: ANN401
     ) -> Camera:
         """Replace the pose (4, 4) or the intrinsics (3, 3); None keeps its own."""
-        if T_camera_world is None:
-            T_camera_world = self.tensors.T_camera_world
-        if K is None:
-            K = self.tensors.K
-        T_camera_world = self.T_camera_world if T_camera_world is None else T_camera_world
-        K = self.K if K is None else K
-        return Camera.from_matrices(K, T_camera_world, self.width, self.height, self.model)
+        given = lambda *matrices: next(matrix for matrix in matrices if matrix is not None)
+        T = given(T_camera_world, self.tensors.T_camera_world, self.T_camera_world)
+        K = given(K, self.tensors.K, self.K)
+        return Camera.from_matrices(K, T, self.width, self.height, self.model)
 
     @property
     def K(self) -> np.ndarray:

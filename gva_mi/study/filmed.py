@@ -85,8 +85,7 @@ def steadied(truth: GroundTruth) -> Pose:
         moved(truth.pose[[k]], truth.shape, truth.body, camera, truth.cameras[0])
         for k, camera in enumerate(truth.cameras)
     ]
-    parts = ("rotations", "transl", "expression")
-    return Pose(*(torch.cat([getattr(pose, part) for pose in frames]) for part in parts))
+    return Pose.cat(frames)
 
 
 def height_of(truth: GroundTruth) -> float:

@@ -49,11 +49,9 @@ def values(canonical):
 
 
 def test_clone_doubles_the_rows_with_large_gradients(avatar, generator):
-    optimizer, before = adam(avatar), None
-    before = values(avatar.canonical)
+    optimizer, before = adam(avatar), values(avatar.canonical)
     rows = torch.tensor([3, 10, 11])
-    done = densify(avatar, optimizer, wants(avatar, rows), generator=generator)
-    assert (done.cloned, done.split, done.pruned) == (3, 0, 0)
+    densify(avatar, optimizer, wants(avatar, rows), generator=generator)
     for name, value in values(avatar.canonical).items():
         assert torch.equal(value, torch.cat([before[name], before[name][rows]])), name
 
@@ -63,8 +61,7 @@ def test_split_replaces_one_by_two_smaller_within_its_extent(avatar, generator):
         avatar.canonical.log_scales[5] = torch.tensor([LARGE, LARGE, LARGE / 100]).log()
     optimizer = adam(avatar)
     before = values(avatar.canonical)
-    done = densify(avatar, optimizer, wants(avatar, [5]), generator=generator)
-    assert (done.cloned, done.split, done.pruned) == (0, 1, 0)
+    densify(avatar, optimizer, wants(avatar, [5]), generator=generator)
     after, G = values(avatar.canonical), avatar.canonical
     assert len(G) == 643
     rest = torch.arange(642) != 5
@@ -85,8 +82,7 @@ def test_prune_removes_the_transparent_and_the_huge(avatar, generator):
         avatar.canonical.log_scales[20] = 0
     optimizer = adam(avatar)
     before = values(avatar.canonical)
-    done = densify(avatar, optimizer, wants(avatar, [0, 20]), generator=generator)
-    assert (done.cloned, done.split, done.pruned) == (0, 0, 8)
+    densify(avatar, optimizer, wants(avatar, [0, 20]), generator=generator)
     kept = torch.tensor([i for i in range(642) if i > 6 and i != 20])
     assert torch.equal(avatar.canonical.means, before["means"][kept])
 
@@ -120,8 +116,8 @@ def test_growth_stops_at_the_cap_with_the_largest_gradients(avatar, generator):
     gradients = ScreenGradients(642)
     gradients.total, gradients.views = torch.arange(642.0), torch.ones(642)
     options = DensifyOptions(max_count=650)
-    done = densify(avatar, optimizer, gradients, options, generator)
-    assert done.cloned == 8 and len(avatar.canonical) == 650
+    densify(avatar, optimizer, gradients, options, generator)
+    assert len(avatar.canonical) == 650
     chosen = avatar.canonical.means[642:].sort(dim=0).values
     assert torch.equal(chosen, before["means"][-8:].sort(dim=0).values)
 

@@ -25,7 +25,10 @@ class Filmed:
 
 
 def found(pose, shape):
-    return Refined(pose, shape, torch.zeros(3, 3), torch.zeros(3), torch.zeros(3), {}, [], 0.0)
+    figures = {"losses_stage1": torch.zeros(3), "losses": torch.zeros(3), "kept": {}}
+    return Refined(
+        pose, shape, torch.zeros(3, 3), **figures, without_normals=[], seconds_per_frame=0.0
+    )
 
 
 def test_who_stands_still_does_not_move_before_one_lens(body, true_pose):

@@ -29,6 +29,7 @@ from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import write_arrays
+from gva_mi.core.options import from_json
 
 WITHOUT_BODY = "gva_mi avatar without its body, version 1"
 DIRECTIONS = "canonical.directions"  # of the Gaussians' blend shapes: means of the body's
@@ -104,7 +105,7 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         rig = Rig.of(body, Shape(record.pop("betas")), record.pop("offsets"))
         record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
         record |= {f"rest_{key}": getattr(rig, key) for key in RIG}
-        skin = rig.outer_skin(AvatarOptions.from_plain(described["options"]).skinning)
+        skin = rig.outer_skin(from_json(AvatarOptions, described["options"]).skinning)
         record |= {f"skin_{key}": getattr(skin, key) for key in SKIN_ARRAYS}
         described["body"] = rig.body
         return Avatar.from_record(record | {"format": FORMAT, "description": json.dumps(described)})

@@ -22,7 +22,7 @@ import torch
 
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.rotations import to_matrices
+from gva_mi.body.rotations import about, to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_arrays
 
@@ -181,14 +181,14 @@ class _Source:
         # Palm down: the knuckles, from index to little finger, run straight back.
         across = hand @ (at("finger5-1") - at("finger2-1"))
         twist = np.arctan2(across[1], -across[2])
-        palm = _about_x(twist) @ hand
+        palm = about(0, twist) @ hand
         raised = np.arccos(np.clip(np.trace(upper) / 2 - 0.5, -1, 1))
         turned = {
-            "shoulder01": to_matrices(np.array([0, 0, 0.2 * side[0] * raised])),
+            "shoulder01": about(2, 0.2 * side[0] * raised),
             "upperarm01": upper,
             # The twist is spread over the forearm.
-            "lowerarm01": _about_x(0.25 * twist) @ lower,
-            "lowerarm02": _about_x(0.70 * twist) @ lower,
+            "lowerarm01": about(0, 0.25 * twist) @ lower,
+            "lowerarm02": about(0, 0.70 * twist) @ lower,
             "wrist": palm,
         }
         for digit in (2, 3, 4, 5):
@@ -251,7 +251,3 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis)
     return to_matrices(axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))
-
-
-def _about_x(angle: float) -> np.ndarray:
-    return to_matrices(np.array([angle, 0, 0]))

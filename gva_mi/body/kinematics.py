@@ -65,6 +65,12 @@ def joint_transforms(
     return turn_joints(rotations, joints, parents, transl)[1]
 
 
+def joint_places(T_world_rest: Tensor, joints: Tensor) -> Tensor:
+    """Return joints (..., J, 3) in the world, from their transforms and rest positions (J, 3)."""
+    A, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
+    return (A @ joints.unsqueeze(-1)).squeeze(-1) + t
+
+
 def turn_joints(
     rotations: Tensor, joints: Tensor, parents: Sequence[int], transl: Tensor
 ) -> tuple[Tensor, Tensor]:

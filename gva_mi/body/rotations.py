@@ -20,6 +20,11 @@ def to_rotvecs(matrices: np.ndarray) -> np.ndarray:
     return roma.rotmat_to_rotvec(torch.from_numpy(np.array(matrices, np.float64))).numpy()
 
 
+def about(axis: int, angle: np.ndarray) -> np.ndarray:
+    """Return matrices (..., 3, 3) that rotate by angles (...), radians, about one axis."""
+    return to_matrices(np.asarray(angle)[..., None] * np.eye(3)[axis])
+
+
 def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) nearest to matrices that lost digits."""
     return roma.special_procrustes(

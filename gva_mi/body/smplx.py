@@ -31,7 +31,7 @@ from torch import Tensor, nn
 from gva_mi.body.blend_shapes import add_directions, as_directions, as_rows, columns_of
 from gva_mi.body.body_file import kintree_table, read_body
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.kinematics import joint_places, turn_joints
 from gva_mi.body.pose import PARENTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.core.errors import InputError, expecting
@@ -187,8 +187,7 @@ class BodyModel(nn.Module):
         moves = torch.cat([bent, psi], dim=1)
         flat = add_directions(flat, moves, self.frame_directions)
         skinned = skin_points(flat.unflatten(1, (3, -1)).mT, self.weights, T_world_rest)
-        R_world, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-        return Posed(skinned, (R_world @ joints.unsqueeze(-1)).squeeze(-1) + t, T_world_rest)
+        return Posed(skinned, joint_places(T_world_rest, joints), T_world_rest)
 
     def _shaped(self, shape: Shape, psi: Tensor, template: Tensor) -> tuple[Tensor, Tensor]:
         """Return rest vertices without expression (1, 3 V), and joints with it (T, 55, 3)."""

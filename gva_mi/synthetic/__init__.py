@@ -3,9 +3,8 @@
 ==================  ================================================================
 ``options``         all options
 ``subject_folder``  writes a subject's folder
-``degrade``         an existing recording with other errors
-``provenance``      read a folder's options, and make its person again
-``people, look``    the person: shape, colours, cut of the clothes
+``provenance``      an existing folder: its options, its person, other errors
+``people, look``    the person: shape, colours, cut of the clothes; lamps
 ``rest_body``       the body below the clothes
 ``clothes/``        clothes and hair, and how they follow the body
 ``texture``         colours of skin, cloth and hair
@@ -13,10 +12,10 @@
 ``stretched``       a body of other proportions than the fitted one
 ``closest``         ground truth on the fitted body for such a person
 ``motion/``         motions of the video, and held-out poses
+``cameras``         cameras on white, and of a phone in a room
 ``staging``         poses, cameras and exposures of the video
 ``rooms/``          rooms, and the film of a phone
-``render``          rays and light; ``framing`` places cameras on white
-``lamps, rays``     lamps and the sky; rays of a picture's samples
+``render, rays``    rays and light; rays of a picture's samples
 ``pictures``        files of one picture, by one process or several
 ``error_models/``   error models of poses, masks and normals
 ``estimates``       estimates of a pipeline with such errors
@@ -24,11 +23,10 @@
 ==================  ================================================================
 """
 
-from gva_mi.synthetic.degrade import degrade
 from gva_mi.synthetic.estimates import describe_errors
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.people import STUDY
-from gva_mi.synthetic.provenance import remake_subject
+from gva_mi.synthetic.provenance import degrade, remake_subject
 from gva_mi.synthetic.subject_folder import make_subject
 
 __all__ = ["STUDY", "SynthOptions", "degrade", "describe_errors", "remake_subject", "make_subject"]

@@ -24,8 +24,9 @@ import roma
 import torch
 from torch import Tensor
 
-from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.rotations import shortest, to_matrices
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
@@ -79,23 +80,16 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     R = roma.rotvec_to_rotmat(pose.rotations)
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
     rotations = roma.rotmat_to_rotvec(above.mT @ R @ C)
-    targets = _places(
-        joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl), goal.joints
-    )
+    T_true = joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl)
+    targets = joint_places(T_true, goal.joints)
     transl = pose.transl.clone()
     for _ in range(STEPS):
         rotations, transl = _step(rotations, transl, joints, targets)
-    reached = _places(joint_transforms(rotations, joints, PARENTS, transl), joints)
+    reached = joint_places(joint_transforms(rotations, joints, PARENTS, transl), joints)
     left = 1000 * (reached - targets).norm(dim=-1).mean(0)
     found = Shape(found.betas.to(body.v_template.dtype))
     near = Pose(rotations, transl, expression).to(torch.float32)
     return Closest(near, found, float(left.mean()), float(left[list(LIMBS)].mean()))
-
-
-def _places(T_world_rest: Tensor, joints: Tensor) -> Tensor:
-    """Return joints in the world (T, 55, 3) for transforms (T, 55, 4, 4)."""
-    A, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-    return (A @ joints[..., None])[..., 0] + t
 
 
 def _bones(joints: Tensor, goal: Tensor) -> Tensor:
@@ -110,18 +104,10 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
             continue
         a, b = (x[children] - x[joint] for x in (joints, goal))
         if len(children) == 1:
-            C[joint] = _between(a[0], b[0])
+            C[joint] = torch.from_numpy(to_matrices(shortest(a.numpy(), b.numpy())[0]))
         else:
             C[joint] = roma.special_procrustes(b.T @ a)
     return C
-
-
-def _between(a: Tensor, b: Tensor) -> Tensor:
-    """Return the smallest rotation from direction a (3,) to b."""
-    a, b = a / a.norm(), b / b.norm()
-    axis = torch.linalg.cross(a, b)
-    sine = axis.norm()
-    return roma.rotvec_to_rotmat(axis / sine.clamp(min=1e-12) * torch.atan2(sine, a @ b))
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
@@ -197,7 +183,7 @@ def _step(
     A rotation vector ω of joint k in the world moves a descendant j by ω × (p_j − p_k).
     """
     T_world_rest = joint_transforms(rotations, joints, PARENTS, transl)
-    places = _places(T_world_rest, joints)
+    places = joint_places(T_world_rest, joints)
     limbs = list(LIMBS)
     hangs = _descends()[limbs].to(places.dtype)  # (j, k)
     arm = (places[:, limbs, None] - places[:, None]) * hangs[..., None]  # (T, j, k, 3)

@@ -1,8 +1,7 @@
 """The estimates of a pipeline for a recording: poses, camera, masks and normals with errors.
 
-They depend on the ground truth and the options alone, so a recording can be degraded again, see
-:mod:`gva_mi.synthetic.degrade`. Masks and normals are degraded from the files of the ground
-truth, which have 8 bits per channel.
+They depend on the ground truth and the options alone, so a recording can be degraded again (see
+``provenance``). Masks and normals are degraded from the 8-bit files of the ground truth.
 """
 
 from __future__ import annotations
@@ -31,6 +30,8 @@ from gva_mi.synthetic.error_models.processes import runs
 from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
 
 MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
+# Scores of a frame: IoU of the masks; degrees between the normals, None without normals.
+PictureScores = tuple[float, float | None]
 
 
 @dataclass(frozen=True)
@@ -55,19 +56,10 @@ class PictureErrors:
             return mask, None
         return mask, noisy_normals(normals, mask, found.normal, levels.normal, of_normals)
 
-    def in_convention(self, normals: np.ndarray) -> np.ndarray:
-        """Convert normals in camera space to the convention of the files."""
-        if self.parameters.normal.convention == "icon" and self.levels.normal > 0:
-            return to_icon(normals, self.camera)
-        return normals
-
-
-@dataclass(frozen=True)
-class ErrorStatistics:
-    """Errors of one frame's mask and normals against the ground truth."""
-
-    iou: float  # of the masks
-    angle: float | None  # degrees, between the normals; None without normals
+    @property
+    def as_icon(self) -> bool:
+        """Whether the files have ICON's convention of normals."""
+        return self.parameters.normal.convention == "icon" and self.levels.normal > 0
 
 
 @dataclass(frozen=True)
@@ -100,10 +92,10 @@ class Pipeline:
             )
         ]
 
-    def write(self, folder: Path, pictures: Sequence[ErrorStatistics]) -> None:
+    def write(self, folder: Path, scores: Sequence[PictureScores]) -> None:
         """Write poses, cameras, the convention of normals, and ``noise.json``.
 
-        ``pictures`` are the errors of all frames' masks and normals, whose files exist already.
+        ``scores`` are those of all frames, whose masks and normals exist already.
         """
         options, errors, levels = self.options, self.errors, self.options.levels
         truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
@@ -114,17 +106,17 @@ class Pipeline:
         save_cameras(folder / "cameras.npz", cameras)
         if errors.normal.convention != "perspective" and levels.normal > 0:
             write_json(folder / ABOUT, {"convention": errors.normal.convention})
-        angles = [picture.angle for picture in pictures if picture.angle is not None]
+        angles = [angle for _, angle in scores if angle is not None]
         statistics = {
             "family": options.family,
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
             "parameters": asdict(errors),
             "pose": asdict(pose_error(self.body, *found, *truth, first)),
-            "mask": {"iou": float(np.mean([picture.iou for picture in pictures]))},
+            "mask": {"iou": float(np.mean([iou for iou, _ in scores]))},
             "normal": {
                 "angle_deg": float(np.mean(angles)) if angles else None,
-                "missing": len(pictures) - len(angles),
+                "missing": len(scores) - len(angles),
             },
             "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
         }
@@ -150,10 +142,8 @@ def describe_errors(folder: Path) -> list[str]:
             f"normals (level {levels['normal']:g}): {known}",
         ]
         if found["floor"]["joint_mm"] > 0:
-            limb_mm = found["floor"]["limb_mm"]
-            lines.append(
-                f"the fitted body comes as near as {limb_mm:.1f} mm to the joints of the limbs"
-            )
+            near = f"{found['floor']['limb_mm']:.1f} mm"
+            lines.append(f"the fitted body comes as near as {near} to the joints of the limbs")
         return lines
 
 
@@ -163,26 +153,29 @@ def write_estimates(
     errors: PictureErrors,
     samples: int,
     rendered: tuple[np.ndarray, np.ndarray] | None = None,
-) -> ErrorStatistics:
+) -> PictureScores:
     """Write mask and normals with errors for a frame whose ground truth is in ``truth``.
 
     ``samples`` are the rays per pixel of the ground truth; ``rendered`` are mask (H, W) and normals
     (H, W, 3) to degrade instead of its files.
     """
-    name, truth = f"{index:06d}.png", rendered
+    truth = rendered
     if truth is None:  # 8 bits hold the mask, a fraction of the rays, exactly
-        hits = np.round(read_image(folder / "truth" / "masks" / name, 1) * (samples / 255))
+        stored = read_image(folder / "truth" / "masks" / f"{index:06d}.png", 1)
+        hits = np.round(stored * (samples / 255))
         maps = NormalMaps(folder / "truth" / "normals", "perspective", None)
         truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
     mask, normals = errors.apply(*truth)
+    in_file = normals if normals is None or not errors.as_icon else to_icon(normals, errors.camera)
+    write_pictures(folder, index, mask, in_file)
+    angle = None if normals is None else normal_error(normals, truth[1])
+    return mask_iou(mask, truth[0]), angle
+
+
+def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:
+    """Write a frame's mask (H, W) and normals (H, W, 3), which may be missing."""
+    name = f"{index:06d}.png"
     write_image(folder / "masks" / name, mask)
-    if normals is None:
-        (folder / "normals").mkdir(exist_ok=True)
-        return ErrorStatistics(mask_iou(mask, truth[0]), None)
-    write_normals(folder, index, errors.in_convention(normals))
-    return ErrorStatistics(mask_iou(mask, truth[0]), normal_error(normals, truth[1]))
-
-
-def write_normals(folder: Path, index: int, normals: np.ndarray) -> None:
-    """Write normals (H, W, 3) of a frame."""
-    write_image(folder / "normals" / f"{index:06d}.png", (normals + 1) / 2)
+    (folder / "normals").mkdir(exist_ok=True)
+    if normals is not None:
+        write_image(folder / "normals" / name, (normals + 1) / 2)

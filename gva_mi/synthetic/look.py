@@ -1,4 +1,4 @@
-"""Colours and patterns of a synthetic subject, and their places on its rest surface.
+"""Colours and patterns of a synthetic subject, their places on its rest surface, and its lamps.
 
 Colours are linear albedo with Rec. 709 primaries; points are in the rest pose, metres.
 """
@@ -12,6 +12,7 @@ from typing import Literal
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 Color = tuple[float, float, float]  # linear albedo
 Point = tuple[float, float, float]
@@ -21,12 +22,7 @@ Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
 class Material(IntEnum):
     """The material of a triangle."""
 
-    SKIN = 0
-    TOP = 1
-    BOTTOM = 2
-    SHOES = 3
-    HAIR = 4
-    ACCESSORY = 5
+    SKIN, TOP, BOTTOM, SHOES, HAIR, ACCESSORY = range(6)
 
 
 @dataclass(frozen=True)
@@ -55,14 +51,14 @@ class SkirtCone:
     slope: float  # radius per metre below the apex
     aspect: float  # width over depth
 
-    def unrolled(self, p: dr.ArrayBase) -> tuple[dr.ArrayBase, dr.ArrayBase]:
+    def unrolled(self, p: Array) -> tuple[Array, Array]:
         """Unroll points onto the flat cloth, metres along and around; the seam is behind."""
         sine = self.slope / np.sqrt(1 + self.slope**2)
         slant = (self.apex[1] - p.y) * float(np.sqrt(1 + self.slope**2))
         angle = dr.atan2(p.x - self.apex[0], self.aspect * (p.z - self.apex[2])) * float(sine)
         return -slant * dr.cos(angle), slant * dr.sin(angle)
 
-    def share(self, p: dr.ArrayBase) -> dr.ArrayBase:
+    def share(self, p: Array) -> Array:
         """Return the relative distance of points from the axis, 0 on it and 1 on the cone."""
         depth = p.z - self.apex[2]
         out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
@@ -98,6 +94,29 @@ class Look:
             return tuple(0.6 * a + 0.4 * b)
         plain = {Material.SKIN: self.skin, Material.SHOES: self.shoes, Material.HAIR: self.hair}
         return plain.get(material, self.accessory)
+
+
+@dataclass(frozen=True)
+class AreaLight:
+    """A parallelogram that emits light on one side."""
+
+    centre: Point  # metres, world
+    u: Point  # half edges; u × v points to the emitting side
+    v: Point
+    radiance: Color  # linear
+
+
+# Besides the sky. Usual: a key light at the upper left of the camera and a weak fill light to the
+# right, both metres wide. Side: one lamp to the left, which lights a turning person from all sides.
+LIGHTS = {
+    "usual": (
+        AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
+        AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
+    ),
+    "side": (AreaLight((-3.6, 1.4, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), (24.0, 23.2, 22.1)),),
+    "ambient": (),
+}
+SKY, EARTH = (0.58, 0.60, 0.63), (0.30, 0.29, 0.28)  # ambient radiance from above and from below
 
 
 def linear(*srgb: int) -> Color:

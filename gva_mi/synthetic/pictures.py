@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,12 +19,12 @@ import numpy as np
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.data.pictures import write_image
 from gva_mi.synthetic.estimates import (
-    ErrorStatistics,
     PictureErrors,
+    PictureScores,
     write_estimates,
-    write_normals,
+    write_pictures,
 )
-from gva_mi.synthetic.render import Moment, Renderer, Rendering
+from gva_mi.synthetic.render import Moment, Renderer
 from gva_mi.synthetic.rooms.room import Room
 from gva_mi.synthetic.subject import Subject
 
@@ -38,40 +38,29 @@ class RenderJob:
     moments: tuple[Moment, ...]  # of the exposure
     samples: int  # rays per pixel
     seed: tuple[int, ...]  # seed of its random numbers
-    light: str  # one of gva_mi.synthetic.lamps.LIGHTS
-    in_room: bool  # show the room, if there is one
-    errors: PictureErrors | None = None  # None writes the ground truth alone, else into truth/
+    # With errors, the ground truth is written into truth/, and the room, if there is one, is shown.
+    errors: PictureErrors | None = None
 
 
-# 8-bit color (H, W, 3), and the errors of mask and normals; None for the ground truth.
-RenderResult = tuple[np.ndarray, ErrorStatistics | None]
+# 8-bit color (H, W, 3), and the scores of mask and normals; None for the ground truth.
+RenderResult = tuple[np.ndarray, PictureScores | None]
 Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
 
 
 @contextmanager
-def rendering(
-    subject: Subject, room: Room | None, workers: int, step: Callable[[], None]
-) -> Iterator[Render]:
+def rendering(subject: Subject, room: Room | None, light: str, workers: int) -> Iterator[Render]:
     """Yield a function that renders jobs, writes their files and yields results in order.
 
-    One of ``workers`` is this process. ``step`` is called after each picture.
+    ``light`` is one of LIGHTS; one of ``workers`` is this process.
 
     Raises:
         InputError: a worker process died.
     """
-    with ExitStack() as stack:
-        if workers == 1:
-            results = partial(map, partial(render_job, Renderer(subject, room)))
-        else:
-            pool = stack.enter_context(worker_processes(workers, _start_worker, subject, room))
-            results = partial(_in_order, pool, 2 * workers)
-
-        def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
-            for result in results(jobs):
-                step()
-                yield result
-
-        yield render
+    if workers == 1:
+        yield partial(map, partial(render_job, Renderer(subject, room, light)))
+        return
+    with worker_processes(workers, _start_worker, subject, room, light) as pool:
+        yield partial(_in_order, pool, 2 * workers)
 
 
 def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
@@ -90,31 +79,27 @@ def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator
 
 def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:
     """Render one picture and write its files."""
-    light, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
-    seed = int(light.generate_state(1)[0])
-    samples = job.samples // len(job.moments)
-    true = renderer.expose(job.moments, samples, seed, job.light, job.in_room)
+    random, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
+    samples, errors = job.samples // len(job.moments), job.errors
+    true = renderer.expose(
+        job.moments, samples, int(random.generate_state(1)[0]), shown=errors is not None
+    )
     stored = np.round(true.color * 255).astype(np.uint8)
     write_image(job.folder / "frames" / f"{job.index:06d}.png", stored)
-    if job.errors is None:
-        _write_true(job.folder, job.index, true)
+    exact = job.folder if errors is None else job.folder / "truth"
+    write_pictures(exact, job.index, true.mask, true.normals)
+    if errors is None:
         return stored, None
-    _write_true(job.folder / "truth", job.index, true)
-    rendered = (true.mask, true.normals) if job.errors.as_rendered else None
-    return stored, write_estimates(job.folder, job.index, job.errors, job.samples, rendered)
-
-
-def _write_true(folder: Path, index: int, true: Rendering) -> None:
-    write_image(folder / "masks" / f"{index:06d}.png", true.mask)
-    write_normals(folder, index, true.normals)
+    rendered = (true.mask, true.normals) if errors.as_rendered else None
+    return stored, write_estimates(job.folder, job.index, errors, job.samples, rendered)
 
 
 _renderer: Renderer | None = None  # of a worker process
 
 
-def _start_worker(subject: Subject, room: Room | None) -> None:
+def _start_worker(subject: Subject, room: Room | None, light: str) -> None:
     global _renderer
-    _renderer = Renderer(subject, room)
+    _renderer = Renderer(subject, room, light)
 
 
 def _render_in_worker(job: RenderJob) -> RenderResult:

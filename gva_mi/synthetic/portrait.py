@@ -13,7 +13,7 @@ from gva_mi.body.gestures import AxisAngle, hand_rotations
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.framing import camera_around
+from gva_mi.synthetic.cameras import camera_around
 from gva_mi.synthetic.look import Fabric, linear
 from gva_mi.synthetic.motion.actions import ACTIONS, POSES
 from gva_mi.synthetic.people import STUDY

@@ -1,20 +1,31 @@
-"""Provenance of a subject's folder: read its options, and make its person again."""
+"""An existing subject's folder: its options, its person again, its recording with other errors.
+
+A degraded recording equals what :func:`make_subject` makes with this error model and seed; earlier
+errors have no effect. Only ``bursts`` degrades normals as rendered: from files, they are up to one
+grey level off.
+"""
 
 from __future__ import annotations
 
+import os
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.atomic import atomic_write
+from gva_mi.core.atomic import atomic_dir, atomic_write
+from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_json
+from gva_mi.core.files import read_json, write_json
 from gva_mi.data.fingerprint import ABOUT, require_same_body
+from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.synthetic.closest import closest
+from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject
 
-RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -24,12 +35,10 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     Raises:
         InputError: the folder was not made by ``gva-mi synth``.
     """
-    path = subject / ABOUT
-    expected = "a folder that gva-mi synth made"
+    path, expected = subject / ABOUT, "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
-        kept = {k: v for k, v in about["options"].items() if k not in RETIRED}
-        return about, SynthOptions(**kept)
+        return about, SynthOptions(**about["options"])
 
 
 def write_surface(path: Path, person: Subject) -> None:
@@ -62,3 +71,62 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] 
     same = np.array_equal(filmed.faces, person.faces)
     same = same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
     return (person, drawn_on) if same else None
+
+
+def degrade(
+    subject: Path,
+    out: Path,
+    family: str,
+    seed: int,
+    body: BodyModel,
+    level: float = 1.0,
+    progress: Progress | None = None,
+    replaced: str | None = None,
+) -> None:
+    """Write a recording with other errors, so that each person is rendered once.
+
+    The folder appears when it is complete. Frames and ground truth are hard-linked from the old one
+    if the disk allows it.
+
+    Args:
+        subject: a folder that :func:`make_subject` or this function made.
+        out: the new folder, which must not exist or be empty.
+        family, seed: the error model, and the seed of its errors.
+        body: the body that the subject was made on.
+        level: factor on all errors; 0 is exact.
+        progress: called as ``progress(done, total)`` after each frame.
+        replaced: marker file of a folder that may be replaced once the new one is complete.
+
+    Raises:
+        InputError: ``out`` holds something else, ``subject`` was not made here or on another body,
+            or there is no such error model.
+    """
+    subject = Path(subject)
+    about, options = recorded_options(subject)
+    require_same_body(subject, body)
+    each = {"pose_noise": 1.0, "mask_noise": 1.0, "normal_noise": 1.0}
+    options = replace(options, family=family, noise_seed=seed, noise=level, **each)
+    truth = load_ground_truth(subject / "truth", body)
+    near = closest(body, truth.body, truth.pose, truth.shape)
+    pipeline = Pipeline(options, body, truth.cameras, near)
+    with atomic_dir(Path(out), replaced) as folder:
+        for name in ("video.mp4", "film.mp4", "frames", "truth", "splits.json"):
+            if (subject / name).is_dir():
+                shutil.copytree(subject / name, folder / name, copy_function=_link)
+            elif (subject / name).exists():
+                _link(subject / name, folder / name)
+        scores = []
+        for k, errors in enumerate(pipeline.pictures()):
+            scores.append(write_estimates(folder, k, errors, options.samples))
+            if progress is not None:
+                progress(k + 1, len(near.pose))
+        pipeline.write(folder, scores)
+        write_json(folder / "synth.json", about | {"options": options.recorded()})
+
+
+def _link(source: Path | str, target: Path | str) -> None:
+    """Hard-link a file, or copy it where links are not possible."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
 
 
-def primary_rays(
-    camera: Camera, x: dr.ArrayBase, y: dr.ArrayBase
-) -> tuple[dr.ArrayBase, dr.ArrayBase]:
+def primary_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Return rays through image points (pixels), and their length per metre of depth."""
     import mitsuba as mi
 
@@ -36,13 +35,11 @@ class Strata:
     The cells are permuted for each call and pixel, so that dimensions do not correlate.
     """
 
-    def __init__(
-        self, random: dr.ArrayBase, pixel: dr.ArrayBase, sample: dr.ArrayBase, n: int
-    ) -> None:
+    def __init__(self, random: Array, pixel: Array, sample: Array, n: int) -> None:
         self._random, self._pixel, self._sample, self._n = random, pixel, sample, n
         self._calls = 0
 
-    def __call__(self) -> dr.ArrayBase:
+    def __call__(self) -> Array:
         import mitsuba as mi
 
         n = self._n

@@ -25,11 +25,11 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
-from gva_mi.synthetic.lamps import EARTH, LIGHTS, SKY, AreaLight
-from gva_mi.synthetic.look import Material, encode
+from gva_mi.synthetic.look import EARTH, LIGHTS, SKY, AreaLight, Material, encode
 from gva_mi.synthetic.rays import Strata, beside, primary_rays, window_of
 from gva_mi.synthetic.rooms.finishes import finish_color
 from gva_mi.synthetic.rooms.room import INDIRECT, Room, smoothly_lit
@@ -61,13 +61,13 @@ class Moment:
 
 
 class Renderer:
-    """Render one subject in any number of poses, on white or in a room."""
+    """Render one subject in any number of poses, on white or in a room, under one of LIGHTS."""
 
-    def __init__(self, subject: Subject, room: Room | None = None) -> None:
+    def __init__(self, subject: Subject, room: Room | None = None, light: str = "usual") -> None:
         import mitsuba as mi
 
         mi.set_variant(VARIANT)
-        self._look, self._room = subject.look, room
+        self._look, self._room, self._lights = subject.look, room, LIGHTS[light]
         vertices, faces, material = subject.vertices, subject.faces, subject.material
         rest, tint = subject.vertices, subject.tint
         emission = INDIRECT * np.array([subject.look.mean_color(p) for p in Material])
@@ -95,23 +95,13 @@ class Renderer:
         dr.eval(self._material, self._rest, self._tint, self._emission)
 
     def __call__(
-        self,
-        vertices: np.ndarray,
-        camera: Camera,
-        samples: int = 16,
-        seed: int = 0,
-        light: str = "usual",
+        self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
     ) -> Rendering:
         """Render the subject's vertices (N, 3), metres: see :meth:`expose`."""
-        return self.expose([Moment(vertices, camera)], samples, seed, light)
+        return self.expose([Moment(vertices, camera)], samples, seed)
 
     def expose(
-        self,
-        moments: Sequence[Moment],
-        samples: int = 16,
-        seed: int = 0,
-        light: str = "usual",
-        shown: bool = True,
+        self, moments: Sequence[Moment], samples: int = 16, seed: int = 0, shown: bool = True
     ) -> Rendering:
         """Render the subject as an exposure sees it.
 
@@ -119,11 +109,10 @@ class Renderer:
             moments: of the exposure, with equal shares; one for a shutter that does not blur.
             samples: rays per pixel and moment, a square number.
             seed: of all random numbers.
-            light: the name of one of LIGHTS.
             shown: show the room, if there is one; otherwise its walls light a subject on white.
         """
         camera, shown = moments[0].camera, shown and self._room is not None
-        shape, lights = (camera.height, camera.width), LIGHTS[light]
+        shape = camera.height, camera.width
         total, count, room = (np.zeros((*shape, n)) for n in (7, 1, 6))
         fewer = max(1, round((samples / FEWER) ** 0.5)) ** 2
         for k, moment in enumerate(moments):
@@ -133,7 +122,7 @@ class Renderer:
             for number, (left, top, width, height) in enumerate(parts):
                 rays, person = (samples, True) if number == 0 else (fewer, False)
                 part = moment.camera.cropped(left, top, width, height)
-                values = self._trace(part, rays, seed + 7 * k + number, lights, person, shown)
+                values = self._trace(part, rays, seed + 7 * k + number, person, shown)
                 values = values.reshape(height, width, rays, -1).astype(np.float64)
                 at = (slice(top, top + height), slice(left, left + width))
                 hit = values[..., 7:8]
@@ -167,9 +156,8 @@ class Renderer:
         self._normals = mi.Float(normals.astype(np.float32).ravel())
 
     def _trace(
-        self, camera: Camera, samples: int, seed: int, lights: Sequence[AreaLight],
-        person: bool, shown: bool,
-    ) -> np.ndarray:  # fmt: skip
+        self, camera: Camera, samples: int, seed: int, person: bool, shown: bool
+    ) -> np.ndarray:
         """Trace all samples of a view, (H W S, 8): radiance, world normal, depth, hit the person.
 
         Without ``person`` no ray meets the person. Where the room is ``shown`` the others meet it,
@@ -200,7 +188,7 @@ class Renderer:
         start = ray(t) + n_shading * OFFSET - ray.d * OFFSET
 
         light = mi.Color3f(0)
-        for source in lights:
+        for source in self._lights:
             light += self._direct(source, start, n_shading, stratum(), lit)
         light += dr.pi * self._ambient(start, n_shading, stratum(), lit)
         radiance = color * light * dr.inv_pi
@@ -213,9 +201,9 @@ class Renderer:
         return np.stack([value.numpy() for value in values], axis=-1)
 
     def _in_room(
-        self, ray: dr.ArrayBase, t: dr.ArrayBase, hit: dr.ArrayBase, material: dr.ArrayBase,
-        rest: dr.ArrayBase, color: dr.ArrayBase, normal: dr.ArrayBase,
-    ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:  # fmt: skip
+        self, ray: Array, t: Array, hit: Array, material: Array, rest: Array, color: Array,
+        normal: Array,
+    ) -> tuple[Array, ...]:  # fmt: skip
         """Return distance, which rays hit the person, albedo and normal, walls included."""
         import mitsuba as mi
 
@@ -229,9 +217,7 @@ class Renderer:
         color = dr.select(person, color, finish_color(self._finishes, finish, u, v))
         return dr.select(hit, t, far), person, color, dr.select(away, -normal, normal)
 
-    def _surface(
-        self, triangle: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
-    ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:
+    def _surface(self, triangle: Array, uv: Array, active: Array) -> tuple[Array, ...]:
         """Return material, rest position, tint and shading normal at points of triangles."""
         import mitsuba as mi
 
@@ -244,14 +230,7 @@ class Renderer:
         normal = blend(self._normals)
         return material, blend(self._rest), blend(self._tint), normal / dr.norm(normal)
 
-    def _direct(
-        self,
-        source: AreaLight,
-        x: dr.ArrayBase,
-        n: dr.ArrayBase,
-        uv: dr.ArrayBase,
-        active: dr.ArrayBase,
-    ) -> dr.ArrayBase:
+    def _direct(self, source: AreaLight, x: Array, n: Array, uv: Array, active: Array) -> Array:
         """Return the irradiance from one point of an area light (eq. 2)."""
         import mitsuba as mi
 
@@ -270,9 +249,7 @@ class Renderer:
         falloff = area * cosines / dr.square(distance)
         return mi.Color3f(*source.radiance) * dr.select(seen, falloff, 0.0)
 
-    def _ambient(
-        self, x: dr.ArrayBase, n: dr.ArrayBase, uv: dr.ArrayBase, active: dr.ArrayBase
-    ) -> dr.ArrayBase:
+    def _ambient(self, x: Array, n: Array, uv: Array, active: Array) -> Array:
         """Return L of a cosine-distributed direction (eq. 3)."""
         import mitsuba as mi
 

@@ -38,6 +38,11 @@ class RestBody:
         surface = BodySurface(vertices, faces, normals)
         return RestBody(vertices, faces, normals, joints, weights, surface)
 
+    @property
+    def between_eyes(self) -> np.ndarray:
+        """The point between the eyes, (3,) metres."""
+        return (self.joints["left_eye_smplhf"] + self.joints["right_eye_smplhf"]) / 2
+
     def skin_tint(self) -> np.ndarray:
         """Return factors (V, 3) on the skin colour: redder knuckles, paler palms."""
         tint = np.ones((len(self.vertices), 3))
@@ -63,8 +68,10 @@ class RestBody:
             along = along / np.linalg.norm(along)
             tip = end[(end @ along).argmax()] - 0.006 * along
             near = end[np.linalg.norm(end - tip, axis=1) < 0.012]
-            nails.append((tip[0], near[:, 1].max() if len(near) else tip[1], tip[2]))
-        return tuple(point(nail) for nail in nails)
+            if len(near):
+                tip[1] = near[:, 1].max()
+            nails.append(tuple(tip.tolist()))
+        return tuple(nails)
 
 
 def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmarks:
@@ -75,8 +82,8 @@ def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmar
         rest: the same body in the rest pose.
     """
     vertices = rest.vertices
-    eyes = np.stack([rest.joints["left_eye_smplhf"], rest.joints["right_eye_smplhf"]])
-    unit, middle = float(np.linalg.norm(eyes[0] - eyes[1])), eyes.mean(0)
+    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in ("left", "right")]
+    unit, middle = float(np.linalg.norm(eyes[0] - eyes[1])), rest.between_eyes
     unit = max(unit, 1e-3)  # bodies of SMPL and SMPL+H have no eyes
     x, y = np.abs(vertices[:, 0] - middle[0]), middle[1] - vertices[:, 1]
     near = vertices[(x < 0.2 * unit) & (y > 0.2 * unit) & (y < 1.1 * unit)]
@@ -95,9 +102,4 @@ def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmar
         most = edges[torn > 0.7 * torn.max()] if torn.max() > 0.002 else edges[:0]
         if len(most):
             mouth[1:] = vertices[most].mean((0, 1))[1:]
-    return FaceLandmarks((point(eyes[0]), point(eyes[1])), point(mouth), unit)
-
-
-def point(x: np.ndarray) -> Point:
-    """Convert three numbers to plain floats."""
-    return (float(x[0]), float(x[1]), float(x[2]))
+    return FaceLandmarks(tuple(tuple(eye.tolist()) for eye in eyes), tuple(mouth.tolist()), unit)

@@ -13,11 +13,10 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
+from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand
 from gva_mi.synthetic.clothes.folds import MEMORY
-from gva_mi.synthetic.framing import camera_around
 from gva_mi.synthetic.options import BLUR, CAMERA, MOTION, ROOM, SynthOptions
 from gva_mi.synthetic.render import Moment
-from gva_mi.synthetic.rooms.cameras import PhoneCamera, held_by_hand
 from gva_mi.synthetic.rooms.room import Room, draw_room
 from gva_mi.synthetic.subject import Subject
 

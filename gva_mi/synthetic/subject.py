@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,10 +15,9 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.synthetic.clothes.folds import Crease, creases, lag
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
-from gva_mi.synthetic.clothes.strands import strands
 from gva_mi.synthetic.look import Look, Material
 from gva_mi.synthetic.people import SyntheticPerson
-from gva_mi.synthetic.rest_body import RestBody, face_landmarks, point
+from gva_mi.synthetic.rest_body import RestBody, face_landmarks
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -104,39 +103,19 @@ def draw_subject(
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)
-    worn = dress(rest, person.outfit, rng, clothes, hair)
+    loose = np.random.default_rng([person.seed, 2]) if loose_strands else None
+    worn = dress(rest, person.outfit, rng, clothes, hair, loose)
+    shoulder, hip = (tuple(rest.joints[f"left_{name}"].tolist()) for name in ("shoulder", "hip"))
     look = Look(
         skin=person.skin,
         lips=tuple(s * f for s, f in zip(person.skin, (0.80, 0.45, 0.45), strict=True)),
         iris=person.iris, hair=person.hair, brows=tuple(0.5 * c for c in person.hair),
         top=person.top, bottom=person.bottom, shoes=person.shoes, swimsuit=not clothes,
         face=face_landmarks(body, shape, rest), nails=rest.nails(),
-        shoulder=point(rest.joints["left_shoulder"]), hip=point(rest.joints["left_hip"]),
-        ground=float(rest.vertices[:, 1].min()), accessory=person.accent, cone=worn.cone,
+        shoulder=shoulder, hip=hip, ground=float(rest.vertices[:, 1].min()),
+        accessory=person.accent, cone=worn.cone,
     )  # fmt: skip
-    whole = _joined(rest, worn, look, shape, rng)
-    if hair and loose_strands:
-        return with_strands(whole, np.random.default_rng([person.seed, 2]))
-    return whole
-
-
-def with_strands(subject: Subject, rng: np.random.Generator) -> Subject:
-    """Add fly-away strands, which follow the hair."""
-    from scipy.sparse import vstack
-
-    hair = subject.faces[subject.material == int(Material.HAIR)]
-    points, triangles, roots = strands(subject.vertices, hair, rng)
-    join = lambda a, b: np.concatenate([a, b.astype(a.dtype)])
-    return replace(
-        subject,
-        vertices=join(subject.vertices, points),
-        faces=join(subject.faces, triangles + len(subject.vertices)),
-        binding=vstack([subject.binding, subject.binding[roots]]).tocsr(),
-        weights=torch.cat([subject.weights, subject.weights[torch.from_numpy(roots)]]),
-        tint=join(subject.tint, subject.tint[roots]),
-        material=join(subject.material, np.full(len(triangles), int(Material.HAIR))),
-        slack=join(subject.slack, subject.slack[roots]),
-    )
+    return _joined(rest, worn, look, shape, rng)
 
 
 def _joined(

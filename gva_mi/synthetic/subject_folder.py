@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib import metadata
+from itertools import count
 from pathlib import Path
 
 from gva_mi.body.pose import Pose, save_poses
@@ -37,11 +38,11 @@ from gva_mi.data.pictures import write_movie
 from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
+from gva_mi.synthetic.cameras import camera_around
 from gva_mi.synthetic.closest import Closest, closest
 from gva_mi.synthetic.estimates import PictureErrors, Pipeline
-from gva_mi.synthetic.framing import camera_around
 from gva_mi.synthetic.options import FILM, MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
-from gva_mi.synthetic.pictures import Render, RenderJob, rendering
+from gva_mi.synthetic.pictures import Render, RenderJob, RenderResult, rendering
 from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.render import Moment
 from gva_mi.synthetic.rooms.phone import write_phone_film
@@ -67,23 +68,22 @@ def make_subject(
     Raises:
         InputError: ``out`` holds something else.
     """
-    out = Path(out)
     views = min(options.novel_views, options.frames)
-    total, done = options.frames + options.novel_poses + views, 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
+    total, done = options.frames + options.novel_poses + views, count(1)
     drawn_on = options.drawn_on(body)
     subject = options.subject_on(drawn_on)
     staging = Staging(options, drawn_on, subject)
     with (
-        atomic_dir(out, replaced) as folder,
-        rendering(subject, staging.room(), options.workers, step) as render,
+        atomic_dir(Path(out), replaced) as folder,
+        rendering(subject, staging.room(), options.light, options.workers) as rendered,
     ):
+
+        def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
+            for result in rendered(jobs):
+                if progress is not None:
+                    progress(next(done), total)
+                yield result
+
         writer = _SubjectWriter(staging, body, render)
         writer.write_video(folder)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
@@ -103,10 +103,6 @@ class _SubjectWriter:
     fitted: BodyModel  # of the estimated poses
     render: Render
 
-    @property
-    def _options(self) -> SynthOptions:
-        return self.staging.options
-
     def _closest(self, pose: Pose) -> Closest:
         """Return the ground truth on the fitted body."""
         return closest(self.fitted, self.staging.body, pose, self.staging.subject.shape)
@@ -122,17 +118,15 @@ class _SubjectWriter:
 
         Without ``errors``, one per frame, only the ground truth is written, without the room.
         """
-        options = self._options
+        options = self.staging.options
         for k, moments in enumerate(exposures):
             seed = (*options.entropy(RENDER), stream, k)
-            yield RenderJob(
-                folder, k, moments, options.samples, seed, options.light, bool(errors),
-                errors[k] if errors else None,
-            )  # fmt: skip
+            of_frame = errors[k] if errors else None
+            yield RenderJob(folder, k, moments, options.samples, seed, of_frame)
 
     def write_video(self, folder: Path) -> None:
         """Write frames, masks, normals, cameras and poses of the video, with ground truth."""
-        options, staging = self._options, self.staging
+        options, staging = self.staging.options, self.staging
         pose, cameras = staging.poses[0], staging.cameras
         save_cameras(folder / "truth" / "cameras.npz", cameras)
         save_poses(folder / "truth" / "poses.npz", pose, staging.subject.shape, stage=0)
@@ -140,32 +134,32 @@ class _SubjectWriter:
             write_arrays(folder / "truth" / BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
-        colors, statistics = zip(*self.render(jobs), strict=True)
+        colors, scores = zip(*self.render(jobs), strict=True)
         write_movie(folder / "video.mp4", list(colors))
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
             write_json(folder / "truth" / "film.json", staging.about_film())
-        pipeline.write(folder, statistics)
+        pipeline.write(folder, scores)
 
     def write_novel_poses(self, folder: Path) -> None:
         """Write poses that the video does not hold, with their pictures."""
-        options, staging = self._options, self.staging
-        count, rng = options.novel_poses, options.random(NOVEL_POSE)
-        if count == 0:
+        options, staging = self.staging.options, self.staging
+        if options.novel_poses == 0:
             return
-        pose = motion.novel(count, staging.body.num_expressions, rng)  # static: nothing lags behind
+        expressions, rng = staging.body.num_expressions, options.random(NOVEL_POSE)
+        pose = motion.novel(options.novel_poses, expressions, rng)  # static: nothing lags behind
         pose = lowered(pose, staging.points(pose)[..., 1].min(1))
         cameras = [camera_around(points, options.size) for points in staging.points(pose)]
         self._write_truth(folder, [pose], cameras, NOVEL_POSE)
 
-    def write_novel_views(self, folder: Path, count: int) -> list[int]:
-        """Write ``count`` frames of the video from other sides and heights; return which."""
-        if count == 0:
+    def write_novel_views(self, folder: Path, views: int) -> list[int]:
+        """Write some frames of the video from other sides and heights; return which."""
+        if views == 0:
             return []
-        options, staging = self._options, self.staging
+        options, staging = self.staging.options, self.staging
         rng = options.random(NOVEL_VIEW)
-        seen = [k * options.frames // count for k in range(count)]
+        seen = [k * options.frames // views for k in range(views)]
         poses = [pose[seen] for pose in staging.poses]
         cameras = []
         for points in staging.points(poses[0]):

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 from gva_mi.synthetic.look import Fabric, Look, Material, Point
 
 
-def albedo(look: Look, material: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBase:
+def albedo(look: Look, material: Array, rest: Array) -> Array:
     """Return the linear albedo, a Dr.Jit ``Array3f``, at points of the rest surface.
 
     ``material`` are values of :class:`Material`, a Dr.Jit integer array, and ``rest`` positions in
@@ -27,17 +28,18 @@ def albedo(look: Look, material: dr.ArrayBase, rest: dr.ArrayBase) -> dr.ArrayBa
     return dr.select(material == int(Material.ACCESSORY), type(rest)(*look.accessory), color)
 
 
-def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+def _skin(look: Look, p: Array) -> Array:
     """Skin with cheeks, brows, eyes, lips, nails and, without clothes, a swimsuit."""
     face = look.face
     base = type(p)(*look.skin)
     blotches = value_noise(p * 35) * 0.10 + value_noise(p * 140) * 0.05
     color = base * (1 + blotches)
 
-    front = p.z > face.mouth[2] - 0.75 * face.unit
+    painted = color
     for eye in face.eyes:
-        color = _around_eye(look, p, color, eye, front)
-    color = dr.select(front, _mouth(look, p, color), color)
+        painted = _around_eye(look, p, painted, eye)
+    painted = _mouth(look, p, painted)
+    color = dr.select(p.z > face.mouth[2] - 0.75 * face.unit, painted, color)
 
     nail_color = dr.minimum(1.15 * base + type(p)(0.13, 0.09, 0.08), 0.85)
     for nail in look.nails:
@@ -52,35 +54,33 @@ def _skin(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     return color
 
 
-def _around_eye(
-    look: Look, p: dr.ArrayBase, color: dr.ArrayBase, eye: Point, front: dr.ArrayBase
-) -> dr.ArrayBase:
-    """Paint cheek, brow and eye over ``color`` where ``front`` is true; ``eye`` is its centre."""
+def _around_eye(look: Look, p: Array, color: Array, eye: Point) -> Array:
+    """Paint cheek, brow and eye over ``color``; ``eye`` is its centre."""
     like, unit = type(p), look.face.unit
     outward = 1.0 if eye[0] > 0 else -1.0
     dx, dy = (p.x - eye[0]) / unit, (p.y - eye[1]) / unit
     cheek = dr.exp(-(dr.square(dx - 0.12 * outward) + dr.square(dy + 0.55)) / 0.10)
-    color = dr.select(front, dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek), color)
+    color = dr.lerp(color, color * like(1.08, 0.80, 0.78), 0.7 * cheek)
     u = (dx - 0.05 * outward) * outward
     arc = dy - (0.44 - 0.30 * dr.square(u + 0.06))  # inner ends no lower than outer: no scowl
     brow = _inside(0.038 + 0.025 * (0.3 - u) - dr.abs(arc), 0.02)
     brow *= _inside(0.40 - dr.abs(u), 0.06)
-    color = dr.select(front, dr.lerp(color, like(*look.brows), 0.85 * brow), color)
+    color = dr.lerp(color, like(*look.brows), 0.85 * brow)
     lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
     shadow = _inside(1.9 - lid, 0.9)
-    color = dr.select(front, dr.lerp(color, color * like(0.76, 0.66, 0.64), shadow), color)
+    color = dr.lerp(color, color * like(0.76, 0.66, 0.64), shadow)
     inside = _inside(1 - lid, 0.10)
     radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
     ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
     ball = dr.lerp(ball, like(0.012), _inside(0.045 - radius, 0.012))
     glint = dr.square(dx + 0.03) + dr.square(dy - 0.035)
     ball = dr.lerp(ball, like(0.9), _inside(0.0005 - glint, 0.0003))
-    color = dr.select(front, dr.lerp(color, ball, inside), color)
+    color = dr.lerp(color, ball, inside)
     lash = _inside(0.25 - dr.abs(lid - 1.05), 0.1) * _inside(dy - 0.02, 0.03)
-    return dr.select(front, dr.lerp(color, like(0.02, 0.012, 0.01), lash), color)
+    return dr.lerp(color, like(0.02, 0.012, 0.01), lash)
 
 
-def _mouth(look: Look, p: dr.ArrayBase, color: dr.ArrayBase) -> dr.ArrayBase:
+def _mouth(look: Look, p: Array, color: Array) -> Array:
     """Paint lips and the dark gap between them over ``color``."""
     like, face = type(p), look.face
     dx, dy = (p.x - face.mouth[0]) / face.unit, (p.y - face.mouth[1]) / face.unit
@@ -93,7 +93,7 @@ def _mouth(look: Look, p: dr.ArrayBase, color: dr.ArrayBase) -> dr.ArrayBase:
     return dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
 
 
-def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+def _top(look: Look, p: Array) -> Array:
     """Shirt: the pattern runs along the sleeves, and a seam joins them to the trunk."""
     side = dr.abs(p.x)
     seam = look.shoulder[0] + 0.02
@@ -114,7 +114,7 @@ def _top(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     return color * (1 - 0.25 * sewn)
 
 
-def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+def _bottom(look: Look, p: Array) -> Array:
     """Trousers, or a skirt with its lining, with side seams."""
     seam = _inside(0.0025 - dr.abs(p.z - look.hip[2]), 0.001)
     lining = dr.mask_t(p.x)(False)
@@ -131,7 +131,7 @@ def _bottom(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     return color * (1 - 0.25 * side_seam)
 
 
-def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+def _shoes(look: Look, p: Array) -> Array:
     """Shoes with laces and a pale sole."""
     like = type(p)
     color = like(*look.shoes) * (1 + 0.15 * value_noise(p * 90))
@@ -144,7 +144,7 @@ def _shoes(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     return dr.lerp(color, like(0.72, 0.70, 0.66), _inside(0.016 - height, 0.001))
 
 
-def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
+def _hair(look: Look, p: Array) -> Array:
     """Hair: locks and strands that vary fast around the head and slowly down it, and a gloss.
 
     The gloss is a band around the crown, where hair turns from the sky to the side, frayed by the
@@ -163,9 +163,7 @@ def _hair(look: Look, p: dr.ArrayBase) -> dr.ArrayBase:
     return type(p)(*look.hair) * (dr.maximum(shade, 0.15) * (1 + paler)) + 0.06 * gloss
 
 
-def _cloth(
-    fabric: Fabric, p: dr.ArrayBase, along: dr.ArrayBase, around: dr.ArrayBase
-) -> dr.ArrayBase:
+def _cloth(fabric: Fabric, p: Array, along: Array, around: Array) -> Array:
     """Return the pattern of a fabric at positions ``along`` and ``around`` a limb, metres."""
     like = type(p)
     ground, figure, line = (like(*c) for c in fabric.colors)
@@ -189,7 +187,7 @@ def _cloth(
     return color * (1 + weave)
 
 
-def _print(fabric: Fabric, color: dr.ArrayBase, p: dr.ArrayBase, height: float) -> dr.ArrayBase:
+def _print(fabric: Fabric, color: Array, p: Array, height: float) -> Array:
     """Print a motif on the chest and another on the back."""
     like = type(p)
     x, y = p.x, p.y - height
@@ -202,12 +200,12 @@ def _print(fabric: Fabric, color: dr.ArrayBase, p: dr.ArrayBase, height: float) 
     return dr.select(p.z > 0, chest, back)
 
 
-def _inside(x: dr.ArrayBase, width: float) -> dr.ArrayBase:
+def _inside(x: Array, width: float) -> Array:
     """Soft step: 1 where ``x`` > 0, blurred over ``width``."""
     return dr.clip(x / width + 0.5, 0, 1)
 
 
-def value_noise(p: dr.ArrayBase) -> dr.ArrayBase:
+def value_noise(p: Array) -> Array:
     """Value noise in [-1, 1] on the integer lattice."""
     cell = dr.floor(p)
     f = p - cell
@@ -221,7 +219,7 @@ def value_noise(p: dr.ArrayBase) -> dr.ArrayBase:
     return dr.lerp(plane(0), plane(1), f.z) * 2 - 1
 
 
-def hash01(*lattice: dr.ArrayBase) -> dr.ArrayBase:
+def hash01(*lattice: Array) -> Array:
     """Hash an integer lattice point to a number in [0, 1)."""
     Int = dr.int32_array_t(type(lattice[0]))
     UInt = dr.uint32_array_t(Int)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig, moved_by
+from gva_mi.body.kinematics import joint_places
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.data.normals import normal_colors
@@ -37,8 +38,7 @@ def posed_surface(avatar: Avatar, pose: Pose) -> PosedSurface:
     rig, skeleton = avatar.rig, avatar.posed_skeleton(pose)
     vertices = rig.vertices + moved_by(skeleton.coefficients, rig.directions)
     T_world_rest = skeleton.T_world_rest.to(vertices.dtype)
-    R, t = T_world_rest[:, :3, :3], T_world_rest[:, :3, 3]
-    joints = (R @ skeleton.joints.unsqueeze(-1)).squeeze(-1) + t
+    joints = joint_places(T_world_rest, skeleton.joints)
     skinned = skin_points(vertices, rig.weights, T_world_rest)
     return PosedSurface(skinned.float(), joints.double().numpy())
 

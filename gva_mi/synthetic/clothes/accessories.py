@@ -14,29 +14,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.synthetic.clothes.level_sets import (
-    BodySurface,
-    ClosedMesh,
-    VoxelGrid,
-    smax,
-    smin,
-    surface_of,
-)
+from gva_mi.synthetic.clothes.level_sets import RestMesh, VoxelGrid, smax, smin, surface_of
 from gva_mi.synthetic.rest_body import RestBody
 
 WIRE_CELL, CAP_CELL, HOOD_CELL, BAG_CELL = 0.0013, 0.0035, 0.005, 0.006  # m, grid spacing
 WIRE = 0.0023  # m, radius of the glasses' frame
 HOOD = 0.007  # m, half the thickness of a hood
 STRAP, THIN = 0.022, 0.006  # m, half the width and half the thickness of a strap
+PRESSED = 0.012  # m, of a strap off the body, besides 0.8 of the shirt, which it presses down
 ROUND = 0.03  # m, radius of a bag's edges
 
-BagParts = tuple[ClosedMesh, ClosedMesh, str]  # bag, strap, the joint that the bag follows
+BagParts = tuple[RestMesh, RestMesh, str]  # bag, strap, the joint that the bag follows
 
 
-def glasses(rest: RestBody) -> ClosedMesh:
+def glasses(rest: RestBody) -> RestMesh:
     """Model the frame of a pair of glasses, without lenses."""
-    eyes = np.stack([rest.joints["left_eye_smplhf"], rest.joints["right_eye_smplhf"]])
-    middle, unit = eyes.mean(0), float(np.linalg.norm(eyes[0] - eyes[1]))
+    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in ("left", "right")]
+    middle, unit = rest.between_eyes, float(np.linalg.norm(eyes[0] - eyes[1]))
     points = rest.surface.points - middle
     lens = np.array([0.40, 0.31]) * unit  # half width and height
     front = points[(np.abs(points[:, 1]) < lens[1]) & (np.abs(points[:, 0]) > 0.25 * unit)]
@@ -61,18 +55,15 @@ def glasses(rest: RestBody) -> ClosedMesh:
         (width, level, ear),
         (width - 0.002, level - 0.022, ear - 0.018),
     ]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    bridge = (0.0, 0.08 * unit, plane), (0.5 * unit - lens[0], 0.04 * unit, plane)
+    for a, b in (*zip(path[:-1], path[1:], strict=True), bridge):
         distance = np.minimum(distance, _segment((side, y, z), np.array(a), np.array(b)))
-    inner = 0.5 * unit - lens[0]
-    bridge = _segment(
-        (side, y, z), np.array([0.0, 0.08 * unit, plane]), np.array([inner, 0.04 * unit, plane])
-    )
-    return surface_of(grid, np.minimum(distance, bridge) - WIRE)
+    return surface_of(grid, distance - WIRE)
 
 
-def cap(rest: RestBody, stand_off: float) -> ClosedMesh:
+def cap(rest: RestBody, stand_off: float) -> RestMesh:
     """Model a cap with a brim, ``stand_off`` metres off the skull."""
-    points, eyes = rest.surface.points, _between_eyes(rest)
+    points, eyes = rest.surface.points, rest.between_eyes
     skull = points[points[:, 1] > eyes[1] + 0.02]
     middle, top = (skull.max(0) + skull.min(0)) / 2, skull[:, 1].max()
     half = np.ptp(skull, axis=0) / 2
@@ -96,9 +87,9 @@ def cap(rest: RestBody, stand_off: float) -> ClosedMesh:
     return surface_of(grid, smin(crown, brim, 0.006))
 
 
-def hood_up(rest: RestBody, stand_off: float) -> ClosedMesh:
+def hood_up(rest: RestBody, stand_off: float) -> RestMesh:
     """Model a hood over the head, open at the face, ``stand_off`` metres off the skull."""
-    points, eyes, neck = rest.surface.points, _between_eyes(rest), rest.joints["neck"]
+    points, eyes, neck = rest.surface.points, rest.between_eyes, rest.joints["neck"]
     skull = points[points[:, 1] > rest.joints["head"][1]]
     lo, hi = skull.min(0) - 0.08, skull.max(0) + 0.08
     lo[1] = neck[1] - 0.06
@@ -116,7 +107,7 @@ def hood_up(rest: RestBody, stand_off: float) -> ClosedMesh:
     return surface_of(grid, smax(smax(shell, opening, 0.008), collar, 0.008))
 
 
-def hood_down(rest: RestBody, stand_off: float) -> ClosedMesh:
+def hood_down(rest: RestBody, stand_off: float) -> RestMesh:
     """Model a hood lying on the shoulders, ``stand_off`` metres off the body like the shirt."""
     neck, wide = rest.joints["neck"], 0.52 * rest.joints["left_shoulder"][0]
     points = rest.surface.points
@@ -141,12 +132,12 @@ def backpack(rest: RestBody, loose: float) -> BagParts:
     half = np.array([0.80 * shoulder[0], 0.40 * (neck[1] - pelvis[1]), 0.07])
     middle, points = np.array([0.0, neck[1] - 0.04 - half[1], 0.0]), rest.surface.points
     trunk = points[np.abs(points - middle)[:, :2].max(1) < 0.7 * shoulder[0]]
-    off = _strap_stand_off(loose)
+    off = 0.8 * loose + PRESSED
     middle[2] = trunk[:, 2].min() - off + 0.015 - half[2]
     grid = _around_trunk(rest)
     aside = np.abs(np.abs(grid.x) - 0.72 * shoulder[0]) - STRAP
     ends = (pelvis[1] + 0.30 * (neck[1] - pelvis[1])) - grid.y
-    return _box(middle, half), _strap(rest.surface, grid, off, smax(aside, ends, 0.004)), "spine3"
+    return _box(middle, half), _strap(rest, grid, off, smax(aside, ends, 0.004)), "spine3"
 
 
 def shoulder_bag(rest: RestBody, loose: float) -> BagParts:
@@ -155,7 +146,7 @@ def shoulder_bag(rest: RestBody, loose: float) -> BagParts:
     half, points = np.array([0.045, 0.11, 0.14]), rest.surface.points
     near = np.abs(points[:, 1] - hip[1]) < half[1]
     side = points[near & (np.abs(points[:, 0]) < 2.5 * hip[0])][:, 0].max()
-    off = _strap_stand_off(loose)
+    off = 0.8 * loose + PRESSED
     middle = np.array([side + off + 0.6 * half[0], hip[1] + 0.02, hip[2]])
     grid = _around_trunk(rest)
     # The strap lies in a plane through the bag and the shoulder, parallel to the z axis.
@@ -164,21 +155,12 @@ def shoulder_bag(rest: RestBody, loose: float) -> BagParts:
     normal = np.array([-along[1], along[0]]) / np.hypot(along[0], along[1])
     aside = np.abs((grid.x - top[0]) * normal[0] + (grid.y - top[1]) * normal[1]) - STRAP
     band = smax(aside, np.abs(grid.x) - (side + 0.07), 0.004)
-    return _box(middle, half), _strap(rest.surface, grid, off, band), "pelvis"
+    return _box(middle, half), _strap(rest, grid, off, band), "pelvis"
 
 
-def _strap_stand_off(loose: float) -> float:
-    """Return a strap's distance from the body, metres: it presses the shirt down a little."""
-    return 0.8 * loose + 0.012
-
-
-def _strap(surface: BodySurface, grid: VoxelGrid, off: float, band: np.ndarray) -> ClosedMesh:
-    d = surface.sample(grid, band=0.08)
+def _strap(rest: RestBody, grid: VoxelGrid, off: float, band: np.ndarray) -> RestMesh:
+    d = rest.surface.sample(grid, band=0.08)
     return surface_of(grid, smax(np.abs(d - off) - THIN, band, 0.004))
-
-
-def _between_eyes(rest: RestBody) -> np.ndarray:
-    return (rest.joints["left_eye_smplhf"] + rest.joints["right_eye_smplhf"]) / 2
 
 
 def _around_trunk(rest: RestBody) -> VoxelGrid:
@@ -192,7 +174,7 @@ def _around_trunk(rest: RestBody) -> VoxelGrid:
     return VoxelGrid.around(lo, hi, BAG_CELL)
 
 
-def _box(middle: np.ndarray, half: np.ndarray) -> ClosedMesh:
+def _box(middle: np.ndarray, half: np.ndarray) -> RestMesh:
     """Model a box with rounded edges and half extents ``half`` (3,), metres."""
     grid = VoxelGrid.around(middle - half - 0.02, middle + half + 0.02, BAG_CELL)
     x = [

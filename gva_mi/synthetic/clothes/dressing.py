@@ -1,4 +1,18 @@
-"""Dress a body: choose clothes, hair and accessories, and bind them to it."""
+"""Dress a body: choose clothes, hair and accessories, and bind them to it.
+
+Each vertex of a piece follows vertices of the body by sparse weights that sum to 1:
+
+    follow_nearest    weights ~ exp( -distance² / 2 smooth² ), for clothes and hair
+    follow_joint      the mean of the vertices that a joint moves most, for stiff things
+    hang_from_hips    a skirt follows the nearest vertices at its waist and both thighs below it:
+
+        thighs   t = REACH · smoothstep(distance below the hips)
+        left     s = smoothstep(x / half the body's width)
+        weights  (1 - t) nearest,  t s of the left thigh's mean,  t (1 - s) of the right one's
+
+With nearest vertices alone, a skirt would tear in two between the legs.
+All functions return (N, V) for N points and V vertices of the body.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +22,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.synthetic.clothes import accessories, binding, garments
-from gva_mi.synthetic.clothes.hair import hair_mesh
+from gva_mi.body.pose import JOINTS
+from gva_mi.synthetic.clothes import accessories, garments
+from gva_mi.synthetic.clothes.hair import hair_mesh, strands
 from gva_mi.synthetic.clothes.level_sets import (
     BAND,
     BodySurface,
-    ClosedMesh,
+    RestMesh,
     VoxelGrid,
     smoothstep,
     vertex_normals,
@@ -25,13 +40,19 @@ from gva_mi.synthetic.rest_body import RestBody
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+NEIGHBOURS = 24  # vertices of the body that one vertex of a garment follows
+GROUP = 200  # vertices of the body whose mean represents a joint
+REACH = 0.9  # weight of the thighs at a skirt's hem
+WAIST, SPREAD = -0.02, 0.08  # m below the hips where that begins; smoothing of the neighbours
+BETWEEN = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh alone
+
 
 @dataclass(frozen=True)
 class Piece:
     """A garment, hair or an accessory, bound to the body."""
 
     material: Material
-    mesh: ClosedMesh
+    mesh: RestMesh
     binding: csr_array  # (V, vertices of the body), rows sum to 1
     slack: np.ndarray | float = 0.0  # (V,) metres, the most it may lag behind
     crease: float = 0.0  # m, height of its creases
@@ -45,21 +66,29 @@ class Worn:
     cone: SkirtCone | None = None  # of a skirt
 
     @property
-    def cloth(self) -> list[ClosedMesh]:
+    def cloth(self) -> list[RestMesh]:
         """Clothes and shoes, which hide the skin below them."""
         open_ = (Material.HAIR, Material.ACCESSORY)
         return [piece.mesh for piece in self.pieces if piece.material not in open_]
 
 
 def dress(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator, clothes: bool, hair: bool
+    rest: RestBody,
+    outfit: Outfit,
+    rng: np.random.Generator,
+    clothes: bool,
+    hair: bool,
+    loose: np.random.Generator | None = None,
 ) -> Worn:
-    """Dress a body in clothes with accessories, and in hair; ``rng`` draws folds and locks."""
+    """Dress a body in clothes with accessories, and in hair.
+
+    ``rng`` draws folds and locks, and ``loose`` fly-away strands of the hair; None: there are none.
+    """
     pieces, cone = _clothes(rest, outfit, rng) if clothes else ([], None)
-    if hair:
-        pieces.append(_hair(rest, outfit, rng, pieces))
-    if clothes:
-        pieces += _accessories(rest, outfit)
+    locks = [_hair(rest, outfit, rng, pieces)] if hair else []
+    pieces += locks + (_accessories(rest, outfit) if clothes else [])
+    if loose is not None:
+        pieces += [_strands(piece, loose) for piece in locks]
     return Worn(tuple(pieces), cone)
 
 
@@ -85,7 +114,7 @@ def _clothes(
     pieces = [_soft(rest, Material.TOP, top, 0.025, slack, 0.15 * loose + 0.002)]
     drop = smoothstep(hip - height(bottom), 0.02, 0.4)
     if cone is not None:
-        hangs = binding.hang_from_hips(bottom.vertices, rest)
+        hangs = hang_from_hips(bottom.vertices, rest)
         pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.035 * drop))
     else:
         pieces.append(_soft(rest, Material.BOTTOM, bottom, 0.025, 0.4 * loose * drop, 0.004))
@@ -106,6 +135,12 @@ def _hair(
         free = free * (1 - smoothstep(below, 0.12, 0.2))
     slack = {"short": 0.0, "bob": 0.014, "long": 0.012}[outfit.hair] * free
     return _soft(rest, Material.HAIR, mesh, 0.03, slack)
+
+
+def _strands(hair: Piece, rng: np.random.Generator) -> Piece:
+    """Make strands, which follow the hair."""
+    mesh, roots = strands(hair.mesh, rng)
+    return Piece(Material.HAIR, mesh, hair.binding[roots], hair.slack[roots])
 
 
 def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:
@@ -132,23 +167,23 @@ def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:
 def _soft(
     rest: RestBody,
     material: Material,
-    mesh: ClosedMesh,
+    mesh: RestMesh,
     smooth: float,
     slack: np.ndarray | float = 0.0,
     crease: float = 0.0,
 ) -> Piece:
     """Bind a mesh to the nearest vertices of the body, weighted over ``smooth`` metres."""
-    bound = binding.follow_nearest(mesh.vertices, rest.vertices, smooth)
+    bound = follow_nearest(mesh.vertices, rest.vertices, smooth)
     return Piece(material, mesh, bound, slack, crease)
 
 
-def _stiff(rest: RestBody, mesh: ClosedMesh, joint: str) -> Piece:
+def _stiff(rest: RestBody, mesh: RestMesh, joint: str) -> Piece:
     """Bind an accessory to one joint."""
-    bound = binding.follow_joint(mesh.vertices, rest.weights, joint)
+    bound = follow_joint(mesh.vertices, rest.weights, joint)
     return Piece(Material.ACCESSORY, mesh, bound)
 
 
-def covered(vertices: np.ndarray, cloth: Sequence[ClosedMesh]) -> np.ndarray:
+def covered(vertices: np.ndarray, cloth: Sequence[RestMesh]) -> np.ndarray:
     """Return which vertices (V, 3) of the body lie just below cloth, (V,) bool."""
     from scipy.spatial import cKDTree
 
@@ -163,3 +198,44 @@ def covered(vertices: np.ndarray, cloth: Sequence[ClosedMesh]) -> np.ndarray:
         aside = np.linalg.norm(away - height[:, None] * normals[index], axis=1)
         found |= (height < -0.004) & (height > -0.08) & (aside < 0.008)
     return found
+
+
+def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:
+    """Bind points (N, 3) to the nearest vertices (V, 3), weighted over ``smooth`` metres."""
+    from scipy.sparse import csr_array
+    from scipy.spatial import cKDTree
+
+    distance, index = cKDTree(vertices).query(points, k=NEIGHBOURS, workers=-1)
+    share = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
+    share /= share.sum(1, keepdims=True)
+    rows = np.repeat(np.arange(len(points)), NEIGHBOURS)
+    return csr_array((share.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
+
+
+def follow_joint(points: np.ndarray, weights: np.ndarray, joint: str) -> csr_array:
+    """Bind points (N, 3) to one joint, given the skinning weights (V, 55) of the body."""
+    return _follow_means(np.ones((len(points), 1)), weights, joint)
+
+
+def hang_from_hips(points: np.ndarray, rest: RestBody) -> csr_array:
+    """Bind the points (N, 3) of a skirt to hips and thighs."""
+    from scipy.sparse import diags_array
+
+    hip, knee = rest.joints["left_hip"], rest.joints["left_knee"]
+    middle = rest.joints["pelvis"][0]
+    half = 2 * BETWEEN * abs(hip[0] - middle)
+    thighs = REACH * smoothstep(hip[1] - points[:, 1], WAIST, 0.75 * (hip[1] - knee[1]))
+    left = smoothstep(points[:, 0] - middle, -half, half)
+    shares = np.stack([thighs * left, thighs * (1 - left)], axis=1)
+    legs = _follow_means(shares, rest.weights, "left_hip", "right_hip")
+    return (diags_array(1 - thighs) @ follow_nearest(points, rest.vertices, SPREAD) + legs).tocsr()
+
+
+def _follow_means(shares: np.ndarray, weights: np.ndarray, *joints: str) -> csr_array:
+    """Spread shares (N, G) of G joints over the vertices that each joint moves most."""
+    from scipy.sparse import csr_array
+
+    groups = [np.argsort(-weights[:, JOINTS.index(j)], kind="stable")[:GROUP] for j in joints]
+    rows = np.repeat(np.arange(len(groups)), GROUP)
+    entries = (np.full(len(rows), 1 / GROUP), (rows, np.concatenate(groups)))
+    return csr_array(shares) @ csr_array(entries, shape=(len(groups), len(weights)))

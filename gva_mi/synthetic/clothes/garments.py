@@ -17,7 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gva_mi.synthetic.clothes.level_sets import (
-    ClosedMesh,
+    RestMesh,
     VoxelGrid,
     smax,
     smin,
@@ -64,7 +64,7 @@ def _with_opening(
 
 def shirt(
     grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: np.random.Generator
-) -> ClosedMesh:
+) -> RestMesh:
     """Model a shirt from ``loose``, ``sleeve`` and ``hem`` of the outfit."""
     sleeve, pelvis, neck = outfit.sleeve, joints["pelvis"], joints["neck"]
     shoulder, elbow, wrist = (joints[f"left_{n}"] for n in ("shoulder", "elbow", "wrist"))
@@ -118,7 +118,7 @@ def _neckline(grid: VoxelGrid, joints: Joints) -> np.ndarray:
     return 0.40 * np.linalg.norm(joints["left_shoulder"] - neck) - radius
 
 
-def trousers(grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit) -> ClosedMesh:
+def trousers(grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit) -> RestMesh:
     """Model trousers, or shorts if the outfit's ``length`` is below 1; ``flare`` widens the hem."""
     loose, length = outfit.flare, outfit.length
     pelvis, hip, knee, ankle = (
@@ -149,7 +149,7 @@ def _between_legs(grid: VoxelGrid, d: np.ndarray) -> np.ndarray:
 
 def skirt(
     grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: np.random.Generator
-) -> tuple[ClosedMesh, SkirtCone]:
+) -> tuple[RestMesh, SkirtCone]:
     """Model a skirt as an elliptic cone with pleats that deepen toward the hem.
 
     ``flare`` of the outfit is the growth of its radius per metre down.
@@ -200,7 +200,7 @@ def _skirt_ellipse(
     return half_x, half_z, mid_z
 
 
-def shoe(rest: RestBody, side: str, sole: float) -> ClosedMesh:
+def shoe(rest: RestBody, side: str, sole: float) -> RestMesh:
     """Model the "left" or "right" shoe with a flat sole, thickened by ``sole`` metres."""
     ankle, points = rest.joints[f"{side}_ankle"], rest.surface.points
     near = np.linalg.norm(points - rest.joints[f"{side}_foot"], axis=1) < 0.25

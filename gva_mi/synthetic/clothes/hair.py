@@ -1,28 +1,33 @@
-"""Hair as one closed surface: a cap on the skull, and for longer cuts a volume around it.
+"""Hair: a closed surface, and single strands around it.
+
+The surface is a cap on the skull, and for longer cuts a volume around it:
 
     f = smax( smin( d - thickness, volume ), -face, d - rise )
 
 d is the distance from the body, ``face`` that from the opening of the face (negative inside), and
 ``rise`` the largest distance of hair from the skin. It grows away from the hairline, so that hair
 begins there instead of framing the face like a hood. Long hair falls behind the shoulders over the
-shirt. Locks vary the thickness around the head; single strands are left to the texture.
+shirt. Locks vary the thickness around the head.
+
+Fly-away strands are thin ribbons that leave this surface and sink a little. A picture shows them as
+a soft, irregular edge around the head, which masks have to follow.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gva_mi.synthetic.clothes.level_sets import (
     BodySurface,
-    ClosedMesh,
+    RestMesh,
     VoxelGrid,
     smax,
     smin,
     smoothstep,
     surface_of,
+    vertex_normals,
 )
 from gva_mi.synthetic.people import Outfit
 from gva_mi.synthetic.rest_body import RestBody
@@ -31,6 +36,10 @@ HAIR_CELL = 0.005  # m, grid of hair
 DRAPED = 0.014  # m, thickness of long hair on the back, over the cloth below it
 HAIRLINE, RISE = 0.007, 1.1  # m, thickness at the hairline; its growth per metre from there
 EAR = 0.034  # m, radius around an ear that short hair leaves free
+STRANDS, SEGMENTS = 700, 3  # of a head; of a strand
+LENGTH = (0.008, 0.045)  # m, of a strand
+WIDTH = 0.0007  # m at the root, for a few hairs that lie together; they end in a point
+SINK = 6.0  # 1/m: a strand of length s sinks by SINK · s²
 
 
 @dataclass(frozen=True)
@@ -45,14 +54,14 @@ class _Head:
     unit: float  # size relative to the head that this file's numbers were made for
 
     @staticmethod
-    def of(surface: BodySurface, joints: Mapping[str, np.ndarray]) -> _Head:
+    def of(rest: RestBody) -> _Head:
         """Measure the head of a body."""
-        eyes = (joints["left_eye_smplhf"] + joints["right_eye_smplhf"]) / 2
-        skull = surface.points[surface.points[:, 1] > eyes[1] - 0.02]
+        eyes, points = rest.between_eyes, rest.surface.points
+        skull = points[points[:, 1] > eyes[1] - 0.02]
         top = skull[:, 1].max()
         half = np.ptp(skull, axis=0) / 2
         middle = (skull.max(0) + skull.min(0)) / 2
-        return _Head(eyes, joints["neck"], middle, half, top, (top - eyes[1]) / 0.115)
+        return _Head(eyes, rest.joints["neck"], middle, half, top, (top - eyes[1]) / 0.115)
 
     @property
     def jaw(self) -> float:
@@ -99,11 +108,11 @@ class _Locks:
 
 def hair_mesh(
     rest: RestBody, outfit: Outfit, rng: np.random.Generator, shirt: BodySurface | None = None
-) -> ClosedMesh:
+) -> RestMesh:
     """Model the hair of a head: "short" follows the skull, a "bob" hangs to the jaw, "long" hair
     falls over the ``shirt`` to the shoulder blades. ``rng`` draws locks and parting.
     """
-    head, style, thick = _Head.of(rest.surface, rest.joints), outfit.hair, outfit.hair_thick
+    head, style, thick = _Head.of(rest), outfit.hair, outfit.hair_thick
     ends = head.ends(style)
     grid = head.grid(ends)
     d = rest.surface.sample(grid)
@@ -182,3 +191,27 @@ def _around_ears(surface: BodySurface, grid: VoxelGrid, head: _Head) -> np.ndarr
     across = np.abs(side[:, 0] - head.middle[0]).max()
     x = np.abs(grid.x - head.middle[0]) - across
     return np.sqrt(x**2 + (grid.y - ear[1]) ** 2 + (grid.z - ear[2]) ** 2) - EAR
+
+
+def strands(hair: RestMesh, rng: np.random.Generator) -> tuple[RestMesh, np.ndarray]:
+    """Draw strands on the hair.
+
+    Returns:
+        their ribbons, and the vertex (n,) of the hair that each vertex of these follows.
+    """
+    roots = rng.integers(len(hair.vertices), size=STRANDS)
+    normals = vertex_normals(hair.vertices.astype(np.float64), hair.faces)[roots]
+    unit = lambda v: v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
+    along = unit(normals + 0.9 * unit(rng.normal(size=(STRANDS, 3))))
+    across = unit(np.cross(along, rng.normal(size=(STRANDS, 3))))
+    share = np.linspace(0, 1, SEGMENTS + 1)[:, None, None]
+    s = share * rng.uniform(*LENGTH, (STRANDS, 1))
+    middle = hair.vertices[roots] + s * along - SINK * s**2 * [0, 1, 0]
+    aside = 0.5 * WIDTH * (1 - 0.9 * share) * across
+    points = np.stack([middle - aside, middle + aside], axis=1)  # (SEGMENTS + 1, 2, STRANDS, 3)
+    points = points.transpose(2, 0, 1, 3).reshape(-1, 3)
+    quads = 2 * np.arange(SEGMENTS)[:, None, None] + [[0, 1, 3], [0, 3, 2]]
+    per_strand = 2 * (SEGMENTS + 1)
+    faces = np.arange(STRANDS)[:, None, None] * per_strand + quads.reshape(-1, 3)
+    roots = np.repeat(roots, per_strand)
+    return RestMesh(points, faces.reshape(-1, 3), hair.shade[roots]), roots

@@ -16,8 +16,8 @@ _CRUMB = 400  # faces; connected components of at most this size are dropped
 
 
 @dataclass(frozen=True)
-class ClosedMesh:
-    """A closed triangle mesh in the rest pose."""
+class RestMesh:
+    """A triangle mesh in the rest pose, closed but for strands of hair."""
 
     vertices: np.ndarray  # (V, 3) metres
     faces: np.ndarray  # (F, 3) counter-clockwise seen from outside
@@ -126,7 +126,7 @@ def _deep_inside(values: np.ndarray, near: np.ndarray) -> np.ndarray:
     return (total < 0)[blobs] & ~near
 
 
-def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> ClosedMesh:
+def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> RestMesh:
     """Extract the zero level set of a field by marching cubes.
 
     Args:
@@ -156,7 +156,7 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
     if np.einsum("fc,fc->", a, np.cross(b, c)) < 0:
         faces = faces[:, ::-1]
     faces = np.ascontiguousarray(faces)
-    return ClosedMesh(vertices.astype(np.float32), faces, shade.astype(np.float32))
+    return RestMesh(vertices.astype(np.float32), faces, shade.astype(np.float32))
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

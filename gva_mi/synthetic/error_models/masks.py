@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
@@ -67,9 +67,8 @@ def confusions(
     ``level`` is a factor on both.
     """
     frames, rest = len(pose), body.rest(shape).joints
-    T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double().numpy()
-    R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-    joints = np.einsum("tjab,jb->tja", R, rest.double().numpy()) + t
+    T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double()
+    R, joints = T_world_rest[..., :3, :3].numpy(), joint_places(T_world_rest, rest.double()).numpy()
     lost = {
         side: runs(rng, frames, min(level * noise.lost_feet, 0.9), FEET_FRAMES) for side in SIDES
     }

@@ -6,8 +6,7 @@ at any moments, such as those just before a frame.
 ==================  ================================================================
 ``turning``         what all motions share, and novel poses
 ``actions``         squats, steps, and gestures with the arms
-``legs``            inverse kinematics of a leg: two bones, in closed form
-``footwork``        steps along any path, with feet that do not slide
+``footwork``        steps along any path: feet that do not slide, legs that reach for them
 ``on_foot``         standing, half a turn, walking, sitting down, dancing
 ==================  ================================================================
 """

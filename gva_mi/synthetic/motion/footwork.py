@@ -9,6 +9,15 @@ The pelvis is as high as both legs allow:
 
     1. y(t) = min over legs of  a_y + √((STRETCH · l)² − d²)    a ankle, d its horizontal distance
     2. smoothed over the round, below its own minimum over the same window
+
+A leg of two bones reaches for its foot in closed form. With the hip h, the ankle a, bones of length
+l1 and l2, d = |a − h| and u = (a − h) / d,
+
+    3. cos α = (l1² + d² − l2²) / (2 l1 d)                the angle at the hip
+    4. k = h + l1 (cos α u + sin α p)                     the knee; p ⟂ u points forward
+    5. R = [bone, side, bone × side]_world · [...]_restᵀ  of thigh and shin; side = p × u
+
+Rotations relative to the parent are R_hip = R_rootᵀ R_thigh, and so on down to the toes.
 """
 
 from __future__ import annotations
@@ -19,14 +28,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.rotations import to_matrices, to_rotvecs
-from gva_mi.synthetic.motion.legs import Leg, about
+from gva_mi.body.rotations import about, to_rotvecs
+from gva_mi.synthetic.motion.turning import root_rotations
 
 DUTY = 0.6  # of a cycle, stance of a foot
 LIFT = 0.07  # m, lift of a swinging foot
 STRIKE, LEAVE = -0.3, 0.95  # rad, pitch at landing and leaving in a step of LONG
 LONG = 0.6  # m
 STRETCH = 0.996  # of its length, the largest extension of a leg; keeps the knee bent
+LONGEST = 0.999  # of its length, its largest extension where an ankle is out of reach
 SMOOTH = 0.004  # rounds, smoothing of the height of the pelvis
 DENSE = 960  # moments per round at which this height is computed
 TOES_OUT = 0.12  # rad
@@ -46,6 +56,57 @@ class Path:
 
 
 @dataclass(frozen=True)
+class Leg:
+    """The rest positions of a leg's joints, (3,) metres."""
+
+    side: str  # "left" or "right"
+    hip: np.ndarray
+    knee: np.ndarray
+    ankle: np.ndarray
+    ball: np.ndarray  # SMPL-X's joint "foot"
+
+    @staticmethod
+    def of(joints: np.ndarray, side: str) -> Leg:
+        """Take a leg from rest joints (55, 3)."""
+        names = ("hip", "knee", "ankle", "foot")
+        return Leg(side, *(joints[JOINTS.index(f"{side}_{name}")].astype(float) for name in names))
+
+    @property
+    def length(self) -> float:
+        """Length of thigh and shin, metres."""
+        thigh, shin = self.knee - self.hip, self.ankle - self.knee
+        return float(np.linalg.norm(thigh) + np.linalg.norm(shin))
+
+    def reach(
+        self, hip: np.ndarray, ankle: np.ndarray, R_root: np.ndarray, R_foot: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return rotations of hip, knee and ankle by joint name, axis-angle (T, 3).
+
+        Args:
+            hip, ankle: (T, 3) positions, metres; an ankle out of reach is approached.
+            R_root, R_foot: (T, 3, 3) rotations of pelvis and foot in the world.
+        """
+        thigh, shin = self.knee - self.hip, self.ankle - self.knee
+        l1, l2 = np.linalg.norm(thigh), np.linalg.norm(shin)
+        away = ankle - hip
+        d = np.linalg.norm(away, axis=1)
+        u = away / d[:, None]
+        d = np.clip(d, abs(l1 - l2) + 1e-3, LONGEST * (l1 + l2))
+        forward = R_foot[:, :, 2] * [1, 0, 1] + R_root[:, :, 2]  # the knee points between both
+        p = _unit(forward - (forward * u).sum(1, keepdims=True) * u)
+        cosine = np.clip((l1**2 + d**2 - l2**2) / (2 * l1 * d), -1, 1)[:, None]
+        knee = l1 * (cosine * u + np.sqrt(1 - cosine**2) * p)
+        side = np.cross(p, u)
+        R_thigh = _frames(knee, side) @ _frames(thigh[None], np.eye(3)[:1]).mT
+        R_shin = _frames(d[:, None] * u - knee, side) @ _frames(shin[None], np.eye(3)[:1]).mT
+        above, world = [R_root, R_thigh, R_shin], [R_thigh, R_shin, R_foot]
+        return {
+            f"{self.side}_{joint}": to_rotvecs(a.mT @ b)
+            for joint, a, b in zip(("hip", "knee", "ankle"), above, world, strict=True)
+        }
+
+
+@dataclass(frozen=True)
 class _Foot:
     ankle: np.ndarray  # (T, 3) metres, height 0 for a flat foot
     yaw: np.ndarray  # (T,)
@@ -61,7 +122,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
     pelvis = joints[0].astype(float)
     dense = np.arange(DENSE) / DENSE
     height = np.interp(t % 1.0, dense, _height(path, legs, pelvis, dense), period=1.0)
-    R_root = _root(path, t)
+    R_root = root_rotations(path.yaw(t), path.lean(t))
     rotations[:, 0] = to_rotvecs(R_root)
     place = path.place(t)
     root = np.stack([place[:, 0], height, place[:, 1]], axis=1)
@@ -76,18 +137,11 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
     return root - pelvis
 
 
-def _root(path: Path, t: np.ndarray) -> np.ndarray:
-    lean = path.lean(t)
-    return about(1, path.yaw(t)) @ to_matrices(
-        np.stack([lean[:, 0], np.zeros(len(t)), lean[:, 1]], axis=1)
-    )
-
-
 def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the height of the pelvis (T,) over a whole round (eq. 1, 2)."""
     from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-    R_root, place = _root(path, t), path.place(t)
+    R_root, place = root_rotations(path.yaw(t), path.lean(t)), path.place(t)
     highest = np.full(len(t), np.inf)
     for leg, foot in zip(legs, _feet(path, legs, t), strict=True):
         hip = R_root @ (leg.hip - pelvis)
@@ -154,3 +208,14 @@ def _pivoted(leg: Leg, flat: np.ndarray, yaw: np.ndarray, pitch: np.ndarray) -> 
     turned = about(1, yaw), about(1, yaw) @ about(0, pitch)
     at, moved = ((R @ pivot[..., None])[..., 0] for R in turned)
     return flat + at - moved
+
+
+def _frames(bone: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Return frames (T, 3, 3): the bone (T, 3), then ``side`` (T, 3) made orthogonal to it."""
+    first = _unit(bone)
+    second = _unit(side - (side * first).sum(1, keepdims=True) * first)
+    return np.stack([first, second, np.cross(first, second)], axis=2)
+
+
+def _unit(x: np.ndarray) -> np.ndarray:
+    return x / np.linalg.norm(x, axis=1, keepdims=True)

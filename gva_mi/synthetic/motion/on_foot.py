@@ -12,14 +12,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.rotations import to_matrices, to_rotvecs
+from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import GESTURING, act
 from gva_mi.synthetic.motion.footwork import Path
-from gva_mi.synthetic.motion.legs import about
-from gva_mi.synthetic.motion.turning import slow_wave
+from gva_mi.synthetic.motion.turning import SIDES, slow_wave
 
 CIRCLE = 2 * np.pi
-SIDES = (("left", 1.0), ("right", -1.0))
 
 
 def _still(
@@ -70,8 +68,15 @@ def _walk(
 
     step = lambda t: CIRCLE * (cycles * t - 0.3)  # the left foot's stance is centred on 0
     swing = 0.45 * np.sin(step(t))
+    lower = 1.22  # rad below the T-pose
     for side, sign in SIDES:
-        _swing_arm(rotations, side, 1.22, sign * swing, 0.25 + 0.2 * np.maximum(-sign * swing, 0))
+        at = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
+        rotations[:, at("collar")] = 0
+        rotations[:, at("collar"), 2] = -sign * 0.1 * lower
+        hanging = about(2, np.full(len(swing), -sign * 0.9 * lower))
+        sway = to_matrices(0.3 * rotations[:, at("shoulder")] * [0, 1, 0])
+        rotations[:, at("shoulder")] = to_rotvecs(about(0, sign * swing) @ hanging @ sway)
+        rotations[:, at("elbow"), 1] = -sign * (0.25 + 0.2 * np.maximum(-sign * swing, 0))
     rotations[:, JOINTS.index("spine2"), 1] -= 0.10 * np.sin(step(t))
     return Path(
         place=lambda t: radii * np.stack([np.cos(angle(t)), np.sin(angle(t))], axis=1),
@@ -163,21 +168,3 @@ def _waves(rng: np.random.Generator, count: int) -> Callable[[np.ndarray], np.nd
         return np.stack([slow_wave(t, 1.0, own) for _ in range(count)], axis=1)
 
     return waves
-
-
-def _swing_arm(
-    rotations: np.ndarray, side: str, lower: float, swing: np.ndarray, bent: np.ndarray
-) -> None:
-    """Hang an arm ``lower`` rad below the T-pose and swing it back by ``swing`` (T,) rad."""
-    sign = 1.0 if side == "left" else -1.0
-    at = lambda joint: JOINTS.index(f"{side}_{joint}")
-    rotations[:, at("collar")] = 0
-    rotations[:, at("collar"), 2] = -sign * 0.1 * lower
-    down = np.full(len(swing), -sign * 0.9 * lower)
-    R = (
-        about(0, swing)
-        @ about(2, down)
-        @ to_matrices(0.3 * rotations[:, at("shoulder")] * [0, 1, 0])
-    )
-    rotations[:, at("shoulder")] = to_rotvecs(R)
-    rotations[:, at("elbow"), 1] = -sign * bent

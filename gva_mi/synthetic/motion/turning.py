@@ -6,14 +6,15 @@ The person turns as on a turntable, feet included. ``t`` are moments (T,) in rou
 from __future__ import annotations
 
 import numpy as np
-import roma
 import torch
 
 from gva_mi.body.gestures import GESTURES, blend_between, put_hand
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import POSES
 
 A_POSE = 0.98  # rad, angle of the arms below the T-pose
+SIDES = (("left", 1.0), ("right", -1.0))
 
 
 def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
@@ -26,7 +27,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     names = list(POSES)
     for k in range(count):
         action = POSES[names[k % len(names)]]
-        for side, sign in (("left", 1.0), ("right", -1.0)):
+        for side, sign in SIDES:
             rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
             rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
         for name, value in action.joints.items():
@@ -36,7 +37,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
         rotations[k, JOINTS.index("head")] += rng.normal(0, 0.08, 3)
         rotations[k, JOINTS.index("jaw"), 0] = rng.uniform(0, 0.15)
     facing = rng.uniform(-0.9, 0.9, count)
-    rotations[:, 0] = _turned(facing, np.zeros((count, 2)))
+    rotations[:, 0] = to_rotvecs(root_rotations(facing, np.zeros((count, 2))))
     expression = rng.normal(0, 0.5, (count, expressions)) * (np.arange(expressions) < 10)
     return _to_pose(rotations, np.zeros((count, 3)), expression)
 
@@ -52,7 +53,7 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
     ):  # fmt: skip
         for axis in range(3):
             rotations[:, JOINTS.index(name), axis] = wave(size)
-    for side, sign in (("left", 1.0), ("right", -1.0)):
+    for side, sign in SIDES:
         of = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
         lower = A_POSE + rng.normal(0, 0.04) + wave(0.06)
         rotations[:, of("shoulder"), 2] = -sign * 0.88 * lower
@@ -71,7 +72,8 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         put_hand(rotations, side, blend_between(["rest", *(str(n) for n in names)], at))
     transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
     yaw = direction * 2 * np.pi * t
-    rotations[:, 0] = _turned(yaw, np.stack([wave(0.015), wave(0.015)], axis=1))
+    lean = np.stack([wave(0.015), wave(0.015)], axis=1)
+    rotations[:, 0] = to_rotvecs(root_rotations(yaw, lean))
     return rotations, transl
 
 
@@ -99,12 +101,9 @@ def with_face(
     return _to_pose(rotations, transl, expression)
 
 
-def _turned(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
-    """Return the axis-angle of a rotation about y after a small one about x and z."""
-    about = lambda axis, a: torch.from_numpy(np.outer(a, axis))
-    leaned = torch.from_numpy(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
-    R = roma.rotvec_to_rotmat(about([0, 1, 0], yaw)) @ roma.rotvec_to_rotmat(leaned)
-    return roma.rotmat_to_rotvec(R).numpy()
+def root_rotations(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
+    """Return matrices (T, 3, 3): a turn by yaw (T,) after small ones (T, 2) about x and z."""
+    return about(1, yaw) @ to_matrices(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
 
 
 def _to_pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:

@@ -4,7 +4,6 @@
 ``finishes``        colours of floors, walls and furniture: one formula for all
 ``furniture``       pieces made of boxes, and plants
 ``room``            the room around a subject, drawn from a seed
-``cameras``         a phone that stands, is held by hand, or walks around the subject
 ``phone``           the film: noise of the sensor, and compression
 ==================  ================================================================
 """

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 from gva_mi.synthetic.look import Color, linear, palette
 from gva_mi.synthetic.texture import hash01, value_noise
@@ -56,9 +57,7 @@ class Finish:
 WIDTH = len(Finish((0, 0, 0)).row())
 
 
-def finish_color(
-    table: dr.ArrayBase, number: dr.ArrayBase, u: dr.ArrayBase, v: dr.ArrayBase
-) -> dr.ArrayBase:
+def finish_color(table: Array, number: Array, u: Array, v: Array) -> Array:
     """Return the albedo, an ``Array3f``, at (u, v), metres, of surfaces ``number`` of a table.
 
     ``table`` holds the rows of all finishes, one after the other.

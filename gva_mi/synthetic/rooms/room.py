@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
+from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.lamps import SKY
-from gva_mi.synthetic.look import Color, Look
+from gva_mi.synthetic.look import SKY, Color, Look
 from gva_mi.synthetic.rooms.finishes import Finish, floor, wall
 from gva_mi.synthetic.rooms.furniture import PIECES, Solid, picture
 
@@ -45,9 +45,7 @@ class Room:
         """Radiance (3,) from below and from above; from the walls it lies between."""
         return INDIRECT * np.array(self.finishes[2].mean_color()), CEILING
 
-    def exit(
-        self, origin: dr.ArrayBase, direction: dr.ArrayBase
-    ) -> tuple[dr.ArrayBase, dr.ArrayBase, dr.ArrayBase, dr.ArrayBase]:
+    def exit(self, origin: Array, direction: Array) -> tuple[Array, Array, Array, Array]:
         """Return where rays from inside meet the box: distance, side, u and v in metres."""
         import mitsuba as mi
 
@@ -75,7 +73,7 @@ def draw_room(
     """Draw a room that holds a person's points (..., 3) of all frames, and all cameras.
 
     Colours of its walls and cloth are near those of the person now and then. The camera's exposure
-    fits the colours and the light, one of :data:`gva_mi.synthetic.lamps.LIGHTS`.
+    fits the colours and the light, one of :data:`gva_mi.synthetic.look.LIGHTS`.
     """
     like = [look.skin, look.top.colors[0], look.bottom.colors[0], look.shoes]
     points = points.reshape(-1, 3)

@@ -1,7 +1,8 @@
-"""The cameras of a phone's film: at eye height, tilted down, with the whole person in view.
+"""Cameras of a synthetic subject: one around the person on white, or a phone in a room.
 
-One tilt and one focal length hold for a film. A phone that is held by hand sways slowly and
-trembles; one that walks around the person keeps its height and distance.
+The phone stands at eye height and looks down, with the whole person in view. One tilt and one focal
+length hold for a film. Held by hand, it sways slowly and trembles; one that walks around the person
+keeps its height and distance.
 """
 
 from __future__ import annotations
@@ -13,13 +14,44 @@ import numpy as np
 
 from gva_mi.splat import Camera, look_at
 
+# On white.
+FOCAL = 1.45  # focal length over the width of the picture
+MARGIN = 0.06  # share of the picture kept free around the person
+# Of a phone.
 HEIGHT = (1.2, 1.7)  # m above the floor
-FOCAL = (1.1, 1.5)  # focal length over the width of the picture
+FOCALS = (1.1, 1.5)  # focal length over the width of the picture
 TALL = (0.60, 0.86)  # height of the person over that of the picture, at most
-MARGIN = 0.03  # share of the picture that is free around all places of the person
+EDGE = 0.03  # share of the picture that is free around all places of the person
 TILT = np.radians(15)  # most that the phone looks down
 # Held by hand: slow sway of position (m) and direction (rad), and a tremor of 4 to 9 Hz (rad).
 SWAY, DRIFT, TREMOR = 0.015, 0.008, 0.0007
+
+
+def camera_around(
+    surface: np.ndarray, size: int, azimuth: float = 0.0, elevation: float = 0.06
+) -> Camera:
+    """Return a camera that sees all points (..., 3) of a surface, metres.
+
+    Its picture has ``size`` x ``size`` pixels and a principal point off-centre, as in crops. The
+    azimuth is around the vertical, 0 in front; both angles are in radians.
+    """
+    points = surface.reshape(-1, 3)
+    # Points may be left out, because the margin has room for them.
+    points = points[:: max(1, len(points) // 50_000)].astype(np.float64)
+    middle = (points.min(0) + points.max(0)) / 2
+    flat = np.cos(elevation)
+    away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
+    centre = np.array([0.515, 0.485]) * size
+    free = (0.485 - MARGIN) * size
+    distance = 2.0
+    for _ in range(30):  # move until it just fits; converges geometrically
+        T_camera_world = look_at(middle + distance * away, middle)
+        camera = Camera(FOCAL * size, FOCAL * size, *centre, T_camera_world, size, size)
+        reach = np.abs(camera.project(points) - centre).max() / free
+        distance *= max(reach, 0.2)
+        if abs(reach - 1) < 1e-4:
+            break
+    return camera
 
 
 @dataclass(frozen=True)
@@ -59,7 +91,7 @@ class PhoneCamera:
         """Draw a phone that sees all points (T, n, 3) of a person, from all sides if ``around``."""
         flat = points.reshape(-1, 3)
         middle = (flat.min(0) + flat.max(0)) / 2 * [1, 0, 1]
-        height, focal, tall = (float(rng.uniform(*ends)) for ends in (HEIGHT, FOCAL, TALL))
+        height, focal, tall = (float(rng.uniform(*ends)) for ends in (HEIGHT, FOCALS, TALL))
         aim = float(rng.uniform(-0.03, 0.03))  # share of the picture, below its middle
         sides = np.linspace(0, 2 * np.pi, 8, endpoint=False).tolist() if around else [0.0]
         placed = PhoneCamera(middle, height, 3.0, 0.1, focal, size)
@@ -67,7 +99,7 @@ class PhoneCamera:
             seen = np.stack([placed.camera(a).project(points) for a in sides]) / size
             rows = seen[..., 1]
             tallest = np.ptp(rows, axis=-1).max() / tall
-            widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * MARGIN)
+            widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * EDGE)
             distance = placed.distance * max(tallest, widest, 0.3) ** 0.8
             tilt = placed.tilt + 0.8 * ((rows.min() + rows.max()) / 2 - 0.5 - aim) / focal
             tilt = float(np.clip(tilt, 0, TILT))

@@ -29,7 +29,7 @@ from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other
 from gva_mi.viewer.cameras import start
 from gva_mi.viewer.controls import FPS, Choices, Controls
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.server import address, close_server, open_server, pages, when_moved
+from gva_mi.viewer.server import address, pages, serving, when_moved
 from gva_mi.viewer.session import Session
 
 
@@ -63,8 +63,7 @@ def view(
     title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
     with ExitStack() as held:
         held.enter_context(_writable(out))
-        server = open_server(host, port, begin, title)
-        held.callback(close_server, server)
+        server = held.enter_context(serving(host, port, begin, title))
         held.enter_context(suppress(KeyboardInterrupt))
         changed = threading.Event()
         when_moved(server, changed.set)

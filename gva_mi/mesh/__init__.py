@@ -4,5 +4,5 @@
 * ``sensor.py``: a camera as a Mitsuba sensor;
 * ``mesh_scene.py``: render vertices through a camera, by the plugin ``mesh_normals``;
 * ``overlay.py``: pictures of a mesh, alone or over a photograph;
-* ``visibility.py``: vertices visible from given places.
+* ``visibility.py``: normals where rays enter and leave a mesh; vertices visible from given places.
 """

@@ -19,9 +19,8 @@ from gva_mi.data.video import Video
 from gva_mi.fit.renders import layer_of, over
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.viewer.cameras import inscribed
-from gva_mi.viewer.skeleton import draw_skeleton
 from gva_mi.viewer.state import State, posed
-from gva_mi.viewer.surface import PosedSurface, SurfaceRenderer, posed_surface
+from gva_mi.viewer.surface import PosedSurface, SurfaceRenderer, draw_skeleton, posed_surface
 
 FAINT = 0.25  # of the avatar behind its skeleton
 
@@ -56,23 +55,21 @@ class Drawing:
             return layer
         if self._surfaces is None:
             self._surfaces = SurfaceRenderer(self._avatar.rig)
-        draw = self._surfaces.normals if state.mode == "normals" else self._surfaces.shaded
-        return draw(surface, camera, fine)
+        return self._surfaces.layer(state.mode, surface, camera, fine)
 
     def frame(self, state: State, width: int, height: int) -> np.ndarray:
         """Return the frame of the video centred in a picture, 8-bit (height, width, 3)."""
-        key = (state.frame, state.background, width, height)
-        return self._keep("frame", key, lambda: self._inscribed_frame(state, width, height))
-
-    def _inscribed_frame(self, state: State, width: int, height: int) -> np.ndarray:
         from PIL import Image
 
-        image = in_8_bits(self._video[state.frame].image)
-        size = inscribed(image.shape[1], image.shape[0], width, height)
-        canvas = np.full((height, width, 3), state.background, dtype=np.uint8)
-        left, top = (width - size[0]) // 2, (height - size[1]) // 2
-        canvas[top : top + size[1], left : left + size[0]] = Image.fromarray(image).resize(size)
-        return canvas
+        def centred() -> np.ndarray:
+            image = in_8_bits(self._video[state.frame].image)
+            size = inscribed(image.shape[1], image.shape[0], width, height)
+            canvas = np.full((height, width, 3), state.background, dtype=np.uint8)
+            left, top = (width - size[0]) // 2, (height - size[1]) // 2
+            canvas[top : top + size[1], left : left + size[0]] = Image.fromarray(image).resize(size)
+            return canvas
+
+        return self._keep("frame", (state.frame, state.background, width, height), centred)
 
     @torch.no_grad()
     def _gaussians(self, state: State) -> Gaussians:

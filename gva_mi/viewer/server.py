@@ -6,7 +6,7 @@ import io
 import logging
 import socket
 import warnings
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.viewer.cameras import Start, ViewerCamera
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     import viser
 
@@ -23,8 +23,9 @@ JPEG_QUALITY = 85  # while something changes
 NEAR = 0.01  # metres, the nearest that a browser shows
 
 
-def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserServer:
-    """Open a server whose browsers start with a view; port 0 picks a free one.
+@contextmanager
+def serving(host: str, port: int, start: Start, title: str) -> Iterator[viser.ViserServer]:
+    """Run a server whose browsers start with a view; port 0 picks a free one.
 
     Raises:
         InputError: viser is not installed, or nothing can listen there.
@@ -47,7 +48,11 @@ def open_server(host: str, port: int, start: Start, title: str) -> viser.ViserSe
     camera.fov, camera.near = start.fov, NEAR
     # Browsers open connections that they never use; websockets would print a traceback for each.
     logging.getLogger("websockets.server").addHandler(logging.NullHandler())
-    return server
+    try:
+        yield server
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def _require_free(host: str, port: int) -> None:
@@ -61,12 +66,6 @@ def _require_free(host: str, port: int) -> None:
             f"view: cannot listen at {host}, port {port} ({reason}); expected an address of this "
             "machine, and a port that is free"
         ) from None
-
-
-def close_server(server: viser.ViserServer) -> None:
-    """Stop a server and its threads."""
-    with redirect_stdout(io.StringIO()):
-        server.stop()
 
 
 def address(server: viser.ViserServer) -> str:

@@ -8,7 +8,8 @@ render`` would, once nothing has changed for a moment.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,9 @@ from gva_mi.data.pictures import write_image
 from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import to_rgba
 from gva_mi.splat import Camera
-from gva_mi.viewer.cameras import ViewerCamera, coarser, fitted
+from gva_mi.viewer.cameras import ViewerCamera, coarser, film, fitted
 from gva_mi.viewer.controls import Action, Controls
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.keyframes import film
 from gva_mi.viewer.server import Page
 from gva_mi.viewer.state import State
 
@@ -33,15 +33,6 @@ TICK = 1 / 60  # seconds between two steps while a motion plays
 
 
 Wanted = tuple[State, ViewerCamera, tuple[ViewerCamera, ...]]  # with the keyframes
-
-
-@dataclass(frozen=True)
-class _LastPicture:
-    """The last picture that a browser was sent."""
-
-    wanted: Wanted
-    since: float  # seconds
-    fine: bool
 
 
 class Session:
@@ -65,7 +56,8 @@ class Session:
     ) -> None:
         self._drawing, self._panel = drawing, panel
         self._up, self._out, self._cameras = up, out, cameras
-        self._shown: dict[int, _LastPicture] = {}
+        # What each browser was sent last, when it was first wanted (seconds), and whether fine.
+        self._shown: dict[int, tuple[Wanted, float, bool]] = {}
         self._keyframes: list[ViewerCamera] = []
 
     def step(self, browsers: Mapping[int, Page], now: float) -> float:
@@ -88,14 +80,15 @@ class Session:
 
     def _serve(self, k: int, browser: Page, wanted: Wanted, now: float) -> bool:
         """Update one browser; return whether its fine picture is still to come."""
-        shown = self._shown.get(k)
-        if shown is None or shown.wanted != wanted:
+        shown, since, fine = self._shown.get(k, (None, now, False))
+        if shown != wanted:
             browser.show(self.picture(*wanted[:2], fine=False), False)
-            self._shown[k] = _LastPicture(wanted, now, False)
-        elif not shown.fine and now - shown.since >= REST:
+            since, fine = now, False
+        elif not fine and now - since >= REST:
             browser.show(self.picture(*wanted[:2]), True)
-            self._shown[k] = replace(shown, fine=True)
-        return not self._shown[k].fine
+            fine = True
+        self._shown[k] = wanted, since, fine
+        return not fine
 
     def picture(self, state: State, view: ViewerCamera, fine: bool = True) -> np.ndarray:
         """Draw a browser's picture, 8-bit (H, W, 3): ``fine``, or with few pixels."""
@@ -124,8 +117,8 @@ class Session:
 
     def _film(self, view: ViewerCamera) -> list[Camera]:
         """Return cameras along the keyframes: one for each frame of the motion, or one for all."""
-        count = len(self._drawing.motion)
-        return film(self._keyframes, self._up, count, view.width, view.height)
+        frames = len(self._drawing.motion)
+        return film(self._keyframes, self._up, frames, view.width, view.height)
 
     def _done(self, action: Action, state: State, view: ViewerCamera) -> str:
         """Carry out a button's action; return a sentence about the result."""
@@ -135,11 +128,12 @@ class Session:
             return f"keyframes: {len(self._keyframes)}"
         if action == "save cameras" and not self._keyframes:
             return "there is no keyframe yet: add some"
-        name = "snapshot_{}.png" if action == "snapshot" else "cameras_{}.npz"
+        name = "snapshot_{:03d}.png" if action == "snapshot" else "cameras_{:03d}.npz"
         path = out = self._out
         try:
             with folder_lock(out, "gva-mi view"):  # another viewer may want the same name
-                path = free_name(out, name)
+                paths = (out / name.format(number) for number in count())
+                path = next(path for path in paths if not path.exists())
                 if action == "snapshot":
                     write_image(path, self._snapshot(state, view))
                 else:
@@ -157,11 +151,3 @@ class Session:
             return self.picture(state, view)
         alone = replace(state, beside=False)
         return to_rgba(self._drawing.layer(alone, self._camera(alone, view)))
-
-
-def free_name(folder: Path, name: str) -> Path:
-    """Return the first file of a series that does not exist; ``{}`` in ``name`` is its number."""
-    number = 0
-    while (path := folder / name.format(f"{number:03d}")).exists():
-        number += 1
-    return path

@@ -1,8 +1,8 @@
-"""Pose the surface and skeleton under an avatar's Gaussians, and draw the surface."""
+"""Pose and draw the surface and the skeleton under an avatar's Gaussians."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +17,19 @@ from gva_mi.body.skinning import skin_points
 from gva_mi.data.normals import normal_colors
 from gva_mi.mesh.coarse_body import collapse
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.mesh.overlay import CLAY
+from gva_mi.mesh.overlay import BLUE, CLAY, OUTLINE
 from gva_mi.splat import Camera, exclusive
 
 COARSE_FACES = 5000  # while something moves
 NEAR = 0.05  # metres; if part of the surface is nearer or behind, the whole picture is drawn
+COLORS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # of normals, by the viewer's mode
+    "normals": normal_colors,
+    "mesh": lambda n: (0.2 + 0.75 * np.clip(-n[..., 2:], 0, 1)) * np.float32(CLAY),  # lit from here
+}
+BONE = (0.25, 0.27, 0.30)
+FINE = 25  # joints from this number on belong to fingers and are drawn thinner
+THICK = 400  # picture height / width of a bone, which is at least a pixel
+SAMPLES = 2  # per pixel and axis of a fine picture
 
 
 @dataclass(frozen=True)
@@ -58,23 +66,8 @@ class SurfaceRenderer:
             kept, faces = collapse(vertices, rig.faces, COARSE_FACES)
             self._coarse = _Mesh(MeshScene(faces, vertices[kept]), kept)
 
-    def normals(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
-        """Draw camera-space normals in their usual colours; a layer (H, W, 4)."""
-        return self._layer(normal_colors, surface, camera, fine)
-
-    def shaded(self, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
-        """Draw clay, lit from the camera; a layer (H, W, 4)."""
-        light = lambda n: 0.2 + 0.75 * np.clip(-n[..., 2:], 0, 1)
-        return self._layer(lambda n: light(n) * np.float32(CLAY), surface, camera, fine)
-
-    def _layer(
-        self,
-        color: Callable[[np.ndarray], np.ndarray],
-        surface: PosedSurface,
-        camera: Camera,
-        fine: bool,
-    ) -> np.ndarray:
-        """Draw (H, W, 4) float32, premultiplied colour and alpha; ``color`` maps normals."""
+    def layer(self, mode: str, surface: PosedSurface, camera: Camera, fine: bool) -> np.ndarray:
+        """Draw "normals" or "mesh" (clay): (H, W, 4) float32, premultiplied colour and alpha."""
         layer = np.zeros((camera.height, camera.width, 4), dtype=np.float32)
         left, top, right, bottom = _box(surface, camera)
         if left >= right or top >= bottom:
@@ -84,7 +77,7 @@ class SurfaceRenderer:
         if fine:
             part = part.resized(2 * part.width, 2 * part.height)
         seen = mesh.seen(surface, part)
-        seen[..., :3] = color(seen[..., :3]) * seen[..., 3:]
+        seen[..., :3] = COLORS[mode](seen[..., :3]) * seen[..., 3:]
         if fine:
             seen = (seen[::2, ::2] + seen[1::2, ::2] + seen[::2, 1::2] + seen[1::2, 1::2]) / 4
         layer[top:bottom, left:right] = seen
@@ -116,3 +109,42 @@ def _box(surface: PosedSurface, camera: Camera) -> tuple[int, int, int, int]:
     low = np.clip(np.floor(at.min(0)) - 1, 0, (camera.width, camera.height)).astype(int)
     high = np.clip(np.ceil(at.max(0)) + 1, 0, (camera.width, camera.height)).astype(int)
     return *low.tolist(), *high.tolist()
+
+
+def draw_skeleton(
+    joints: np.ndarray, parents: Sequence[int], camera: Camera, marked: int, fine: bool = True
+) -> np.ndarray:
+    """Draw joints (J, 3), metres, world, as a layer (H, W, 4) float32: premultiplied colour, alpha.
+
+    Bones are lines, joints dots, larger for the body than for fingers; ``marked`` is orange.
+    The parent of the root is -1. Edges are smooth if ``fine``.
+    """
+    from PIL import Image, ImageDraw
+
+    samples = SAMPLES if fine else 1
+    width, height = samples * camera.width, samples * camera.height
+    view = camera.resized(width, height)
+    depth = joints @ view.T_camera_world[2, :3] + view.T_camera_world[2, 3]
+    seen = depth > NEAR
+    at = view.project(np.where(seen[:, None], joints, view.position + view.T_camera_world[2, :3]))
+    # Lines far outside the picture would be rasterised pixel by pixel.
+    seen &= (np.abs(at - (width / 2, height / 2)) < 4 * max(width, height)).all(1)
+    picture = Image.new("RGBA", (width, height))
+    draw, bone = ImageDraw.Draw(picture), max(1, height // THICK)
+    for joint, parent in enumerate(parents):
+        if parent >= 0 and seen[joint] and seen[parent]:
+            line = [tuple(at[parent]), tuple(at[joint])]
+            draw.line(line, _ink(BONE), 2 * bone if joint < FINE else bone)
+    for joint in np.argsort(-depth):
+        if seen[joint]:
+            radius = 2.5 * bone if joint < FINE else 1.3 * bone
+            radius *= 1.6 if joint == marked else 1
+            ink = _ink(OUTLINE if joint == marked else BLUE)
+            (x, y), r = at[joint], radius
+            draw.ellipse((x - r, y - r, x + r, y + r), ink)
+    picture = picture.convert("RGBa")  # RGBa, with a small a, is premultiplied
+    return np.asarray(picture.reduce(samples), dtype=np.float32) / 255
+
+
+def _ink(color: tuple[float, float, float]) -> tuple[int, int, int, int]:
+    return *(round(255 * x) for x in color), 255

@@ -12,7 +12,6 @@ The files, in the order in which they build on one another:
 * ``rays.py``: the faces that rays meet, and the channels there;
 * ``interior.py``, ``contours.py``, ``intersections.py`` (by ``triangle_cuts.py``): the three terms
   of the derivative;
-* ``sensor_motion.py``: the derivative by the sensor's pose;
 * ``mesh_view.py``: the image with its tangent and adjoint, from all of these;
 * ``integrator.py``: the plugin.
 

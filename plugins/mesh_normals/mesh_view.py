@@ -8,7 +8,8 @@
 3. **Boundary**: edges sweep over the image and carry its jumps along (``contours.py``), and so do
    the lines in which surfaces pass through one another (``intersections.py``). The mask has no
    other derivative, and without it the normals' is wrong even in sign.
-4. **Sensor**: moving it is moving all vertices the other way (``sensor_motion.py``).
+4. **Sensor**: moving it is moving all vertices the other way; what an image shows in world axes,
+   such as its normals, turns with the sensor besides (``projection.py``, eq. 6).
 
 The derivative is that of the exact mean over a pixel's area, also at one sample for each pixel.
 Nothing here uses automatic differentiation across the view: :class:`MeshView` is what
@@ -26,12 +27,6 @@ from gva_mi_plugins.mesh_normals.interior import Interior
 from gva_mi_plugins.mesh_normals.intersections import Intersections
 from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
 from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
-from gva_mi_plugins.mesh_normals.sensor_motion import (
-    adjoint_motion,
-    adjoint_turn,
-    opposite_motion,
-    turn,
-)
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
 
@@ -79,15 +74,13 @@ class MeshView:
             d_positions: (V,) how the vertices of all meshes move, world.
             d_to_world: how the sensor's transform changes.
         """
-        to_world = self.caster.projection.to_world
+        carried = self.caster.projection.carried
         if d_to_world is not None:
-            d_positions = d_positions + opposite_motion(
-                d_to_world, to_world, self.surface.positions
-            )
+            d_positions = d_positions - carried(d_to_world, self.surface.positions, 1)
         interior, boundary = self._tangents(d_positions)
         image = [x + y for x, y in zip(interior, boundary, strict=True)]
         if d_to_world is not None and self._has_world_normals():
-            turned = turn(d_to_world, to_world, self._normals())
+            turned = carried(d_to_world, self._normals(), 0)
             for k, value in enumerate(turned, self.caster.channels.first("normal")):
                 image[k] = image[k] + value
         return self._tensor(image)
@@ -120,12 +113,12 @@ class MeshView:
             grad_image: (H, W, C) gradient by the image.
             grad_positions: (V,) what :meth:`adjoint` made of it.
         """
-        to_world = self.caster.projection.to_world
-        grad = adjoint_motion(grad_positions, to_world, self.surface.positions)
+        carried_adjoint = self.caster.projection.carried_adjoint
+        grad = carried_adjoint(-grad_positions, self.surface.positions, 1)
         if self._has_world_normals():
             normal = self.caster.channels.first("normal")
             grad_n = mi.Vector3f(self._channels_of(grad_image)[normal : normal + 3])
-            grad = grad + adjoint_turn(grad_n, to_world, self._normals())
+            grad = grad + carried_adjoint(grad_n, self._normals(), 0)
         return grad
 
     def _tangents(self, d_positions: mi.Vector3f) -> tuple[list[mi.Float], list[mi.Float]]:

@@ -16,7 +16,7 @@ sample belongs to one pixel, and costs nothing.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -71,9 +71,9 @@ class PixelFilter:
             mi.Float(np.outer(_total(mass, height), _total(mass, width)).ravel()),
         )  # fmt: skip
         ones = dr.ones(mi.Float, width * height * spp)
-        (N,) = result._gather([ones])
+        (N,) = result._gather([ones], dr.arange(mi.UInt32, width * height))
         dr.eval(N)
-        return PixelFilter(width, height, spp, steps, rfilter, result.table, N, result.continuous)
+        return replace(result, discrete=N)
 
     def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
         """Return the rays' pixel positions: for each pixel in turn, a lattice of ``spp`` points."""
@@ -88,19 +88,20 @@ class PixelFilter:
     def develop(self, samples: list[mi.Float]) -> list[mi.Float]:
         """Eq. 1: pixels (H W,) from samples (H W spp,), which lie pixel by pixel."""
         if self.steps > 0:
-            return [value / self.discrete for value in self._gather(samples)]
+            pixel = dr.arange(mi.UInt32, self.width * self.height)
+            return [value / self.discrete for value in self._gather(samples, pixel)]
         if self.spp == 1:
             return samples
         return [dr.block_sum(x, self.spp) / self.spp for x in samples]
 
     def spread(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
         """Eq. 3: from gradients by pixels (H W,) to those by some samples (R,)."""
+        pixel = rays // self.spp
         if self.steps == 0:
-            pixel = rays // self.spp
             return [dr.gather(mi.Float, grad, pixel) / self.spp for grad in grads]
         grads = [grad / self.discrete for grad in grads]
         dr.eval(grads)
-        return self._gather_adjoint(grads, rays)
+        return self._gather(grads, pixel, rays - pixel * self.spp)
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
         """Weights of two sets of samples (R + S,): of rays, and of points of another density.
@@ -168,25 +169,18 @@ class PixelFilter:
             share = f / dr.gather(mi.Float, self.continuous, pixel)
             yield pixel, dr.select(valid, share, 0), valid
 
-    def _gather(self, samples: list[mi.Float]) -> list[mi.Float]:
-        """Σ_i f(q_i - c_p) v_i for each pixel p."""
-        pixel = dr.arange(mi.UInt32, self.width * self.height)
-        return _around_pixels(samples, pixel, None, self.table, self.steps, self.spp, self._size)
-
-    def _gather_adjoint(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
-        """Σ_p f(q_i - c_p) g_p for some samples i."""
-        pixel = rays // self.spp
-        place = rays - pixel * self.spp
-        return _around_pixels(grads, pixel, place, self.table, self.steps, self.spp, self._size)
+    def _gather(
+        self, values: list[mi.Float], pixel: mi.UInt32, place: mi.UInt32 | None = None
+    ) -> list[mi.Float]:
+        """Return Σ_i f(q_i - c_p) v_i for pixels p, or Σ_p f(q_i - c_p) g_p for samples i of places
+        in pixels."""
+        size = self.width, self.height
+        return _around_pixels(values, pixel, place, self.table, self.steps, self.spp, size)
 
     @property
     def _columns(self) -> mi.UInt32:
         """Return the width as an array: as a constant it would need new kernels for each size."""
         return dr.opaque(mi.UInt32, self.width)
-
-    @property
-    def _size(self) -> tuple[int, int]:
-        return self.width, self.height
 
 
 @dr.syntax

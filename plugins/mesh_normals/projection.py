@@ -10,7 +10,11 @@ P_1, P_2``:
    ``P``; an orthographic view has one ``d``, the optical axis,
 4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / h``,
 5. lines  the way from ``a`` to ``b`` on the image shows a segment of the world; where the share
-   ``t`` of the way has passed, ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment has.
+   ``t`` of the way has passed, ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment has,
+6. pose   with ``T`` the sensor's ``to_world``, what is fixed to it moves by ``dT T^{-1} v``: a
+   point with ``v = (x, 1)``, a direction with ``(n, 0)``. Gradients are those by the entries of
+   ``T``, of which the last row is not used. They hold for any ``dT`` in an orthographic view; a
+   pinhole sensor is rigid: there only those of rotations and translations have a meaning.
 
 Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
 """
@@ -88,20 +92,9 @@ class SensorProjection:
             dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
             dr.make_opaque(camera_world, to_world, near, reach, determinant, size)
         return SensorProjection(
-            pinhole=pinhole,
-            rows=rows,
-            offset=offset,
-            pixel_to_world=pixel_to_world,
-            determinant=determinant,
-            eye=mi.Point3f(eye),
-            axis=axis,
-            axis_offset=axis_offset,
-            camera_world=camera_world,
-            to_world=to_world,
-            near=near,
-            reach=reach,
-            size=size,
-        )
+            pinhole, rows, offset, pixel_to_world, determinant, mi.Point3f(eye), axis, axis_offset,
+            camera_world, to_world, near, reach, size,
+        )  # fmt: skip
 
     def depth(self, x: mi.Point3f) -> mi.Float:
         """Distance of world points from the sensor's plane."""
@@ -137,6 +130,17 @@ class SensorProjection:
         """Eq. 4: the world vector ``(∂q/∂x)ᵀ m`` at a point seen in ``q`` at scale ``h``."""
         rows = self.rows
         return (m.x * (rows[0] - q.x * rows[2]) + m.y * (rows[1] - q.y * rows[2])) / h
+
+    def carried(self, d_to_world: mi.Matrix4f, v: mi.Vector3f, w: int) -> mi.Vector3f:
+        """Eq. 6: how points (w = 1) or directions (w = 0) move that are fixed to the sensor."""
+        move = d_to_world @ (dr.rcp(self.to_world) @ mi.Vector4f(*v, w))
+        return mi.Vector3f(move.x, move.y, move.z)
+
+    def carried_adjoint(self, grad: mi.Vector3f, v: mi.Vector3f, w: int) -> mi.Matrix4f:
+        """Eq. 6 backward: from the gradient by these motions to that by ``T``."""
+        y = dr.rcp(self.to_world) @ mi.Vector4f(*v, w)
+        dr.eval(grad, y)
+        return mi.Matrix4f([[dr.sum(g * entry) for entry in y] for g in grad] + [[0, 0, 0, 0]])
 
     def density(self, c: mi.Vector3f, corner: mi.Point3f, ray: mi.Ray3f) -> mi.Float:
         """Return one over the pixel area of a small parallelogram that a ray meets.

@@ -31,8 +31,9 @@ class Segments:
 
     def sum(self, values: mi.Vector3f) -> mi.Vector3f:
         """Return the sum of each segment, (S,) from values (N,)."""
-        count = dr.width(self.start) - 1
-        return _sum([values], self.items, *_bounds(self.start, count))[0]
+        i = dr.arange(mi.UInt32, dr.width(self.start) - 1)
+        first, end = (dr.gather(mi.UInt32, self.start, k) for k in (i, i + 1))
+        return _sum([values], self.items, first, end)[0]
 
 
 def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
@@ -60,11 +61,6 @@ def concat(a: mi.Point2f, b: mi.Point2f) -> mi.Point2f:
     dr.scatter(result, a, dr.arange(mi.UInt32, count))
     dr.scatter(result, b, dr.arange(mi.UInt32, dr.width(b)) + shift)
     return result
-
-
-def _bounds(start: mi.UInt32, count: int) -> tuple[mi.UInt32, mi.UInt32]:
-    i = dr.arange(mi.UInt32, count)
-    return dr.gather(mi.UInt32, start, i), dr.gather(mi.UInt32, start, i + 1)
 
 
 def _ends(start: mi.UInt32, total: int) -> mi.UInt32:

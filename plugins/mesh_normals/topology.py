@@ -86,7 +86,9 @@ class Topology:
         counts = [mesh.face_count() for mesh in meshes]
         mesh_of_face = np.repeat(np.arange(len(meshes)), counts).astype(np.uint32)
         corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
-        columns = lambda array: tuple(mi.UInt32(np.ascontiguousarray(column)) for column in array.T)
+        columns = lambda array, of=mi.UInt32: tuple(
+            of(np.ascontiguousarray(column)) for column in array.T
+        )
         return Topology(
             vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
             first_face=_first_faces(meshes),
@@ -100,7 +102,7 @@ class Topology:
             ends=columns(edges.vertices),
             end_points=columns(edges.points),
             edge_faces=columns(edges.faces),
-            edge_runs=tuple(mi.Bool(np.ascontiguousarray(column)) for column in edges.runs.T),
+            edge_runs=columns(edges.runs, mi.Bool),
             is_closed=edges.is_closed and corners.outward,
             crease=mi.Bool(edges.crease),
             corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
@@ -175,7 +177,8 @@ class _Corners:
             places.append(positions)
             vertices.append(faces + V)
             points.append(first[faces] + V)
-            outward &= _volume(positions, faces) >= 0
+            a, b, c = (positions.astype(np.float64) - positions.mean(0))[faces].swapaxes(0, 1)
+            outward &= bool((a * np.cross(b, c)).sum() >= 0)  # six times the volume inside
             before = N
             if mesh.has_face_normals():
                 normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
@@ -203,12 +206,6 @@ def _is_back(points: np.ndarray) -> np.ndarray:
     first, face = np.full(kind.max(initial=0) + 1, len(points)), np.arange(len(points))
     np.minimum.at(first, kind[0], face)
     return first[kind[1]] < face
-
-
-def _volume(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Return six times the volume inside a closed mesh, negative if it is wound inside out."""
-    a, b, c = (positions.astype(np.float64) - positions.mean(0))[faces].swapaxes(0, 1)
-    return float((a * np.cross(b, c)).sum())
 
 
 @dataclass(frozen=True)

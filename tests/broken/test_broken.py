@@ -31,7 +31,7 @@ COMMANDS = {  # what of a run's folder each reads
     "track": ("track {run} {subject}", ("poses", "records")),
 }
 WORK = (
-    "cli.fit.fit_video", "cli.render.render_shots", "cli.view.open_server",
+    "cli.fit.fit_video", "cli.render.render_shots", "cli.view.serving",
     "cli.track.fit_poses", "cli.evaluate.measure_run",
 )  # fmt: skip
 

@@ -1,10 +1,11 @@
-"""A ball as a subject, which has closed-form answers."""
+"""A ball as a subject, which has closed-form answers; a bare subject's folder, and its bytes."""
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Shape
+from gva_mi.synthetic import SynthOptions, make_subject
 from gva_mi.synthetic.look import Fabric, FaceLandmarks, Look, Material
 from gva_mi.synthetic.subject import Subject
 
@@ -31,3 +32,33 @@ def ball():
         np.full(len(mesh.faces), int(Material.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),
         np.zeros(count), (),
     )  # fmt: skip
+
+
+BARE = SynthOptions(
+    frames=3, size=64, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=1
+)
+
+
+@pytest.fixture(scope="session")
+def bare():
+    """Options of a small subject, with the usual errors."""
+    return BARE
+
+
+@pytest.fixture(scope="session")
+def noisy(body, tmp_path_factory):
+    """The folder of a bare body with the usual errors."""
+    pytest.importorskip("mitsuba")
+    out = tmp_path_factory.mktemp("noisy") / "subject"
+    make_subject(out, BARE, body)
+    return out
+
+
+@pytest.fixture(scope="session")
+def files():
+    """Return a function from a folder to its files' bytes, by name."""
+    return lambda folder: {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }

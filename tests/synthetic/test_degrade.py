@@ -7,58 +7,37 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.data.video import load_cameras, load_video
-from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject
+from gva_mi.synthetic import degrade, describe_errors, make_subject
 from gva_mi.synthetic.error_models.models import ERROR_MODELS, draw_errors
 
-pytest.importorskip("mitsuba")
-PLAIN = SynthOptions(
-    frames=3, size=48, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=0
-)
-
 
 @pytest.fixture(scope="module")
-def recording(body, tmp_path_factory):
-    """A subject with the usual errors."""
-    out = tmp_path_factory.mktemp("recording") / "subject"
-    make_subject(out, PLAIN, body)
-    return out
-
-
-@pytest.fixture(scope="module")
-def degraded(recording, body, tmp_path_factory):
+def degraded(noisy, body, tmp_path_factory):
     """Return a function that degrades the recording by an error model, once."""
     folder = tmp_path_factory.mktemp("degraded")
 
     def made(family):
         if not (folder / family).exists():
-            degrade(recording, folder / family, family, 7, body)
+            degrade(noisy, folder / family, family, 7, body)
         return folder / family
 
     return made
 
 
-def files(folder):
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 @pytest.mark.parametrize("family", ["normals", pytest.param("masks", marks=pytest.mark.slow)])
-def test_it_equals_make_subject(degraded, body, tmp_path, family):
-    make_subject(tmp_path / "made", replace(PLAIN, family=family, noise_seed=7), body)
+def test_it_equals_make_subject(degraded, body, bare, files, tmp_path, family):
+    make_subject(tmp_path / "made", replace(bare, family=family, noise_seed=7), body)
     assert files(tmp_path / "made") == files(degraded(family))
 
 
-def test_earlier_errors_do_not_matter(degraded, body, tmp_path):
+def test_earlier_errors_do_not_matter(degraded, body, files, tmp_path):
     degrade(degraded("focal"), tmp_path / "again", "lean", 7, body)
     assert files(tmp_path / "again") == files(degraded("lean"))
 
 
-def test_frames_and_ground_truth_are_linked(recording, degraded):
-    for path in sorted(recording.rglob("*")):
-        name = path.relative_to(recording)
+def test_frames_and_ground_truth_are_linked(noisy, degraded):
+    for path in sorted(noisy.rglob("*")):
+        name = path.relative_to(noisy)
         if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
             assert os.path.samefile(path, degraded("focal") / name), name
 
@@ -71,9 +50,9 @@ def test_every_error_model_opens_as_a_video_and_is_described(degraded, family):
     assert describe_errors(degraded(family))[0] == f"noise: family {family}, seed 7"
 
 
-def test_the_estimated_and_the_true_camera_are_written(recording, degraded):
+def test_the_estimated_and_the_true_camera_are_written(noisy, degraded):
     factor = 1 + draw_errors("focal", 7).pose.focal
-    paths = (degraded("focal") / "truth", degraded("focal"), recording)
+    paths = (degraded("focal") / "truth", degraded("focal"), noisy)
     (true,), (estimated,), (before,) = (load_cameras(path / "cameras.npz") for path in paths)
     assert (true.K == before.K).all() and factor != 1
     assert (true.T_camera_world == estimated.T_camera_world).all()
@@ -81,11 +60,11 @@ def test_the_estimated_and_the_true_camera_are_written(recording, degraded):
     assert estimated.fy == pytest.approx(factor * true.fy)
 
 
-def test_other_folders_are_refused(recording, body, tmp_path):
+def test_other_folders_are_refused(noisy, body, tmp_path):
     with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)
     with pytest.raises(InputError, match="already there"):
-        degrade(recording, recording, "white", 0, body)
+        degrade(noisy, noisy, "white", 0, body)
     (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
     with pytest.raises(InputError, match="synth.json: of another form"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)

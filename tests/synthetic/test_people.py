@@ -3,9 +3,7 @@
 import itertools
 
 import numpy as np
-import pytest
 
-from gva_mi import InputError
 from gva_mi.synthetic import STUDY, SynthOptions
 from gva_mi.synthetic.people import SyntheticPerson
 
@@ -29,10 +27,3 @@ def test_a_foreign_outfit_differs_from_all_others(body):
         assert 0.01 <= worn.sole <= 0.05 and worn.flare <= 0.3
     again = SynthOptions(seed=9, outfit="foreign").person(body)
     assert again.outfit == worn and again.betas == SyntheticPerson.draw(9, 10).betas
-
-
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(InputError, match="amira, bruno"):
-        SynthOptions(subject="zoe")
-    with pytest.raises(InputError, match="everyday"):
-        SynthOptions(motion="crawl")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.framing import camera_around
+from gva_mi.synthetic.cameras import camera_around
 from gva_mi.synthetic.render import Renderer
 
 pytest.importorskip("mitsuba")
@@ -44,11 +44,11 @@ def test_mask_normals_and_depth_of_a_ball(picture):
     assert ((picture.normals * normals).sum(-1)[core] > np.cos(0.03)).all()
 
 
-def test_side_light_comes_from_the_left_and_the_sky_from_everywhere(renderer, ball):
+def test_side_light_comes_from_the_left_and_the_sky_from_everywhere(ball):
     ahead = Camera(70, 70, 32, 30, look_at((0, 0, 3.0), (0, 0, 0)), 64, 60)
     halves = {}
     for light in ("usual", "side", "ambient"):
-        seen = renderer(ball.vertices, ahead, 16, 0, light)
+        seen = Renderer(ball, light=light)(ball.vertices, ahead, 16, 0)
         inside = seen.mask == 1
         color = np.where(inside, seen.color.mean(-1), np.nan)
         halves[light] = np.nanmean(color[:, :32]), np.nanmean(color[:, 32:])

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from gva_mi.synthetic import motion
+from gva_mi.synthetic.cameras import camera_around
 from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
-from gva_mi.synthetic.framing import camera_around
 from gva_mi.synthetic.look import Material
 from gva_mi.synthetic.render import Renderer
-from gva_mi.synthetic.subject import draw_subject, with_strands
+from gva_mi.synthetic.subject import draw_subject
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
 
 
 def test_loose_strands_follow_the_hair_and_change_nothing_else(body, dressed):
-    hairy = with_strands(dressed, np.random.default_rng(0))
+    hairy = draw_subject(body, 1, loose_strands=True)
     vertices, faces = len(dressed.vertices), len(dressed.faces)
     assert np.array_equal(hairy.vertices[:vertices], dressed.vertices)
     assert np.array_equal(hairy.faces[:faces], dressed.faces) and hairy.look == dressed.look

@@ -9,7 +9,7 @@ from gva_mi import InputError
 from gva_mi.body.pose import JOINTS
 from gva_mi.viewer.cameras import Start
 from gva_mi.viewer.controls import Choices, Click, Controls
-from gva_mi.viewer.server import close_server, open_server
+from gva_mi.viewer.server import serving
 
 START = Start(np.array([0.0, 1, 4]), np.array([0.0, 1, 0]), np.array([0.0, 1, 0]), 0.5)
 ELBOW, SHOULDER = JOINTS.index("left_elbow"), JOINTS.index("left_shoulder")
@@ -18,9 +18,8 @@ ELBOW, SHOULDER = JOINTS.index("left_elbow"), JOINTS.index("left_shoulder")
 @pytest.fixture(scope="module")
 def server():
     pytest.importorskip("viser", reason="viser is not installed: pip install 'gva_mi[viewer]'")
-    server = open_server("127.0.0.1", 0, START, "a test")
-    yield server
-    close_server(server)
+    with serving("127.0.0.1", 0, START, "a test") as server:
+        yield server
 
 
 @pytest.fixture
@@ -110,10 +109,10 @@ def test_pressed_buttons_are_queued_with_their_browser(server, controls):
 def test_an_unusable_address_is_one_sentence(server):
     for host, port in (("127.0.0.1", server.get_port()), ("203.0.113.9", 0), ("127.0.0.1", 10**6)):
         with pytest.raises(InputError, match=f"view: cannot listen at {host}, port {port}"):
-            open_server(host, port, START, "a test")
+            serving(host, port, START, "a test").__enter__()
 
 
 def test_a_missing_viser_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(InputError, match=r"viser is not installed: pip install 'gva_mi\[viewer\]'"):
-        open_server("127.0.0.1", 0, START, "a test")
+        serving("127.0.0.1", 0, START, "a test").__enter__()

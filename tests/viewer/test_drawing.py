@@ -13,9 +13,8 @@ from gva_mi.mesh.overlay import OUTLINE
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.skeleton import draw_skeleton
 from gva_mi.viewer.state import Mode, State
-from gva_mi.viewer.surface import SurfaceRenderer, posed_surface
+from gva_mi.viewer.surface import SurfaceRenderer, draw_skeleton, posed_surface
 
 SHOULDER = JOINTS.index("left_shoulder")
 
@@ -54,7 +53,7 @@ def test_normals_are_drawn_with_y_up_and_z_toward_the_viewer(known, motion, surf
     camera = camera.resized(192, 192)
     surface = posed_surface(known, motion[0])
     faces = known.rig.faces
-    layer = surfaces.normals(surface, camera, fine=True)
+    layer = surfaces.layer("normals", surface, camera, fine=True)
     seen = seen_vertices(surface.vertices, faces, camera.position[None])[0].numpy()
     truth = vertex_normals(surface.vertices, faces).numpy() @ camera.T_camera_world[:3, :3].T
     columns, rows = camera.project(surface.vertices.double().numpy()).astype(int).T

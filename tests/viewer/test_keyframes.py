@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gva_mi.viewer.keyframes import film
+from gva_mi.viewer.cameras import film
 
 
 def around(place, looking, degrees, rise=0.0, distance=3.0):

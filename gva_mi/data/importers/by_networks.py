@@ -18,7 +18,7 @@ from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.normals import ABOUT, in_convention
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.mesh.both_sides import normals_of_both_sides
+from gva_mi.mesh.visibility import normals_of_both_sides
 from gva_mi.splat import Camera
 
 HELD = 0.5  # of the person's points: a mask with fewer is doubtful

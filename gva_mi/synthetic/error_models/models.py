@@ -23,6 +23,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -52,9 +53,6 @@ class Levels:
     pose: float = 1.0
     mask: float = 1.0
     normal: float = 1.0
-
-
-ErrorModel = Callable[[np.random.Generator], ErrorParameters]
 
 
 def draw_errors(family: str, seed: int) -> ErrorParameters:
@@ -97,8 +95,8 @@ def _mixed(rng: np.random.Generator) -> ErrorParameters:
     return ErrorParameters(pose, mask, normal)
 
 
-def _with_pose(errors: ErrorParameters, **changes: object) -> ErrorParameters:
-    return replace(errors, pose=replace(errors.pose, **changes))
+def _changed(errors: ErrorParameters, part: str, **changes: object) -> ErrorParameters:
+    return replace(errors, **{part: replace(getattr(errors, part), **changes)})
 
 
 def _white(rng: np.random.Generator) -> ErrorParameters:
@@ -106,8 +104,8 @@ def _white(rng: np.random.Generator) -> ErrorParameters:
     usual, large = (lambda: rng.uniform(0.85, 1.15)), (lambda: rng.uniform(1.3, 1.55))
     sizes = JointFactors(usual(), usual(), large(), usual(), large())
     level = rng.uniform(0.9, 1.0)
-    return _with_pose(
-        errors, white=1.0, sizes=sizes, calm=level, burst=level,
+    return _changed(
+        errors, "pose", white=1.0, sizes=sizes, calm=level, burst=level,
         depth=rng.uniform(0.018, 0.024), sideways=rng.uniform(0, 0.2), betas=rng.uniform(0.1, 0.2),
     )  # fmt: skip
 
@@ -117,10 +115,6 @@ def _draw_lean(rng: np.random.Generator) -> CameraTilt:
     return CameraTilt(float(legs), float(trunk), float(arms))
 
 
-def _shape(rng: np.random.Generator) -> ErrorParameters:
-    return _with_pose(_mixed(rng), betas=rng.uniform(0.2, 0.5), depth_follows=True)
-
-
 def _outliers(rng: np.random.Generator) -> ErrorParameters:
     errors = _mixed(rng)
     outliers = Outliers(
@@ -128,60 +122,52 @@ def _outliers(rng: np.random.Generator) -> ErrorParameters:
         whole=rng.uniform(0.03, 0.08), jumps=rng.uniform(0.04, 0.12),
         jump=rng.uniform(0.04, 0.12),
     )  # fmt: skip
-    return _with_pose(errors, outliers=outliers)
-
-
-def _focal(rng: np.random.Generator) -> ErrorParameters:
-    errors = _mixed(rng)
-    return _with_pose(errors, focal=float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.1)))
+    return _changed(errors, "pose", outliers=outliers)
 
 
 def _masks(rng: np.random.Generator) -> ErrorParameters:
-    errors = _mixed(rng)
-    mask = replace(
-        errors.mask, grown=rng.choice([-1, 1]) * rng.uniform(1, 3),
+    return _changed(
+        _mixed(rng), "mask", grown=rng.choice([-1, 1]) * rng.uniform(1, 3),
         lost_feet=rng.uniform(0.1, 0.35), bag=rng.uniform(0.06, 0.13),
     )  # fmt: skip
-    return replace(errors, mask=mask)
 
 
 def _normals(rng: np.random.Generator) -> ErrorParameters:
-    errors = _mixed(rng)
-    normal = replace(
-        errors.normal, blur=rng.uniform(2, 6), flat=rng.uniform(0.1, 0.4),
+    return _changed(
+        _mixed(rng), "normal", blur=rng.uniform(2, 6), flat=rng.uniform(0.1, 0.4),
         turn=tuple(np.radians(rng.normal(size=3) * 4).tolist()),
         convention=str(rng.choice(["perspective", "icon"])), missing=rng.uniform(0.05, 0.3),
     )  # fmt: skip
-    return replace(errors, normal=normal)
 
 
 def _anything(rng: np.random.Generator) -> ErrorParameters:
-    errors = _mixed(rng)
-    shape, outliers, focal = (f(rng).pose for f in (_shape, _outliers, _focal))
-    masks, normals = _masks(rng).mask, _normals(rng).normal
-    lean = _draw_lean(rng)
-    has = rng.random(6) < 0.5
-    if has[0]:
-        errors = _with_pose(errors, lean=lean)
-    if has[1]:
-        errors = _with_pose(errors, betas=shape.betas, depth_follows=True)
-    if has[2]:
-        errors = _with_pose(errors, outliers=outliers.outliers)
-    if has[3]:
-        errors = _with_pose(errors, focal=focal.focal)
-    return ErrorParameters(
-        errors.pose, masks if has[4] else errors.mask, normals if has[5] else errors.normal
-    )
+    errors, parts = _mixed(rng), ("shape", "outliers", "focal", "masks", "normals")
+    shape, outliers, focal, masks, normals = (ERROR_MODELS[part](rng) for part in parts)
+    lean, has = _draw_lean(rng), rng.random(6) < 0.5
+    changes = (
+        {"lean": lean}, {"betas": shape.pose.betas, "depth_follows": True},
+        {"outliers": outliers.pose.outliers}, {"focal": focal.pose.focal},
+    )  # fmt: skip
+    for change in compress(changes, has):
+        errors = _changed(errors, "pose", **change)
+    mask, normal = (masks if has[4] else errors).mask, (normals if has[5] else errors).normal
+    return ErrorParameters(errors.pose, mask, normal)
 
 
-ERROR_MODELS: Mapping[str, ErrorModel] = {
+ERROR_MODELS: Mapping[str, Callable[[np.random.Generator], ErrorParameters]] = {
     EXACT: lambda rng: ErrorParameters(),
     "white": _white,
-    "slow": lambda rng: _with_pose(
-        _mixed(rng), memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)
+    "slow": lambda rng: _changed(
+        _mixed(rng), "pose", memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)
     ),
     "mixed": _mixed,
-    "lean": lambda rng: _with_pose(_mixed(rng), lean=_draw_lean(rng)),
-    "shape": _shape, "outliers": _outliers, "focal": _focal, "masks": _masks,
-    "normals": _normals, "anything": _anything,
+    "lean": lambda rng: _changed(_mixed(rng), "pose", lean=_draw_lean(rng)),
+    "shape": lambda rng: _changed(
+        _mixed(rng), "pose", betas=rng.uniform(0.2, 0.5), depth_follows=True
+    ),
+    "outliers": _outliers,
+    "focal": lambda rng: _changed(
+        _mixed(rng), "pose", focal=float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.1))
+    ),
+    "masks": _masks, "normals": _normals, "anything": _anything,
 }  # fmt: skip

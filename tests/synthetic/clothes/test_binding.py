@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.synthetic.clothes import binding
+from gva_mi.synthetic.clothes.dressing import follow_joint, follow_nearest, hang_from_hips
 
 HIP, KNEE = np.array([0.1, 0.9, 0.0]), np.array([0.1, 0.5, 0.0])
 PLACES = {
@@ -41,9 +41,9 @@ def test_weights_sum_to_one(legs, skirt):
     vertices, weights = legs.vertices, legs.weights
     points = skirt.reshape(-1, 3)
     for bound in (
-        binding.follow_nearest(points, vertices, 0.03),
-        binding.follow_joint(points, weights, "head"),
-        binding.hang_from_hips(points, legs),
+        follow_nearest(points, vertices, 0.03),
+        follow_joint(points, weights, "head"),
+        hang_from_hips(points, legs),
     ):  # fmt: skip
         assert bound.shape == (len(points), len(vertices))
         assert np.allclose(bound.sum(1), 1) and bound.min() >= 0
@@ -56,8 +56,8 @@ def test_legs_that_part_do_not_tear_a_skirt(legs, skirt):
         apart[weights[:, JOINTS.index(side)] == 1, 2] += way
     stretch = {}
     for name, bound in (
-        ("hung", binding.hang_from_hips(skirt.reshape(-1, 3), legs)),
-        ("near", binding.follow_nearest(skirt.reshape(-1, 3), vertices, 0.025)),
+        ("hung", hang_from_hips(skirt.reshape(-1, 3), legs)),
+        ("near", follow_nearest(skirt.reshape(-1, 3), vertices, 0.025)),
     ):
         moved = skirt + (bound @ (apart - vertices)).reshape(skirt.shape)
         hem, rest = (np.linalg.norm(np.diff(p[0], axis=0), axis=1) for p in (moved, skirt))

@@ -4,7 +4,6 @@ from dataclasses import asdict
 
 import pytest
 
-from gva_mi import InputError
 from gva_mi.synthetic import SynthOptions
 from gva_mi.synthetic.error_models.models import ERROR_MODELS, ErrorParameters, Levels, draw_errors
 from gva_mi.synthetic.error_models.poses import PoseErrors
@@ -57,9 +56,5 @@ def test_error_models_draw_in_their_ranges():
     assert set(parameters("normals")["normal.convention"]) == {"perspective", "icon"}
 
 
-def test_options_of_errors_are_checked_and_levels_multiply():
-    with pytest.raises(InputError, match="no family 'brown' of noise; there are: bursts, white"):
-        SynthOptions(family="brown")
-    with pytest.raises(InputError, match="noise_seed must be from 0 to .*, got -1"):
-        SynthOptions(noise_seed=-1)
+def test_levels_multiply():
     assert SynthOptions(noise=0.5, mask_noise=3.0).levels == Levels(0.5, 1.5, 0.5)

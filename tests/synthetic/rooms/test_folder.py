@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from gva_mi import InputError
 from gva_mi.body.pose import load_poses
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image
@@ -45,17 +44,3 @@ def test_a_folder_of_a_room(body, tmp_path):
     y = body.rest(shape).vertices[:, 1]
     assert about["height_m"] == pytest.approx(float(y.max() - y.min()), abs=1e-5)
     assert 0 <= about["tilt_deg"] <= 15 and 1.2 <= about["camera_height_m"] <= 1.7
-
-
-@pytest.mark.parametrize(
-    "wrong, words",
-    [
-        ({"camera": "held", "noise": 1.0}, "--camera held needs --noise 0"),
-        ({"camera": "held", "scene": "white"}, "--camera held needs --scene room"),
-        ({"samples": 9}, "4 times a square number with --shutter, got 9"),
-        ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(wrong, words):
-    with pytest.raises(InputError, match=words):
-        SynthOptions(**(OPTIONS | wrong))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.synthetic.rooms.cameras import HEIGHT, TILT, PhoneCamera, held_by_hand
+from gva_mi.synthetic.cameras import HEIGHT, TILT, PhoneCamera, held_by_hand
 
 
 def person(rng, wander=0.0):

@@ -26,7 +26,6 @@ from torch import Tensor
 
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
-from gva_mi.body.rotations import shortest, to_matrices
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
@@ -104,10 +103,18 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
             continue
         a, b = (x[children] - x[joint] for x in (joints, goal))
         if len(children) == 1:
-            C[joint] = torch.from_numpy(to_matrices(shortest(a.numpy(), b.numpy())[0]))
+            C[joint] = _between(a[0], b[0])
         else:
             C[joint] = roma.special_procrustes(b.T @ a)
     return C
+
+
+def _between(a: Tensor, b: Tensor) -> Tensor:
+    """Return the smallest rotation from direction a (3,) to b."""
+    a, b = a / a.norm(), b / b.norm()
+    axis = torch.linalg.cross(a, b)
+    sine = axis.norm()
+    return roma.rotvec_to_rotmat(axis / sine.clamp(min=1e-12) * torch.atan2(sine, a @ b))
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:

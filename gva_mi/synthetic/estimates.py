@@ -112,7 +112,7 @@ class Pipeline:
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
             "parameters": asdict(errors),
-            "pose": asdict(pose_error(self.body, *found, *truth, first)),
+            "pose": pose_error(self.body, *found, *truth, first),
             "mask": {"iou": float(np.mean([iou for iou, _ in scores]))},
             "normal": {
                 "angle_deg": float(np.mean(angles)) if angles else None,

@@ -26,6 +26,7 @@ from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject
 
+RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -38,7 +39,8 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     path, expected = subject / ABOUT, "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
-        return about, SynthOptions(**about["options"])
+        kept = {k: v for k, v in about["options"].items() if k not in RETIRED}
+        return about, SynthOptions(**kept)
 
 
 def write_surface(path: Path, person: Subject) -> None:

@@ -51,59 +51,45 @@ class Controls:
 
     def __init__(self, gui: viser.GuiApi, choices: Choices, changed: Callable[[], None]) -> None:
         """Build the panel in ``gui``; ``changed`` is called, in any thread, after a change."""
-        self._gui, self._choices, self._changed = gui, choices, changed
+        self._gui, self._changed, self._last = gui, changed, choices.frames - 1
         self._clicked: SimpleQueue[tuple[str, int]] = SimpleQueue()
         self._turned: dict[str, Angles] = {}
         self._joint = choices.joints[0]
         self._playback = Playback()
         self.playing = False
-        self._mode = self._watched(gui.add_dropdown("show", get_args(Mode)))
-        self._background = self._watched(gui.add_rgb("background", (255, 255, 255)))
+        add = self._watched
+        self._mode = add(gui.add_dropdown("show", get_args(Mode)))
+        self._background = add(gui.add_rgb("background", (255, 255, 255)))
         with gui.add_folder("Motion"):
-            self._add_motion()
+            self._play = add(gui.add_checkbox("play", False, disabled=self._last == 0))
+            self._frame = add(gui.add_slider("frame", 0, self._last, 1, 0))
+            self._fps = add(gui.add_slider("frames a second", 1, FASTEST, 1, FPS))
         with gui.add_folder("Joints"):
-            self._add_joints()
+            self._chosen = add(gui.add_dropdown("joint", tuple(choices.joints)))
+            about = "degrees about this axis of the joint, added to the motion's rotation"
+            self._angles = [
+                add(gui.add_slider(axis, -180.0, 180.0, 1.0, 0.0, hint=about)) for axis in "xyz"
+            ]
+            self._add_button("reset joint", "Reset joint")
+            self._add_button("reset all joints", "Reset all joints")
         with gui.add_folder("Expression", expand_by_default=False):
             self._expression = [
-                self._watched(gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0))
-                for name in choices.expression
+                add(gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0)) for name in choices.expression
             ]
             self._add_button("reset expression", "Reset expression")
         with gui.add_folder("Camera"):
-            self._add_camera()
+            self._add_camera(choices.video)
 
-    def _add_motion(self) -> None:
-        gui, last = self._gui, self._choices.frames - 1
-        self._play = self._watched(gui.add_checkbox("play", False, disabled=last == 0))
-        self._frame = self._watched(gui.add_slider("frame", 0, last, 1, 0))
-        self._fps = self._watched(gui.add_slider("frames a second", 1, FASTEST, 1, FPS))
-
-    def _add_joints(self) -> None:
-        gui = self._gui
-        self._chosen = self._watched(gui.add_dropdown("joint", tuple(self._choices.joints)))
-        about = "degrees about this axis of the joint, added to the motion's rotation"
-        self._angles = [
-            self._watched(gui.add_slider(axis, -180.0, 180.0, 1.0, 0.0, hint=about))
-            for axis in "xyz"
-        ]
-        self._add_button("reset joint", "Reset joint")
-        self._add_button("reset all joints", "Reset all joints")
-
-    def _add_camera(self) -> None:
-        gui, video = self._gui, self._choices.video
+    def _add_camera(self, video: bool) -> None:
+        gui, add = self._gui, self._watched
         places = tuple(x for x in get_args(SeenFrom) if video or x != "video")
-        self._seen_from = self._watched(
-            gui.add_dropdown(
-                "seen from",
-                places,
-                initial_value="video" if video else "browser",
-                hint="browser: turn, zoom and move by the mouse",
-            )
+        first, about = places[-1 if video else 0], "browser: turn, zoom and move by the mouse"
+        self._seen_from = add(
+            gui.add_dropdown("seen from", places, initial_value=first, hint=about)
         )
-        self._beside = self._watched(gui.add_checkbox("beside the video", video, visible=video))
-        self._transparent = self._watched(
-            gui.add_checkbox("transparent", False, hint="snapshots are RGBA, of the avatar alone")
-        )
+        self._beside = add(gui.add_checkbox("beside the video", video, visible=video))
+        about = "snapshots are RGBA, of the avatar alone"
+        self._transparent = add(gui.add_checkbox("transparent", False, hint=about))
         self._add_button("snapshot", "Snapshot to PNG")
         self._add_button("add keyframe", "Add keyframe")
         self._add_button("remove keyframe", "Remove last keyframe")
@@ -111,11 +97,10 @@ class Controls:
 
     def state(self, now: float) -> State:
         """Return the viewer's state at a time (seconds); a playing motion moves its slider."""
-        last = self._choices.frames - 1
-        frame = min(max(self._frame.value, 0), last)
-        self.playing = self._play.value and last > 0
+        frame = min(max(self._frame.value, 0), self._last)
+        self.playing = self._play.value and self._last > 0
         if self.playing:
-            frame = self._playback.advance(frame, now, self._fps.value, last + 1)
+            frame = self._playback.advance(frame, now, self._fps.value, self._last + 1)
             self._frame.value = frame
         else:
             self._playback.stop()

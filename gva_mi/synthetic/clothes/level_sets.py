@@ -104,26 +104,10 @@ class BodySurface:
         near = coarse < band
         values = coarse
         values[near] = self.distance(np.argwhere(near) * grid.cell + grid.lo)
-        values[_deep_inside(values, near)] *= -1
+        # Cells farther away have the sign of the nearest of these: some lie deep in the trunk.
+        nearest = distance_transform_edt(~near, return_distances=False, return_indices=True)
+        values[~near] *= np.sign(values[tuple(nearest[:, ~near])])
         return values
-
-
-def _deep_inside(values: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return the cells far from the surface that it encloses, such as deep in the trunk."""
-    from scipy.ndimage import label
-
-    blobs, count = label(~near)
-    if count == 0:
-        return np.zeros_like(near)
-    total = np.zeros(count + 1)
-    for axis in range(3):
-        for a, b in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
-            index_a = tuple(a if i == axis else slice(None) for i in range(3))
-            index_b = tuple(b if i == axis else slice(None) for i in range(3))
-            touch = (blobs[index_a] > 0) & near[index_b]
-            sign = np.sign(values[index_b][touch])
-            total += np.bincount(blobs[index_a][touch], sign, count + 1)
-    return (total < 0)[blobs] & ~near
 
 
 def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> RestMesh:
@@ -143,8 +127,7 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     parts = trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(faces)))
     parts = [p for p in parts if len(p) > _CRUMB]
-    faces = faces[np.sort(np.concatenate(parts))]
-    used, faces = np.unique(faces, return_inverse=True)
+    used, faces = np.unique(faces[np.sort(np.concatenate(parts))], return_inverse=True)
     vertices = vertices[used].astype(np.float64) - 1
     shade = np.ones(len(vertices), dtype=np.float32)
     if uncut is not None:

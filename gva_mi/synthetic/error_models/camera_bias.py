@@ -31,15 +31,16 @@ class CameraTilt:
     trunk: float = 0.0
     arms: float = 0.0
 
-    def times(self, factor: float) -> CameraTilt:
-        """Scale all tilts."""
-        return CameraTilt(factor * self.legs, factor * self.trunk, factor * self.arms)
 
+def tilted(
+    rotations: np.ndarray, camera: Camera, lean: CameraTilt, level: float = 1.0
+) -> np.ndarray:
+    """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera.
 
-def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarray:
-    """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera."""
+    ``level`` is a factor on the tilt.
+    """
     parts = {"hip": -lean.legs, "shoulder": -lean.arms, "spine1": lean.trunk}
-    angles = {k: parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
+    angles = {k: level * parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
     angles = {k: angle for k, angle in angles.items() if angle != 0}
     if not angles:
         return rotations

@@ -36,13 +36,8 @@ class MaskErrors:
     bag: float = 0.0  # m, radius of a bag at a hip that counts as person; 0: none
 
 
-@dataclass(frozen=True)
-class HalfDisc:
-    """Half of a disc, in pixels."""
-
-    centre: tuple[float, float]
-    toward: tuple[float, float]  # unit vector to that half
-    radius: float
+Pixel = tuple[float, float]
+HalfDisc = tuple[Pixel, Pixel, float]  # centre, unit vector to that half, radius in pixels
 
 
 @dataclass(frozen=True)
@@ -121,10 +116,9 @@ def _confused(inside: np.ndarray, confusion: Confusion) -> np.ndarray:
     if confusion.bag is not None:
         u, v, radius = confusion.bag
         inside |= np.hypot(x - u, y - v) < radius
-    for foot in confusion.lost:
-        dx, dy = x - foot.centre[0], y - foot.centre[1]
-        beyond = dx * foot.toward[0] + dy * foot.toward[1] > 0
-        inside &= ~(beyond & (np.hypot(dx, dy) < foot.radius))
+    for centre, toward, radius in confusion.lost:
+        dx, dy = x - centre[0], y - centre[1]
+        inside &= ~((dx * toward[0] + dy * toward[1] > 0) & (np.hypot(dx, dy) < radius))
     return inside
 
 
@@ -133,7 +127,7 @@ def _foot(joints: np.ndarray, camera: Camera, side: str) -> HalfDisc:
     knee, ankle = (joints[JOINTS.index(f"{side}_{name}")] for name in ("knee", "ankle"))
     start, end = camera.project(knee), camera.project(ankle)
     toward = (end - start) / max(float(np.linalg.norm(end - start)), 1e-6)
-    return HalfDisc(tuple(end.tolist()), tuple(toward.tolist()), FOOT * _scale(camera, ankle))
+    return tuple(end.tolist()), tuple(toward.tolist()), FOOT * _scale(camera, ankle)
 
 
 def _bags(

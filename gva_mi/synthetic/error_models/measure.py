@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 
@@ -15,27 +13,13 @@ from gva_mi.synthetic.error_models.outliers import SIDES, mean_hand
 from gva_mi.synthetic.error_models.poses import sideways
 
 
-@dataclass(frozen=True)
-class PoseError:
-    """Mean error of poses over frames: vertices in millimetres, rotations in degrees."""
-
-    vertex_mm: float
-    hand_vertex_mm: float
-    foot_vertex_mm: float
-    rotation_deg: float
-    transl_mm: float
-    sideways: float  # rotation error seen from the side, over that from front or back
-    lost_left_hand: tuple[int, ...]  # frames in which the hand is lost
-    lost_right_hand: tuple[int, ...]
-
-
 def pose_error(
     body: BodyModel, pose: Pose, shape: Shape, true: Pose, true_shape: Shape, camera: Camera
-) -> PoseError:
-    """Compare poses with the ground truth.
+) -> dict[str, float | list[int]]:
+    """Return the mean errors of poses over frames, millimetres and degrees, for ``noise.json``.
 
-    A hand is lost in the frames where all its fingers are those of the mean hand. The camera
-    decides which frames show the person from the side.
+    ``sideways`` is the rotation error seen from the side, over that from front or back, as the
+    camera sees them. A hand is lost in the frames where all its fingers are those of the mean hand.
     """
     away = torch.cat([
         (body(a, shape).vertices - body(b, true_shape).vertices).norm(dim=-1)
@@ -52,22 +36,18 @@ def pose_error(
     side, front = degrees[turned > 0.87].mean(1), degrees[turned < 0.5].mean(1)  # 30 degrees
     ratio = side.mean() / front.mean() if len(side) and len(front) and front.any() else 1.0
     millimetres = lambda x: float(1000 * x.double().mean())
-    return PoseError(
-        vertex_mm=millimetres(away),
-        hand_vertex_mm=millimetres(away[:, hand]),
-        foot_vertex_mm=millimetres(away[:, foot]),
-        rotation_deg=float(degrees.mean()),
-        transl_mm=millimetres((pose.transl - true.transl).norm(dim=-1)),
-        sideways=float(ratio),
-        lost_left_hand=_lost(pose, LEFT_HAND, "left"),
-        lost_right_hand=_lost(pose, RIGHT_HAND, "right"),
-    )
-
-
-def _lost(pose: Pose, hand: slice, side: str) -> tuple[int, ...]:
-    """Return the frames in which a hand is the mean hand."""
-    off = np.abs(pose.rotations[:, hand].numpy() - mean_hand(side)).max((1, 2))
-    return tuple(np.flatnonzero(off < 1e-5).tolist())
+    off = lambda hand, side: np.abs(pose.rotations[:, hand].numpy() - mean_hand(side)).max((1, 2))
+    lost = lambda hand, side: np.flatnonzero(off(hand, side) < 1e-5).tolist()
+    return {
+        "vertex_mm": millimetres(away),
+        "hand_vertex_mm": millimetres(away[:, hand]),
+        "foot_vertex_mm": millimetres(away[:, foot]),
+        "rotation_deg": float(degrees.mean()),
+        "transl_mm": millimetres((pose.transl - true.transl).norm(dim=-1)),
+        "sideways": float(ratio),
+        "lost_left_hand": lost(LEFT_HAND, "left"),
+        "lost_right_hand": lost(RIGHT_HAND, "right"),
+    }
 
 
 def _chunks(pose: Pose, frames: int = 32) -> list[Pose]:

@@ -117,7 +117,7 @@ def noisy_poses(
     swap_legs(rotations, noise.outliers, level, rng)
     spoil_frames(rotations, sizes, noise.outliers, level, rng)
     transl += jumps(frames, noise.outliers, level, rng) @ R_camera_world
-    rotations = tilted(rotations, camera, noise.lean.times(level))
+    rotations = tilted(rotations, camera, noise.lean, level)
     grown = _growth(body, shape, Shape(betas)) if noise.depth_follows else 1.0
     joints = (body.rest(shape).joints[0], body.rest(Shape(betas)).joints[0])
     transl = placed(transl, camera, *joints, grown, level * noise.focal)

@@ -7,7 +7,6 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.synthetic.error_models.masks import (
     Confusion,
-    HalfDisc,
     MaskErrors,
     confusions,
     noisy_mask,
@@ -38,7 +37,7 @@ def test_a_boundary_is_shifted_all_around(disc, grown):
 
 
 def test_a_foot_is_cut_off_and_a_bag_is_added_where_they_are(disc, rng):
-    seen = Confusion((HalfDisc((32, 44), (0, 1), 30),), (58, 20, 5))
+    seen = Confusion((((32, 44), (0, 1), 30),), (58, 20, 5))
     mask = noisy_mask(disc[0], MaskErrors(wobble=0.0, notches=0), 1.0, rng, seen)
     assert not mask[46:].any() and (mask[36:42, 28:36] > 0.9).all()  # below the ankle; above it
     assert mask[20, 58] == 1 and mask[20, 52] == 1  # outside the ball

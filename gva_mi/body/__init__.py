@@ -4,7 +4,7 @@
 ``pose``            ``Pose`` and ``Shape``, and their files
 ``smplx``           the parametric body: from shape and pose to vertices and joints
 ``body_file``       body files of SMPL-X, SMPL+H and SMPL
-``smpl``            the older formats and their poses on SMPL-X's joints
+``smpl``            body files of the older formats on SMPL-X's joints
 ``built_in, anny``  the two bodies that need no licence
 ``kinematics``      from joint rotations to rigid transforms
 ``so3``             composition of rotations
@@ -18,7 +18,6 @@
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape, load_poses, save_poses
 from gva_mi.body.skinning import skin_points
-from gva_mi.body.smpl import keep_pelvis, pose_from_smpl, pose_from_smplh
 from gva_mi.body.smplx import BodyModel, Posed, Rest, load_body
 
 __all__ = [
@@ -30,11 +29,8 @@ __all__ = [
     "Rest",
     "Shape",
     "joint_transforms",
-    "keep_pelvis",
     "load_body",
     "load_poses",
-    "pose_from_smpl",
-    "pose_from_smplh",
     "save_poses",
     "skin_points",
 ]

@@ -1,4 +1,4 @@
-"""SMPL and SMPL+H: files and poses on SMPL-X's 55 joints.
+"""SMPL and SMPL+H: their body files on SMPL-X's 55 joints.
 
 All three formats share the first 22 joints:
 
@@ -13,25 +13,16 @@ SMPL-X    55      jaw, two eyes, 15 joints per hand
 A file is *lifted* to 55 joints: missing joints get no skinning weights, and the mitten becomes the
 middle finger's first knuckle. The lifted body is exactly the old one.
 
-What a pose keeps on its way to SMPL-X (:func:`pose_from_smpl`, :func:`pose_from_smplh`):
-
-* global and body rotations are kept, because rest poses and axes agree;
-* SMPL+H's fingers are kept; SMPL's hands become flat;
-* jaw, eyes and expression are zero;
-* **betas are not converted**, because the shape spaces differ: fit them again, or start from zero;
-* ``transl`` has another meaning, because each body rotates about its own pelvis: see
-  :func:`keep_pelvis`.
+Poses of these formats are converted by :mod:`gva_mi.data.importers`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, Pose
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 
 _MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
 
@@ -80,44 +71,6 @@ def lift(arrays: dict[str, np.ndarray], form: BodyFormat) -> dict[str, np.ndarra
     return arrays | lifted
 
 
-def pose_from_smpl(poses: Tensor, transl: Tensor, *, mittens: bool = False) -> Pose:
-    """Convert SMPL poses to 55 joints.
-
-    Args:
-        poses: (T, 72), global orientation and 23 body joints, axis-angle, radians.
-        transl: (T, 3) metres.
-        mittens: keep the two hand joints, for a body from an SMPL file; on SMPL-X they would
-            bend only the middle fingers.
-    """
-    rotations = _rotations("pose_from_smpl", poses, transl, SMPL)
-    if not mittens:
-        rotations[:, list(_MITTENS)] = 0
-    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
-
-
-def pose_from_smplh(poses: Tensor, transl: Tensor) -> Pose:
-    """Convert SMPL+H poses (T, 156), as AMASS stores them, to 55 joints.
-
-    They are global orientation, 21 body joints, left and right hand, axis-angle relative to the
-    flat hand, radians; ``transl`` (T, 3) in metres.
-    """
-    rotations = _rotations("pose_from_smplh", poses, transl, SMPLH)
-    return Pose(rotations, transl, poses.new_zeros(len(poses), 0))
-
-
-def keep_pelvis(pose: Pose, pelvis: Tensor, new_pelvis: Tensor) -> Pose:
-    """Translate a pose for another body so that the pelvis stays in place in the world.
-
-    A body rotates about its own pelvis at rest, and its posed pelvis is at ``pelvis + transl``.
-
-    Args:
-        pose: of the old body.
-        pelvis: (3,) the old body's pelvis at rest, ``old.rest(shape).joints[0]``, metres.
-        new_pelvis: (3,) the new body's.
-    """
-    return replace(pose, transl=pose.transl + pelvis - new_pelvis)
-
-
 def _relative(joint: int, known: dict[int, int]) -> int:
     """Return the joint if known, else its mitten, else its nearest known ancestor."""
     for hand, mitten in zip((LEFT_HAND, RIGHT_HAND), _MITTENS, strict=True):
@@ -126,15 +79,3 @@ def _relative(joint: int, known: dict[int, int]) -> int:
     while joint not in known:
         joint = PARENTS[joint]
     return joint
-
-
-def _rotations(caller: str, poses: Tensor, transl: Tensor, form: BodyFormat) -> Tensor:
-    """Check poses (T, 3 joints) of a format and convert them to rotations (T, 55, 3)."""
-    joints = len(form.joints)
-    if poses.ndim != 2 or poses.shape[1] != 3 * joints:
-        raise ValueError(f"{caller}(): poses must be (T, {3 * joints}), got {tuple(poses.shape)}")
-    if tuple(transl.shape) != (len(poses), 3):
-        raise ValueError(f"{caller}(): transl must be ({len(poses)}, 3), got {tuple(transl.shape)}")
-    rotations = poses.new_zeros(len(poses), len(JOINTS), 3)
-    columns = torch.tensor(form.joints)
-    return rotations.index_copy(1, columns, poses.unflatten(1, (joints, 3)))

@@ -6,12 +6,10 @@ Name                Channels  A pixel holds
 ``normal``          3         the shading normal, in camera or world space
 ``mask``            1         1 where a mesh is seen
 ``depth``           1         the distance from the sensor's plane, scene units
-``shape_index``     1         the number of the shape, from 1 in the order of ``scene.shapes()``
 ==================  ========  ==================================================================
 
 All are zero where no mesh is seen. A pixel is the mean over its area, and so ``depth`` divided by
-``mask`` is the mean depth of what is seen in it. Numbers have no mean: ``shape_index`` is that of
-the pixel's first ray, and has no derivative.
+``mask`` is the mean depth of what is seen in it.
 
 Camera space has OpenCV's axes, x right, y down, z forward: a surface that faces the camera has
 ``n_z < 0``. A normal is the mesh's own: on the inner side of an open mesh it points away.
@@ -24,7 +22,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-WIDTHS = {"normal": 3, "mask": 1, "depth": 1, "shape_index": 1}
+WIDTHS = {"normal": 3, "mask": 1, "depth": 1}
 SPACES = ("camera", "world")
 
 
@@ -73,7 +71,7 @@ class Channels:
     def values(
         self, n: mi.Vector3f, w: mi.Float, hit: mi.Bool, camera_world: mi.Matrix3f
     ) -> list[mi.Float]:
-        """Return the channels' values on rays; ``shape_index`` is zero.
+        """Return the channels' values on rays.
 
         Args:
             n: (R,) unit normals, world; zero where nothing is hit.
@@ -86,7 +84,6 @@ class Channels:
             "normal": list(n),
             "mask": [dr.select(hit, mi.Float(1), 0)],
             "depth": [dr.select(hit, w, 0)],
-            "shape_index": [mi.Float(0)],
         }
         return [value for kind in self.kinds for value in of_kind[kind]]
 

@@ -4,8 +4,8 @@
 
  * - channels
    - |string|
-   - What the image holds, in this order: some of ``normal`` (3 channels), ``mask``, ``depth`` and
-     ``shape_index``, as ``channels.py`` defines them. (Default: ``normal, mask``)
+   - What the image holds, in this order: some of ``normal`` (3 channels), ``mask`` and
+     ``depth``, as ``channels.py`` defines them. (Default: ``normal, mask``)
  * - space
    - |string|
    - Axes of the normals: ``camera`` (x right, y down, z forward) or ``world``. (Default:
@@ -39,8 +39,7 @@ of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains how.
 
 Note:
     There is no noise and ``seed`` has no effect. Not differentiable: the field of view and the
-    principal point, the channel ``shape_index``, and the lines in which the near and far planes
-    cut a mesh.
+    principal point, and the lines in which the near and far planes cut a mesh.
 """
 
 from __future__ import annotations

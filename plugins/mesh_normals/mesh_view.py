@@ -59,11 +59,7 @@ class MeshView:
 
     def image(self) -> mi.TensorXf:
         """Image of the view's channels, (H, W, C)."""
-        pixels = self.filter.develop(self.caster.values(self.seen))
-        channel = self.caster.channels.first("shape_index")
-        if channel is not None:
-            pixels[channel] = self._shape_index()
-        return self._tensor(pixels)
+        return self._tensor(self.filter.develop(self.caster.values(self.seen)))
 
     def tangent(
         self, d_positions: mi.Vector3f, d_to_world: mi.Matrix4f | None = None
@@ -153,14 +149,6 @@ class MeshView:
         """The normals of the image, (H W,)."""
         normal = self.caster.channels.first("normal")
         return mi.Vector3f(self._channels_of(self.image())[normal : normal + 3])
-
-    def _shape_index(self) -> mi.Float:
-        """The number of the shape that the first ray of each pixel meets, (H W,)."""
-        first = dr.arange(mi.UInt32, self.filter.width * self.filter.height) * self.filter.spp
-        hit = dr.gather(mi.Bool, self.seen.hit, first)
-        face = dr.gather(mi.UInt32, self.seen.face, first)
-        mesh = dr.gather(mi.UInt32, self.surface.topology.mesh_of_face, face)
-        return dr.select(hit, mi.Float(mesh + 1), 0)
 
     def _channels_of(self, image: mi.TensorXf) -> list[mi.Float]:
         """Split an image (H, W, C) into C arrays (H W,)."""

@@ -34,7 +34,6 @@ class Topology:
 
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
-    mesh_of_face: mi.UInt32  # (F,) number of the mesh that a face belongs to, from 0
     normal_count: int  # N
     flips: mi.Bool  # (N,) the normal points against the winding of its faces
     flat: np.ndarray  # (n,) faces without area, which are left out of the edges
@@ -82,34 +81,21 @@ class Topology:
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
         repeated = (corners.points == np.roll(corners.points, 1, axis=1)).any(1)
         flat = np.union1d(flat, np.flatnonzero(repeated))
-        edges = _Edges.of(corners, *live_sides(corners.points, flat, corners.places))
-        counts = [mesh.face_count() for mesh in meshes]
-        mesh_of_face = np.repeat(np.arange(len(meshes)), counts).astype(np.uint32)
         corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
-        columns = lambda array, of=mi.UInt32: tuple(
-            of(np.ascontiguousarray(column)) for column in array.T
-        )
         return Topology(
             vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
             first_face=_first_faces(meshes),
-            mesh_of_face=mi.UInt32(mesh_of_face),
             normal_count=N,
             flips=mi.Bool(corners.flips),
             flat=flat,
-            vertices=columns(vertices),
-            points=columns(corners.points),
-            normals=columns(normals),
-            ends=columns(edges.vertices),
-            end_points=columns(edges.points),
-            edge_faces=columns(edges.faces),
-            edge_runs=columns(edges.runs, mi.Bool),
-            is_closed=edges.is_closed and corners.outward,
-            crease=mi.Bool(edges.crease),
+            vertices=_columns(vertices),
+            points=_columns(corners.points),
+            normals=_columns(normals),
             corners_of_vertex=Segments.by_owner(vertices.reshape(-1), V),
             corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
             corners_of_normal=corners_of_normal,
             faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
-            ends_of_vertex=Segments.by_owner(edges.vertices.reshape(-1), V),
+            **_edges(corners, *live_sides(corners.points, flat, corners.places)),
         )
 
 
@@ -208,54 +194,51 @@ def _is_back(points: np.ndarray) -> np.ndarray:
     return first[kind[1]] < face
 
 
-@dataclass(frozen=True)
-class _Edges:
-    """The edges between points, and the faces at them."""
+def _columns(array: np.ndarray, of: type = mi.UInt32) -> tuple:
+    """Split an array (n, k) into Mitsuba's arrays (n,)."""
+    return tuple(of(np.ascontiguousarray(column)) for column in array.T)
 
-    vertices: np.ndarray  # (E, 2) at the ends
-    points: np.ndarray  # (E, 2) at the ends, the lower one first
-    faces: np.ndarray  # (E, K) at the edge, the first repeated to fill up
-    runs: np.ndarray  # (E, K) whether that face runs from the first end to the second
-    crease: np.ndarray  # (E,) whether the faces have other normals at the ends
-    is_closed: bool  # all edges have two faces
 
-    @staticmethod
-    def of(corners: _Corners, ends: np.ndarray, live: np.ndarray, owner: np.ndarray) -> _Edges:
-        """Gather the sides of faces by their points, as :func:`live_sides` finds them."""
-        tail, head = np.arange(3), np.array([1, 2, 0])
-        points = corners.points
-        sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
-        forward = sides[:, 0] < sides[:, 1]
-        # A face with two corners at one place has a side of no length.
-        has_length = live & (sides[:, 0] != sides[:, 1])
-        key = sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1)
-        key = np.where(has_length, key, -1)
-        order = np.argsort(key, kind="stable")
-        order = order[key[order] >= 0]
-        begins = np.flatnonzero(np.diff(key[order], prepend=-1))
-        counts = np.diff(begins, append=len(order))
+def _edges(
+    corners: _Corners, ends: np.ndarray, live: np.ndarray, owner: np.ndarray
+) -> dict[str, object]:
+    """Return the fields of edges, from the sides of faces as :func:`live_sides` finds them."""
+    tail, head = np.arange(3), np.array([1, 2, 0])
+    points = corners.points
+    sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)
+    forward = sides[:, 0] < sides[:, 1]
+    # A face with two corners at one place has a side of no length.
+    has_length = live & (sides[:, 0] != sides[:, 1])
+    key = sides.min(axis=1) * (points.max() + 1) + sides.max(axis=1)
+    key = np.where(has_length, key, -1)
+    order = np.argsort(key, kind="stable")
+    order = order[key[order] >= 0]
+    begins = np.flatnonzero(np.diff(key[order], prepend=-1))
+    counts = np.diff(begins, append=len(order))
 
-        def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
-            """Return a numbering of corners at both ends of some sides, the lower point first."""
-            face, k = side // 3, side % 3
-            pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
-            return np.where(forward[side][:, None], pair, pair[:, ::-1])
+    def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
+        """Return a numbering of corners at both ends of some sides, the lower point first."""
+        face, k = side // 3, side % 3
+        pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
+        return np.where(forward[side][:, None], pair, pair[:, ::-1])
 
-        first = order[begins]
-        faces, runs = [], []
-        crease = np.zeros(len(begins), bool)
-        for k in range(counts.max(initial=1)):
-            side = order[begins + np.minimum(k, counts - 1)]
-            side = np.where(k < counts, side, first)
-            faces.append(owner[side])
-            runs.append(ends[side, 0] < ends[side, 1])
-            differs = at_ends(corners.normals, side) != at_ends(corners.normals, first)
-            crease |= differs.any(axis=1) | (owner[side] != side // 3)
-        return _Edges(
-            vertices=at_ends(corners.vertices, first),
-            points=at_ends(points, first),
-            faces=np.stack(faces, axis=1),
-            runs=np.stack(runs, axis=1),
-            crease=crease,
-            is_closed=bool((counts == 2).all()),
-        )
+    first = order[begins]
+    faces, runs = [], []
+    crease = np.zeros(len(begins), bool)
+    for k in range(counts.max(initial=1)):
+        side = order[begins + np.minimum(k, counts - 1)]
+        side = np.where(k < counts, side, first)
+        faces.append(owner[side])
+        runs.append(ends[side, 0] < ends[side, 1])
+        differs = at_ends(corners.normals, side) != at_ends(corners.normals, first)
+        crease |= differs.any(axis=1) | (owner[side] != side // 3)
+    vertices = at_ends(corners.vertices, first)
+    return {
+        "ends": _columns(vertices),
+        "end_points": _columns(at_ends(points, first)),
+        "edge_faces": _columns(np.stack(faces, axis=1)),
+        "edge_runs": _columns(np.stack(runs, axis=1), mi.Bool),
+        "crease": mi.Bool(crease),
+        "is_closed": bool((counts == 2).all()) and corners.outward,
+        "ends_of_vertex": Segments.by_owner(vertices.reshape(-1), corners.V),
+    }

@@ -80,7 +80,7 @@ def shots(options: CameraPath, rig: Rig, motion: Pose, held: int = 0) -> list[Ca
     T, still = len(motion), options.path == "turntable"
     count = options.frames or (_TURN if still else T)
     frames = [held if still else k % T for k in range(count)]
-    around = _cylinder(rig, motion[held] if still else motion[: max(frames) + 1])
+    around = cylinder(rig, motion[held] if still else motion[: max(frames) + 1])
     width, height = options.size
     focal = _FOCAL * max(width, height)
     fits = max(around.height / height, 2 * around.radius / width) * focal
@@ -103,7 +103,7 @@ def shots(options: CameraPath, rig: Rig, motion: Pose, held: int = 0) -> list[Ca
 
 
 @dataclass(frozen=True)
-class _Cylinder:
+class UprightCylinder:
     """The upright cylinder that contains a motion."""
 
     centre: np.ndarray  # (3,) metres, world
@@ -114,7 +114,7 @@ class _Cylinder:
 
 
 @torch.no_grad()
-def _cylinder(rig: Rig, motion: Pose) -> _Cylinder:
+def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
     """Measure the cylinder around a motion."""
     maps = joint_transforms(motion.rotations, rig.joints, rig.parents, motion.transl)
     some = slice(None, None, _EVERY)
@@ -134,4 +134,4 @@ def _cylinder(rig: Rig, motion: Pose) -> _Cylinder:
     low, high = seen.min(0), seen.max(0)
     middle = (low + high) / 2
     radius = float(np.linalg.norm((seen - middle)[:, [0, 2]], axis=1).max())
-    return _Cylinder(middle @ axes, up, front, radius, float(high[1] - low[1]))
+    return UprightCylinder(middle @ axes, up, front, radius, float(high[1] - low[1]))

@@ -24,7 +24,7 @@ import torch
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.data.pictures import MOST_PIXELS
-from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.fit.camera_paths import CameraPath, cylinder, shots
 from gva_mi.splat import Camera, look_at
 
 Vector = tuple[float, float, float]
@@ -73,17 +73,9 @@ class Start:
 
 def start(rig: Rig, motion: Pose) -> Start:
     """Return a view from in front of the person that shows all of the motion."""
-    view, level = (
-        shots(CameraPath("static", elevation=degrees), rig, motion[:])[0].camera
-        for degrees in (CameraPath.elevation, 0.0)
-    )
-    position, ahead = view.position, view.T_camera_world[2, :3]
-    # Both cameras look at the middle of the motion, so it lies where their axes cross.
-    across = level.T_camera_world[2, :3]
-    A = np.stack([ahead, -across], axis=1)
-    depth = np.linalg.lstsq(A, level.position - position, rcond=None)[0][0]
-    fov = 2 * np.arctan(view.height / (2 * view.fy))
-    return Start(position, position + depth * ahead, -level.T_camera_world[1, :3], float(fov))
+    camera, around = shots(CameraPath("static"), rig, motion)[0].camera, cylinder(rig, motion)
+    fov = 2 * np.arctan(camera.height / (2 * camera.fy))
+    return Start(camera.position, around.centre, around.up, float(fov))
 
 
 def lens(fov: float, width: int, height: int, T_camera_world: np.ndarray) -> Camera:

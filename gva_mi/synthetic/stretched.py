@@ -27,39 +27,29 @@ ASYMMETRY = 0.005  # difference of the factors of left and right
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
 
-@dataclass(frozen=True)
-class BodySegment:
-    """A part of the body with one stretch."""
+_X, _Y, _Z = np.eye(3)
+# Parts of the body with one stretch. At strength 1, factors lie within 1 ± spread.
+SEGMENTS: tuple[tuple[float, np.ndarray | None, tuple[str, ...]], ...] = (
+    # spread; direction of the length, None: joint to joint; joints, without the side of paired ones
+    (0.05, _Y, ("pelvis", "spine1", "spine2", "spine3")),  # torso
+    (0.05, None, ("collar",)),
+    (0.05, None, ("neck",)),
+    (0.03, _Y, ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")),
+    (0.05, None, ("hip",)),  # thigh
+    (0.05, None, ("knee",)),  # shin
+    (0.08, _Z, ("ankle", "foot")),
+    (0.05, None, ("shoulder",)),  # upper arm
+    (0.05, None, ("elbow",)),  # forearm
+    (0.08, _X, ("wrist",)),  # hand
+    (0.08, None, tuple(f"{f}{k}" for f in _FINGERS for k in (1, 2, 3))),
+)
 
-    joints: tuple[str, ...]  # without their side if the segment is paired
-    spread: float  # at strength 1, factors lie within 1 ± spread
-    axis: tuple[float, float, float] | None  # direction of its length; None: joint to joint
-    paired: bool = True  # one on each side
 
-    @property
-    def names(self) -> list[list[str]]:
-        """Names of its joints, on each side."""
-        if not self.paired:
-            return [list(self.joints)]
-        return [[f"{side}_{name}" for name in self.joints] for side in ("left", "right")]
-
-
-_Y, _Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-SEGMENTS: Mapping[str, BodySegment] = {
-    "torso": BodySegment(("pelvis", "spine1", "spine2", "spine3"), 0.05, _Y, paired=False),
-    "shoulder": BodySegment(("collar",), 0.05, None),
-    "neck": BodySegment(("neck",), 0.05, None, paired=False),
-    "head": BodySegment(
-        ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf"), 0.03, _Y, paired=False
-    ),
-    "thigh": BodySegment(("hip",), 0.05, None),
-    "shin": BodySegment(("knee",), 0.05, None),
-    "foot": BodySegment(("ankle", "foot"), 0.08, _Z),
-    "upper arm": BodySegment(("shoulder",), 0.05, None),
-    "forearm": BodySegment(("elbow",), 0.05, None),
-    "hand": BodySegment(("wrist",), 0.08, (1.0, 0.0, 0.0)),
-    "fingers": BodySegment(tuple(f"{f}{k}" for f in _FINGERS for k in (1, 2, 3)), 0.08, None),
-}
+def _sides(joints: tuple[str, ...]) -> list[list[str]]:
+    """Return the joints of a segment on each side; those of the middle once."""
+    if joints[0] in JOINTS:
+        return [list(joints)]
+    return [[f"{side}_{name}" for name in joints] for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
@@ -73,10 +63,10 @@ class BodyStretch:
     def draw(rng: np.random.Generator, strength: float = 1.0) -> BodyStretch:
         """Draw proportions, left and right nearly alike; strength 0 changes nothing."""
         length, thickness = {}, {}
-        for segment in SEGMENTS.values():
-            both = segment.spread * rng.uniform(-1, 1, 2)
-            for names in segment.names:
-                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if segment.paired else 0.0)
+        for spread, _, joints in SEGMENTS:
+            both, sides = spread * rng.uniform(-1, 1, 2), _sides(joints)
+            for names in sides:
+                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
                 for joint in names:
                     length[joint], thickness[joint] = (1 + strength * (both + own)).tolist()
         return BodyStretch(length, thickness)
@@ -103,9 +93,9 @@ def stretched(body: BodyModel, stretch: BodyStretch) -> BodyModel:
 def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
     """Return A of eq. 1, (55, 3, 3), for rest joints (55, 3)."""
     maps = np.zeros((len(JOINTS), 3, 3))
-    for segment in SEGMENTS.values():
-        for joint in chain(*segment.names):
-            a = np.array(segment.axis or _bone(joints, joint))
+    for _, axis, names in SEGMENTS:
+        for joint in chain(*_sides(names)):
+            a = _bone(joints, joint) if axis is None else axis
             length, thickness = stretch.length[joint], stretch.thickness[joint]
             along = (length - thickness) * np.outer(a, a)
             maps[JOINTS.index(joint)] = thickness * np.eye(3) + along

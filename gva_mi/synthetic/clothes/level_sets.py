@@ -123,7 +123,7 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
     from skimage.measure import marching_cubes
 
     field = np.pad(field, 1, constant_values=1.0)  # closed at the block's border
-    vertices, faces, _, _ = marching_cubes(field, 0.0, gradient_direction="ascent")
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     parts = trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(faces)))
     parts = [p for p in parts if len(p) > _CRUMB]
@@ -133,13 +133,8 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
     if uncut is not None:
         depth = map_coordinates(uncut, vertices.T, order=1, mode="nearest")
         shade = 1 - 0.65 * smoothstep(-depth, 0.006, 0.014) - 0.2 * smoothstep(-depth, 0.014, 0.04)
-    faces = faces.reshape(-1, 3)
-    vertices = vertices * grid.cell + grid.lo
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    if np.einsum("fc,fc->", a, np.cross(b, c)) < 0:
-        faces = faces[:, ::-1]
-    faces = np.ascontiguousarray(faces)
-    return RestMesh(vertices.astype(np.float32), faces, shade.astype(np.float32))
+    vertices = (vertices * grid.cell + grid.lo).astype(np.float32)
+    return RestMesh(vertices, faces.reshape(-1, 3), shade.astype(np.float32))
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

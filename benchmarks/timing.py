@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import drjit as dr
 
+from gva_mi.core.console import aligned
+
 WARM_UP = 2  # calls before the first that counts: they compile and allocate
 
 
@@ -40,14 +42,8 @@ class Table:
 
     def __str__(self) -> str:
         cells = [list(self.rows[0]), *([_cell(v) for v in row.values()] for row in self.rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = []
-        texts = [isinstance(value, str) for value in self.rows[0].values()]
-        for row in cells:
-            each = zip(row, widths, texts, strict=True)
-            aligned = [f"{c:{w}}" if text else f"{c:>{w}}" for c, w, text in each]
-            lines.append("  ".join(aligned).rstrip())
-        return "\n".join([f"{self.title}:", *lines])
+        texts = [k for k, value in enumerate(self.rows[0].values()) if isinstance(value, str)]
+        return "\n".join([f"{self.title}:", *aligned(cells, texts)])
 
 
 class Clock:

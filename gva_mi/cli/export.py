@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -16,7 +16,7 @@ from gva_mi.avatar.formats.gltf import save_gltf
 from gva_mi.avatar.formats.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.cli.driving import motion_of
 from gva_mi.cli.gaussian_files import COMPRESSED, SAVE, save_gaussians
 from gva_mi.cli.series import HASH, hash_of, series
@@ -129,11 +129,10 @@ def _suffix(out: Path) -> str:
 def _require_meant(suffix: str, options: ExportOptions) -> None:
     """Raise an InputError for options that have no effect on the format."""
     kind = suffix or "a folder"
-    for field in fields(options):
-        meant = [name or "a folder" for name, f in FORMATS.items() if field.name in f.options]
-        if getattr(options, field.name) != field.default and kind not in meant:
-            option, others = field.name.replace("_", "-"), " and ".join(meant)
-            raise InputError(f"export: --{option} is for {others}, not for {kind}")
+    for name, option in given(options).items():
+        meant = [suffix or "a folder" for suffix, f in FORMATS.items() if name in f.options]
+        if kind not in meant:
+            raise InputError(f"export: {option} is for {' and '.join(meant)}, not for {kind}")
 
 
 def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> Work:

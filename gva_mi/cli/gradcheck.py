@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional
 
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Seed, Within, require_ranges
 from gva_mi.gradcheck.avatar import check_avatar
-from gva_mi.gradcheck.chain import PosedAvatar
 from gva_mi.gradcheck.engine import Report, write_reports
 from gva_mi.gradcheck.normals import COORDINATES, check_normals
 from gva_mi.gradcheck.picture import write_picture
+from gva_mi.gradcheck.posed_avatar import PosedAvatar
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
@@ -59,13 +59,11 @@ class GradcheckOptions:
         """Raise an InputError for an option or a file that only another check has."""
         if what == "normals" and self.count is not None:
             Within(1, len(COORDINATES)).require("gradcheck normals", "count", self.count)
-        given = {f.name for f in fields(self) if getattr(self, f.name) != f.default}
-        given |= {name for name, path in files.items() if path is not None}
-        for name in sorted(given & ONLY.keys()):
-            if what not in ONLY[name]:
-                option = name.replace("_", "-")
+        named = {name: f"--{name}" for name, path in files.items() if path is not None}
+        for name, option in (given(self) | named).items():
+            if what not in ONLY.get(name, (what,)):
                 raise InputError(
-                    f"gradcheck {what}: there is no --{option}; it is an option of "
+                    f"gradcheck {what}: there is no {option}; it is an option of "
                     f"`gva-mi gradcheck {ONLY[name][0]}`"
                 )
 
@@ -87,8 +85,8 @@ def gradcheck(
     """Compare the gradients of the renderer, of an avatar or of rendered normals with references.
 
     splat: the renderer against its reference implementation and central differences, in small
-    windows of a picture. avatar: the whole chain from a pose to the picture, and every link of it,
-    against differences and tangents. normals: mesh_normals by the body's pose against an exact
+    windows of a picture. avatar: the whole chain from a pose to the picture against differences and
+    tangents. normals: mesh_normals by the body's pose against an exact
     reference. Ends with an error where a gradient is wrong, less accurate than allowed, or missing.
 
     Args:

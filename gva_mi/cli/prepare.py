@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
@@ -19,6 +19,7 @@ from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, nth_person, prepare_film
 
+OF_FILMS = ("body", "person", "lens")  # of PrepareOptions
 _HELP = (
     f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
     f"data set: {', '.join(DATASETS)}; "
@@ -49,9 +50,11 @@ def prepare(
     if kind not in ("auto", FILM) and kind not in (kinds := {**KINDS, **DATASETS}):
         raise InputError(f"prepare: kind must be auto, {FILM}, {', '.join(kinds)}; got {kind}")
     if kind == FILM:
-        _require_of_film(options)
-    elif film != FilmOptions():
-        raise InputError(f"prepare: {_given(film, FilmOptions())} is for a {FILM}; got {kind}")
+        wrong = [option for name, option in given(options).items() if name not in OF_FILMS]
+        if wrong:
+            raise InputError(f"prepare: {wrong[0]} is not for a {FILM}")
+    elif wrong := given(film):
+        raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {FILM}; got {kind}")
     elif options.body is None:
         raise InputError("prepare: give --body, the body of the poses; puppet is the built-in one")
     body = None if kind == FILM else TargetBody.read(options.body)
@@ -68,17 +71,3 @@ def prepare(
     for note in notes:
         say(f"{source}: {note}")
     say(f"subject: {out}")
-
-
-def _require_of_film(options: PrepareOptions) -> None:
-    """Raise an InputError for an option that is not for films."""
-    allowed = ("body", "person", "lens")
-    plain = PrepareOptions(**{name: getattr(options, name) for name in allowed})
-    if options != plain:
-        raise InputError(f"prepare: {_given(options, plain)} is not for a {FILM}")
-
-
-def _given(options: object, plain: object) -> str:
-    """Return the first option that differs, as on the command line."""
-    changed = (name for name, value in vars(options).items() if value != vars(plain)[name])
-    return f"--{next(changed).replace('_', '-')}"

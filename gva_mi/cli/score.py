@@ -10,12 +10,13 @@ from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Switch, body_of
-from gva_mi.core.console import bar, say
+from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import LpipsNetwork, find_weights
+from gva_mi.study.page import number
 from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
 from gva_mi.study.score_pictures import RegionScores, score_pictures
 from gva_mi.study.scores import Scorer
@@ -64,7 +65,7 @@ def score(
     scorer = Scorer(find_weights().of_lpips(lpips))
     with bar("score") as progress:
         rows = score_pictures(pairs, scorer, progress)
-    for line in _lines(rows, scorer.network):
+    for line in aligned(_cells(rows, scorer.network), left=(0, 1)):
         say(line)
     if out is not None:
         table = [asdict(row) for row in rows]
@@ -72,11 +73,10 @@ def score(
         say(f"figures: {out}")
 
 
-def _lines(rows: Sequence[RegionScores], network: str | None) -> Iterator[str]:
-    """Yield the table, a line a region and protocol."""
+def _cells(rows: Sequence[RegionScores], network: str | None) -> Iterator[Sequence[str]]:
+    """Yield the head of the table, and a row for each region and protocol."""
     name = f"LPIPS-{network}" if network else "LPIPS"
-    yield f"{'':8}{'':9}{'PSNR, dB':>9}{'SSIM':>8}{name:>14}{'rand_vgg':>10}  pictures"
+    yield "", "", "PSNR, dB", "SSIM", name, "rand_vgg", "pictures"
     for row in rows:
-        lpips, vgg = ("" if x is None else f"{x:.4f}" for x in (row.lpips, row.rand_vgg))
-        figures = f"{row.psnr:9.2f}{row.ssim:8.4f}{lpips:>14}{vgg:>10}"
-        yield f"{row.region:8}{row.protocol:9}{figures}  {row.count}"
+        known = (number(x, 4) for x in (row.ssim, row.lpips, row.rand_vgg))
+        yield row.region, row.protocol, number(row.psnr, 2), *known, str(row.count)

@@ -13,7 +13,7 @@ from tyro.conf import arg, subcommand
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.atomic import require_writable
-from gva_mi.core.console import bar, say
+from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, require_ranges
@@ -22,7 +22,6 @@ from gva_mi.core.tasks import workers as local_workers
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
-from gva_mi.study.page import Table
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
 from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
@@ -119,7 +118,7 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
         say(title)
         written = tables(made.kind, own)
         for table in written if summarise is refine_cells else written[:1]:
-            for line in _lines(table):
+            for line in aligned([table.head, *table.rows]):
                 say(line)
     settings = {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
@@ -175,12 +174,3 @@ def _chosen(what: _Choice) -> list[StudyCase]:
     if not chosen:
         raise InputError("study: no case has both one of these error models and these subjects")
     return chosen
-
-
-def _lines(table: Table) -> Iterator[str]:
-    """Format a table as aligned lines."""
-    cells = [table.head, *table.rows]
-    widths = [max(len(cell) for cell in column) for column in zip(*cells, strict=True)]
-    for first, *others in cells:
-        padded = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-        yield "  ".join([first.ljust(widths[0]), *padded]).rstrip()

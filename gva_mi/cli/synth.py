@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
@@ -57,10 +56,8 @@ def synth(
 def _require_noise_alone(options: SynthOptions) -> None:
     """Raise an InputError if options are given that do not belong to the error model."""
     ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
-    plain = asdict(SynthOptions(**ours))
-    for name, value in asdict(options).items():
-        if value != plain[name]:
-            raise InputError(
-                f"synth: --{name.replace('_', '-')} is fixed by the recording of --like; "
-                "give --family, --seed and --noise alone"
-            )
+    for option in given(options, SynthOptions(**ours)).values():
+        raise InputError(
+            f"synth: {option} is fixed by the recording of --like; give --family, --seed and "
+            "--noise alone"
+        )

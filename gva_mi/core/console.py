@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import select
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Protocol, TextIO
@@ -117,3 +117,12 @@ def listed(frames: Sequence[int]) -> str:
         else:
             runs.append([k])
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+def aligned(rows: Iterable[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
+    """Return the lines of a table, with the columns ``left`` aligned left and others right."""
+    rows = list(rows)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    sides = ["<" if k in left else ">" for k in range(len(widths))]
+    cells = lambda row: (f"{x:{s}{w}}" for x, s, w in zip(row, sides, widths, strict=True))
+    return ["  ".join(cells(row)).rstrip() for row in rows]

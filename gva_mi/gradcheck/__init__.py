@@ -11,7 +11,7 @@ Every check returns a :class:`Report`, a list of comparisons with errors and tol
 ``engine.py``               comparisons by all methods, a report, its table and JSON
 ``probes.py``               directions, tangents and finite differences
 ``splat.py``                a renderer against the reference implementation
-``avatar.py``, ``chain.py`` an avatar, link by link from pose to picture
+``avatar.py``              an avatar from pose to picture (``posed_avatar.py``)
 ``normals.py``              ``mesh_normals`` by the body's pose, against ``scanlines.py``
                             and ``interior.py``
 ``picture.py``              what ``gva-mi gradcheck --out`` draws

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from gva_mi.core.console import aligned
 from gva_mi.core.files import write_json
 from gva_mi.gradcheck.probes import Probe, Tensors, gradients, leaves, tangents
 
@@ -28,49 +29,18 @@ class Comparison:
     worst: float  # greatest absolute error of an entry
     where: tuple[int, ...]  # its index; () for a derivative along a direction of all entries
     tolerance: float  # of the error
-    group: str = ""  # the part that was checked alone, such as a link of the avatar
 
     @staticmethod
-    def of(
-        method: str, name: str, found: Tensor, truth: Tensor, tolerance: float, group: str = ""
-    ) -> Comparison:
+    def of(method: str, name: str, found: Tensor, truth: Tensor, tolerance: float) -> Comparison:
         """Compare two tensors of one shape."""
         off = found - truth
         norm = float(truth.norm())
         error = float(off.norm()) / norm if norm else float(off.norm())
         if not off.numel():
-            return Comparison(method, name, error, 0.0, (), tolerance, group)
+            return Comparison(method, name, error, 0.0, (), tolerance)
         where = torch.unravel_index(off.abs().argmax(), off.shape)
         index = tuple(int(i) for i in where)
-        return Comparison(method, name, error, float(off.abs()[where]), index, tolerance, group)
-
-    @staticmethod
-    def along(
-        method: str,
-        name: str,
-        probe: Probe,
-        moves: Callable[[Tensor], Sequence[Tensor]],
-        weights: Iterable[Tensor],
-        gradient: Tensor,
-        tolerance: float,
-        group: str = "",
-    ) -> Comparison:
-        """Compare <w, J v> with <J^T w, v> for every direction v of a probe.
-
-        Args:
-            method, name, tolerance, group: as in the fields.
-            probe: the directions.
-            moves: from a direction v to J v, output by output.
-            weights: w of each output.
-            gradient: J^T w, of the input's shape.
-        """
-        found = [
-            sum(float((w * d.double()).sum()) for w, d in zip(weights, moves(v), strict=True))
-            for v in probe.directions()
-        ]
-        values = torch.tensor(found, dtype=torch.float64)
-        row = Comparison.of(method, name, values, probe.along(gradient), tolerance, group)
-        return replace(row, where=((), *probe.entries)[row.where[0]])
+        return Comparison(method, name, error, float(off.abs()[where]), index, tolerance)
 
     @property
     def passed(self) -> bool:
@@ -81,11 +51,6 @@ class Comparison:
     def coarse(self) -> bool:
         """Whether float32 lost digits here without any other error."""
         return not self.passed and self.method.endswith("f32") and self.error < COARSE
-
-    @property
-    def label(self) -> str:
-        """Group and name."""
-        return f"{self.group}: {self.name}" if self.group else self.name
 
 
 @dataclass(frozen=True)
@@ -98,7 +63,6 @@ class Check:
     truth: Tensors  # the true gradients by the inputs
     probes: dict[str, Probe]  # directions of each input
     band: Tensor  # (H, W) bool, pixels at a step of the picture, which are left out
-    group: str = ""  # of the comparisons
 
     def methods(
         self, function: Images, label: str, image: float, adjoint: float, tangent: float
@@ -116,21 +80,41 @@ class Check:
         for (name, true), found in zip(self.images.items(), images, strict=True):
             inside = ~self.band.view(*self.band.shape, *[1] * (true.ndim - 2))
             shown = found.detach().double() * inside, true * inside
-            yield Comparison.of(method, name, *shown, image, self.group)
+            yield Comparison.of(method, name, *shown, image)
         found = gradients(images, inputs, [w.to(dtype) for w in self.weights.values()])
         for name, gradient in found.items():
             true = self.truth[name]
-            yield Comparison.of(method, name, gradient.double(), true, adjoint, self.group)
+            yield Comparison.of(method, name, gradient.double(), true, adjoint)
+        yield from self.tangents(function, label, tangent)
+
+    def tangents(self, function: Images, label: str, allowed: float) -> Iterator[Comparison]:
+        """Compare the tangents of a function by every input in one precision."""
+        inputs = leaves(self.values, PRECISIONS[label])
         for name in inputs:
             moves = partial(tangents, function, inputs, name)
-            yield self.along(f"tangent {label}", name, moves, tangent)
+            yield self.along(f"tangent {label}", name, moves, allowed)
 
     def along(
         self, method: str, name: str, moves: Callable[[Tensor], Sequence[Tensor]], allowed: float
     ) -> Comparison:
-        """Compare the derivatives of the images along the directions of an input."""
-        probe, w, gradient = self.probes[name], self.weights.values(), self.truth[name]
-        return Comparison.along(method, name, probe, moves, w, gradient, allowed, self.group)
+        """Compare <w, J v> with <J^T w, v> for every direction v of an input.
+
+        Args:
+            method, name: of the comparison, and of the input.
+            moves: from a direction v to J v, image by image.
+            allowed: the greatest error.
+        """
+        probe = self.probes[name]
+        found = [
+            sum(
+                float((w * d.double()).sum())
+                for w, d in zip(self.weights.values(), moves(v), strict=True)
+            )
+            for v in probe.directions()
+        ]
+        values = torch.tensor(found, dtype=torch.float64)
+        row = Comparison.of(method, name, values, probe.along(self.truth[name]), allowed)
+        return replace(row, where=((), *probe.entries)[row.where[0]])
 
 
 @dataclass(frozen=True)
@@ -157,21 +141,17 @@ class Report:
         if not failed:
             return f"all {len(self.rows)} comparisons pass"
         wrong = [row for row in failed if not row.coarse]
-        named = ", ".join(f"{row.method} of {row.label}" for row in wrong or failed)
+        named = ", ".join(f"{row.method} of {row.name}" for row in wrong or failed)
         return f"WRONG: {named}" if wrong else f"less accurate than allowed: {named}"
 
     def table(self) -> str:
         """All comparisons and the verdict as text."""
-        width = max([12, *(len(row.label) for row in self.rows)])
-        kind = max([12, *(len(row.method) for row in self.rows)])
-        heads = "".join(f" {title:>10}" for title in ("error", "allowed", "worst"))
-        lines = [f"{'method':{kind}} {'of':{width}}{heads}  at"]
+        rows = [("method", "of", "error", "allowed", "worst", "at", "")]
         for row in self.rows:
-            figures = "".join(f" {x:10.1e}" for x in (row.error, row.tolerance, row.worst))
-            where = list(row.where) if row.where else "a direction"
-            failed = "" if row.passed else "  <- FAILS"
-            lines.append(f"{row.method:{kind}} {row.label:{width}}{figures}  {where}{failed}")
-        return "\n".join([*lines, *self.notes, self.verdict])
+            figures = (f"{x:.1e}" for x in (row.error, row.tolerance, row.worst))
+            where = str(list(row.where)) if row.where else "a direction"
+            rows.append((row.method, row.name, *figures, where, "" if row.passed else "<- FAILS"))
+        return "\n".join([*aligned(rows, left=(0, 1, 5)), *self.notes, self.verdict])
 
     def to_dict(self) -> dict:
         """The report for JSON."""

@@ -124,8 +124,8 @@ def check_normals(
                 for x in (found, truth)
             )
             if b.any():  # the mask does not change where a finger lies before the body
-                limit = LIMITS[name]
-                rows.append(Comparison.of("tangent f32", name, a, b, limit, str(coordinate)))
+                title = f"{coordinate}: {name}"
+                rows.append(Comparison.of("tangent f32", title, a, b, LIMITS[name]))
         yield rows
 
 

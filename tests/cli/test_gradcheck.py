@@ -40,8 +40,8 @@ def test_it_fails_where_a_gradient_is_wrong(scene, monkeypatch):
 
 
 def test_avatar_and_normals_write_one_table_each(monkeypatch, tmp_path, capsys):
-    right = Comparison("tangent f32", "mask", 1e-3, 1e-4, (), 1e-2, "a limb")
-    wrong = replace(right, error=0.1, name="boundary")
+    right = Comparison("tangent f32", "a limb: mask", 1e-3, 1e-4, (), 1e-2)
+    wrong = replace(right, error=0.1, name="a limb: boundary")
     monkeypatch.setattr(command.PosedAvatar, "random", lambda seed, body: None)
     monkeypatch.setattr(command, "check_avatar", lambda *a, **k: Report((right,), "an avatar"))
     gradcheck("avatar", GradcheckOptions(2, seed=3), out=tmp_path)

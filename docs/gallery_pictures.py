@@ -18,11 +18,10 @@ import numpy as np
 from PIL import Image
 
 from gva_mi.data.pictures import read_image
-from gva_mi.study.page import around
+from gva_mi.study.regions import person_box
 
 SIZE = ("240", "340")  # pixels of one picture
 SHOWN = 6
-MARGIN = 8  # pixels around the person
 
 
 def gva_mi(*words: str | Path) -> None:
@@ -35,10 +34,10 @@ def in_a_row(pictures: list[Path]) -> np.ndarray:
     """Lay pictures side by side, each cut to what is not white, all to the same rows."""
     images = [read_image(path, 3) for path in pictures]
     drawn = [image.min(-1) < 250 for image in images]
-    rows = around(np.any(drawn, axis=0), MARGIN)[0]
-    cut = [
-        image[rows, around(inside, MARGIN)[1]] for image, inside in zip(images, drawn, strict=True)
-    ]
+    all_rows, cut = person_box(np.any(drawn, axis=0)), []
+    for image, inside in zip(images, drawn, strict=True):
+        own = person_box(inside)
+        cut.append(image[all_rows.top : all_rows.bottom, own.left : own.right])
     return np.concatenate(cut, axis=1)
 
 

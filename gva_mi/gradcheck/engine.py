@@ -12,7 +12,7 @@ from torch import Tensor
 
 from gva_mi.core.console import aligned
 from gva_mi.core.files import write_json
-from gva_mi.gradcheck.probes import Probe, Tensors, gradients, leaves, tangents
+from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, gradients, leaves, tangents
 
 Images = Callable[[Tensors], Sequence[Tensor]]
 PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
@@ -132,17 +132,17 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """The result in one sentence."""
-        return f"{self.finding()} ({self.subject})"
-
-    def finding(self) -> str:
-        """The verdict without the scene."""
+        """The result in one sentence; a different image comes before its gradients."""
         failed = [row for row in self.rows if not row.passed]
         if not failed:
-            return f"all {len(self.rows)} comparisons pass"
+            return f"all {len(self.rows)} comparisons pass ({self.subject})"
         wrong = [row for row in failed if not row.coarse]
         named = ", ".join(f"{row.method} of {row.name}" for row in wrong or failed)
-        return f"WRONG: {named}" if wrong else f"less accurate than allowed: {named}"
+        if not wrong:
+            return f"less accurate than allowed: {named} ({self.subject})"
+        images = ", ".join(x for x in IMAGES if any(row.name == x for row in wrong))
+        first = f"your image differs in {images}; " if images else ""
+        return f"WRONG: {first}{named} ({self.subject})"
 
     def table(self) -> str:
         """All comparisons and the verdict as text."""

@@ -33,7 +33,6 @@ from torch import Generator
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.engine import PRECISIONS, Check, Comparison, Report
 from gva_mi.gradcheck.probes import (
-    IMAGES,
     Probe,
     Renderer,
     Tensors,
@@ -92,19 +91,9 @@ class RendererReport(Report):
 
     pixels: int = 0
     band: int = 0  # pixels at a step, left out
-    band_error: float = 0.0  # greatest error of the float32 image in them
     gaussians: int = 0
     rounding: dict[str, float] = field(default_factory=dict)  # see the module's docstring
     maps: Maps | None = field(default=None, repr=False)
-
-    def finding(self) -> str:
-        """The verdict without the scene; a different image first: its gradients differ, too."""
-        wrong = [row.name for row in self.rows if not row.passed and not row.coarse]
-        images = [name for name in IMAGES if name in wrong]
-        found = super().finding()
-        if not images:
-            return found
-        return found.replace("WRONG: ", f"WRONG: your image differs in {', '.join(images)}; ", 1)
 
     def table(self) -> str:
         """All comparisons as text, and how far the true gradient moves by rounding."""
@@ -117,7 +106,7 @@ class RendererReport(Report):
 
     def to_dict(self) -> dict:
         """The report for JSON, without the pictures."""
-        names = ("gaussians", "pixels", "band", "band_error", "rounding")
+        names = ("gaussians", "pixels", "band", "rounding")
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
 
@@ -154,19 +143,17 @@ def gradcheck(
         for image, true in zip(images, check.images.values(), strict=True)
     ]
     off, band = torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0), check.band
-    band_error = float(off[band].max()) if band.any() else 0.0
     count = len(scene.gaussians)
     subject = f"{count} Gaussians, {band.numel()} pixels"
     if band.any():
-        left_out = f"{int(band.sum())} at a step were left out (off by {band_error:.0e})"
-        subject = f"{subject} of which {left_out}"
+        worst = float(off[band].max())
+        subject += f" of which {int(band.sum())} at a step were left out (off by {worst:.0e})"
     return RendererReport(
         rows=tuple(rows),
         subject=subject,
         notes=tuple(notes),
         pixels=band.numel(),
         band=int(band.sum()),
-        band_error=band_error,
         gaussians=count,
         rounding=rounding if count else {},
         maps=Maps(check.images["color"].numpy(), (off * ~band).numpy(), band.numpy()),

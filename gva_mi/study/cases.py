@@ -105,6 +105,14 @@ class StudyCase:
         return "anny" if self.take.figure == "anny" and find_spec("anny") is None else None
 
 
+def _cases(takes: dict[str, Take], first: int, table: tuple[tuple, ...]) -> tuple[StudyCase, ...]:
+    """Return a case for each take, error model and (else True) normals; draws count from first."""
+    return tuple(
+        StudyCase(takes[key], noise, first + k, *normals)
+        for k, (key, noise, *normals) in enumerate(table)
+    )
+
+
 _TUNED = {
     "amira": Take("amira"),
     "dalia": Take("dalia"),
@@ -121,30 +129,14 @@ _TUNED = {
     "filmed everyday": Take(seed=28, motion="everyday", outfit="foreign", scene="room"),
     "filmed half": Take(seed=29, motion="half", scene="room"),
 }
-TUNING = (
-    StudyCase(_TUNED["amira"], "bursts", 1),
-    StudyCase(_TUNED["bare"], "bursts", 2),
-    StudyCase(_TUNED["dalia"], "white", 3),
-    StudyCase(_TUNED["0"], "white", 4),
-    StudyCase(_TUNED["2"], "lean", 5),
-    StudyCase(_TUNED["stretched"], "lean", 6),
-    StudyCase(_TUNED["amira"], "slow", 7),
-    StudyCase(_TUNED["outfit"], "slow", 8),
-    StudyCase(_TUNED["0"], "bursts", 9, normals=False),
-    StudyCase(_TUNED["still"], "lean", 10),
-    StudyCase(_TUNED["dance"], "bursts", 11),
-    StudyCase(_TUNED["outfit"], "masks", 12),
-    StudyCase(_TUNED["dalia"], "masks", 13),
-    StudyCase(_TUNED["2"], "mixed", 14),
-    StudyCase(_TUNED["stretched"], "outliers", 15),
-    StudyCase(_TUNED["dance"], "anything", 16),
-    StudyCase(_TUNED["outfit"], "anything", 17),
-    StudyCase(_TUNED["walk"], "outliers", 18),
-    StudyCase(_TUNED["everyday"], "outliers", 19),
-    StudyCase(_TUNED["filmed"], FILM, 20),
-    StudyCase(_TUNED["filmed everyday"], FILM, 21),
-    StudyCase(_TUNED["filmed half"], FILM, 22),
-)
+TUNING = _cases(_TUNED, 1, (
+    ("amira", "bursts"), ("bare", "bursts"), ("dalia", "white"), ("0", "white"), ("2", "lean"),
+    ("stretched", "lean"), ("amira", "slow"), ("outfit", "slow"), ("0", "bursts", False),
+    ("still", "lean"), ("dance", "bursts"), ("outfit", "masks"), ("dalia", "masks"),
+    ("2", "mixed"), ("stretched", "outliers"), ("dance", "anything"), ("outfit", "anything"),
+    ("walk", "outliers"), ("everyday", "outliers"), ("filmed", FILM), ("filmed everyday", FILM),
+    ("filmed half", FILM),
+))  # fmt: skip
 
 _JUDGED = {
     "bruno": Take("bruno"),
@@ -163,30 +155,13 @@ _JUDGED = {
     "filmed everyday": Take(seed=37, motion="everyday", outfit="foreign", scene="room"),
     "filmed half": Take(seed=38, motion="half", figure="stretched", scene="room"),
 }
-HELD_OUT = (
-    StudyCase(_JUDGED["bruno"], "bursts", 1000),
-    StudyCase(_JUDGED["everyday"], "bursts", 1001),
-    StudyCase(_JUDGED["11"], "white", 1002),
-    StudyCase(_JUDGED["half"], "white", 1003),
-    StudyCase(_JUDGED["12"], "slow", 1004),
-    StudyCase(_JUDGED["stretched"], "slow", 1005),
-    StudyCase(_JUDGED["edgar"], "mixed", 1006),
-    StudyCase(_JUDGED["anny"], "mixed", 1007),
-    StudyCase(_JUDGED["13"], "lean", 1008),
-    StudyCase(_JUDGED["bare"], "lean", 1009),
-    StudyCase(_JUDGED["bruno"], "shape", 1010),
-    StudyCase(_JUDGED["walk"], "outliers", 1011),
-    StudyCase(_JUDGED["11"], "focal", 1012),
-    StudyCase(_JUDGED["outfit"], "masks", 1013),
-    StudyCase(_JUDGED["12"], "normals", 1014),
-    StudyCase(_JUDGED["13"], "anything", 1015),
-    StudyCase(_JUDGED["outfit"], "anything", 1016),
-    StudyCase(_JUDGED["edgar"], "bursts", 1017, normals=False),
-    StudyCase(_JUDGED["filmed"], FILM, 1018),
-    StudyCase(_JUDGED["filmed everyday"], FILM, 1019),
-    StudyCase(_JUDGED["filmed half"], FILM, 1020),
-)
-
+HELD_OUT = _cases(_JUDGED, 1000, (
+    ("bruno", "bursts"), ("everyday", "bursts"), ("11", "white"), ("half", "white"),
+    ("12", "slow"), ("stretched", "slow"), ("edgar", "mixed"), ("anny", "mixed"), ("13", "lean"),
+    ("bare", "lean"), ("bruno", "shape"), ("walk", "outliers"), ("11", "focal"),
+    ("outfit", "masks"), ("12", "normals"), ("13", "anything"), ("outfit", "anything"),
+    ("edgar", "bursts", False), ("filmed", FILM), ("filmed everyday", FILM), ("filmed half", FILM),
+))  # fmt: skip
 
 _USUAL = Take(seed=140, scene="room")
 # One subject, filmed as usual, and with one thing changed at a time: how a film should be taken.

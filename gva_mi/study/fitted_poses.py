@@ -49,28 +49,27 @@ def with_fitted_poses(
     if similarity is not None:
         novel = views_of(video, ("novel_pose", "novel_view"), body)
         starts += aligned_views(novel, similarity, avatar.rig, body)
-    groups = _groups(starts)
-    counts = [sum(len(view.frames) for view in group) for group in groups]
-    options = {g[0].split: _pose_fit_options(n) for g, n in zip(groups, counts, strict=True)}
-    steps = [n * options[g[0].split].passes for g, n in zip(groups, counts, strict=True)]
-    rows, kept, seconds, fitted = [], {}, 0.0, 0
-    for done, group in enumerate(groups):
-        name = group[0].split
-        part = within(progress, sum(steps[:done]), steps[done], sum(steps))
+    plans = []
+    for group in _groups(starts):
         frames = sorted(frame for view in group for frame in view.frames)
-        found = fit_poses(avatar, group[0].video, options[name], frames, part)
+        plans.append((group, frames, _pose_fit_options(len(frames))))
+    steps = [len(frames) * options.passes for _, frames, options in plans]
+    rows, kept, made_with, seconds = [], {}, {}, 0.0
+    for done, (group, frames, options) in enumerate(plans):
+        name, part = group[0].split, within(progress, sum(steps[:done]), steps[done], sum(steps))
+        found = fit_poses(avatar, group[0].video, options, frames, part)
         posed = [v.through(lambda source, p=found.pose: replace(source, pose=p)) for v in group]
         rows += evaluate_views(avatar, posed, FITTED, scorer)
         kept |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
+        made_with[name] = asdict(options)
         seconds += found.seconds_per_frame * len(frames)
-        fitted += len(frames)
+    fitted = sum(len(frames) for _, frames, _ in plans)
     protocol = metrics.protocol
     if protocol is not None:
         kinds = {"test" if view.split in OF_VIDEO else "novel" for view in starts}
         names = (f"{kind} {what}" for kind in sorted(kinds) for what in SEEN_BY_FIT)
         by_fit = {name: [*protocol.seen.get(name, []), FITTED] for name in names}
         protocol = replace(protocol, seen=protocol.seen | by_fit)
-    made_with = {split: asdict(some) for split, some in options.items()}
     return replace(
         metrics,
         rows=(*metrics.rows, *rows),

@@ -101,43 +101,28 @@ class Protocol:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """All figures of a run."""
+    """All figures of a run; some are None in files of older versions."""
 
     rows: tuple[SplitScores, ...]
     refinement: PoseFigures  # all None if the poses were not refined by this program
     training: Training
-    options: dict[str, Any]  # of the fit
-    versions: dict[str, str]
-    protocol: Protocol | None = None  # None in files of older versions
+    protocol: Protocol | None = None
     similarity: dict[str, float] | None = None
     surface: tuple[SurfaceFigures, ...] = ()
-    pose_fit: PoseFit | None = None
     poses_mm: dict[str, dict[str, float]] = field(default_factory=dict)
-
-    @property
-    def seed(self) -> int:
-        """Seed of the fit."""
-        return self.options["seed"]
+    options: dict[str, Any]  # of the fit
+    versions: dict[str, str]
+    pose_fit: PoseFit | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``."""
         refinement = self.refinement.to_json()
         del refinement["iou_true_masks"]  # a figure of the refinement study
-        record = {
-            "rows": [asdict(row) for row in self.rows],
-            "refinement": refinement,
-            "training": asdict(self.training),
-            "protocol": asdict(self.protocol) if self.protocol else None,
-            "similarity": self.similarity,
-            "surface": [asdict(figures) for figures in self.surface],
-            "poses_mm": self.poses_mm,
-            "options": self.options,
-            "versions": self.versions,
-            "seed": self.seed,
-        }
-        return record | ({"pose_fit": asdict(self.pose_fit)} if self.pose_fit else {})
+        record = asdict(self) | {"refinement": refinement, "seed": self.options["seed"]}
+        fit = record.pop("pose_fit")
+        return record | ({"pose_fit": fit} if fit else {})
 
     @staticmethod
     def from_json(record: dict[str, Any]) -> Metrics:

@@ -20,7 +20,6 @@ from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.geometry import with_axes
 from gva_mi.study.evaluate import SplitView
-from gva_mi.study.page import around
 from gva_mi.study.pictures import ShownAvatar, truly_cut, turntable
 from gva_mi.study.regions import person_box
 
@@ -72,7 +71,7 @@ def _scaled(part: np.ndarray) -> np.ndarray:
     """Cut a picture to what is not white, and scale it to the height of a row."""
     from PIL import Image
 
-    cut = part[around(part.min(-1) < 250, len(part) // 50)]
+    cut = person_box(part.min(-1) < 250).cut(part)
     width = max(1, round(cut.shape[1] * HEIGHT / cut.shape[0]))
     resized = Image.fromarray(cut).resize((width, HEIGHT), Image.Resampling.LANCZOS)
     return np.asarray(resized)

@@ -121,18 +121,6 @@ def number(value: float | None, digits: int, sign: bool = False) -> str:
     return "–" if value is None else f"{value:{'+' if sign else ''}.{digits}f}"
 
 
-def around(inside: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns that hold all of a mask (H, W), and a margin."""
-    if not inside.any():
-        return slice(None), slice(None)
-    found = []
-    for axis in (1, 0):
-        where = np.flatnonzero(inside.any(axis))
-        low, high = where[0] - margin, where[-1] + 1 + margin
-        found.append(slice(max(0, low), min(inside.shape[1 - axis], high)))
-    return found[0], found[1]
-
-
 def _embedded(caption: str, data: io.BytesIO, kind: str) -> Picture:
     text = base64.b64encode(data.getvalue()).decode()
     return Picture(caption, f"data:image/{kind};base64,{text}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,27 +22,19 @@ from gva_mi.study.score_pictures import PicturePair
 Color = np.ndarray | None  # (3,) in [0, 1]; None: pictures stay as they are
 
 
-class Numbered(Mapping[int, np.ndarray]):
-    """Pictures (H, W, 3 or 4) 8-bit by number: of a folder's names, or in the order of a film."""
+Numbered = Mapping[int, Callable[[], np.ndarray]]  # pictures (H, W, 3 or 4) 8-bit by number
 
-    def __init__(self, source: Path) -> None:
-        files = files_of(source)
-        try:
-            self._files = None if files is None else {number_in(path): path for path in files}
-        except ValueError as error:
-            raise InputError(f"{source}: {error}; expected a frame's number in each") from None
-        self._film = Film(source) if files is None else ()
 
-    def __getitem__(self, number: int) -> np.ndarray:
-        if self._files is None:
-            return self._film[number]
-        return read_image(self._files[number], 4)
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(len(self._film)) if self._files is None else self._files)
-
-    def __len__(self) -> int:
-        return len(self._film) if self._files is None else len(self._files)
+def numbered(source: Path) -> Numbered:
+    """Open the pictures of a folder by the numbers in their names, or of a film in their order."""
+    files = files_of(source)
+    if files is None:
+        film = Film(source)
+        return {k: partial(film.__getitem__, k) for k in range(len(film))}
+    try:
+        return {number_in(path): partial(read_image, path, 4) for path in files}
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; expected a frame's number in each") from None
 
 
 def pairs_of_subject(
@@ -52,7 +45,7 @@ def pairs_of_subject(
     Raises:
         InputError: the subject has no frame of a render's number.
     """
-    rendered, details = Numbered(renders), Details.of(video, body)
+    rendered, details = numbered(renders), Details.of(video, body)
     _require_all(rendered, set(range(len(video))) - set(video.absent), video.folder)
 
     def pair(number: int) -> PicturePair:
@@ -60,7 +53,7 @@ def pairs_of_subject(
         mask = frame.mask if mask is None else mask
         picture = _on(color, in_8_bits(frame.image), mask)
         boxes = tuple(details.boxes(number))
-        return PicturePair(f"frame {number}", _on(color, rendered[number]), picture, mask, boxes)
+        return PicturePair(f"frame {number}", _on(color, rendered[number]()), picture, mask, boxes)
 
     return map(pair, rendered)
 
@@ -73,7 +66,7 @@ def pairs_of_pictures(
     Raises:
         InputError: there is no picture, or no mask, of a render's number.
     """
-    rendered, seen = Numbered(renders), Numbered(truth)
+    rendered, seen = numbered(renders), numbered(truth)
     _require_all(rendered, seen, truth)
     inside: dict[int, np.ndarray] = {}
     if masked is not None:
@@ -84,13 +77,13 @@ def pairs_of_pictures(
 
     def pair(number: int) -> PicturePair:
         mask = inside[number].astype(np.float32) / 255 if inside else None
-        pictures = _on(color, rendered[number]), _on(color, seen[number], mask)
+        pictures = _on(color, rendered[number]()), _on(color, seen[number](), mask)
         return PicturePair(f"frame {number}", *pictures, mask)
 
     return map(pair, rendered)
 
 
-def _require_all(rendered: Numbered, known: object, source: Path) -> None:
+def _require_all(rendered: Numbered, known: Container[int], source: Path) -> None:
     """Raise an InputError for the first render without a counterpart."""
     for number in rendered:
         if number not in known:

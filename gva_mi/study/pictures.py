@@ -25,8 +25,8 @@ from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
 from gva_mi.study.metrics import aligned_views
 from gva_mi.study.page import Picture, Section, picture
-from gva_mi.study.regions import close_ups, person_box
-from gva_mi.study.similarity import posed_joints, similarity_to_truth
+from gva_mi.study.regions import person_box
+from gva_mi.study.similarity import similarity_to_truth
 
 ZOOMED_PIXELS = 220  # about the side of an enlarged box
 DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
@@ -34,7 +34,10 @@ RED_AT = 64  # levels of 255 at which a difference is fully red
 SECTIONS: dict[Split, tuple[str, str]] = {
     "test": ("Test frames", "Frames that training left out, visible hands, and visible faces."),
     "held_out_range": ("The held-out range", "A stretch of frames that training left out."),
-    "novel_pose": ("Novel poses", "A motion that is not in the video, and close-ups."),
+    "novel_pose": (
+        "Novel poses",
+        "A motion that is not in the video, visible hands and faces.",
+    ),
     "novel_view": ("Novel views", "Frames of the video from cameras that never saw it."),
 }
 
@@ -108,7 +111,7 @@ def _of_split(
     view = avatars[0].views[split]
     for k in spread(view.frames, count):
         frame = truly_cut(view.video, k)
-        for what, box in _boxes(view, frame, avatars[0].avatar):
+        for what, box in _boxes(view, frame):
             times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
             row = [box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)]
             for shown in avatars:
@@ -120,14 +123,11 @@ def _of_split(
             yield picture(f"{case}, frame {k}{what}".strip(", "), np.concatenate(row, axis=1))
 
 
-def _boxes(view: SplitView, frame: Frame, avatar: Avatar) -> Iterator[tuple[str, Box]]:
-    """Yield the person's box, and boxes of details: hands and face in frames of the video."""
+def _boxes(view: SplitView, frame: Frame) -> Iterator[tuple[str, Box]]:
+    """Yield the person's box, and boxes of visible hands and faces."""
     yield "", person_box(frame.mask)
-    if view.split in OF_VIDEO and view.details is not None:
+    if view.details is not None and view.split != "novel_view":
         yield from ((f", {what}", box) for what, box in view.details.boxes(frame.index))
-    elif view.split == "novel_pose":
-        joints = posed_joints(avatar.rig, frame.pose)[0].detach().double().numpy()
-        yield from ((f", {part}", box) for part, box in close_ups(frame.camera, joints))
 
 
 def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:

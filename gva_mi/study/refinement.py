@@ -35,10 +35,11 @@ from gva_mi.data.video import REFINED_POSES, spread
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.study.measure import Evaluation, PoseFigures
-from gva_mi.study.page import around
+from gva_mi.study.regions import person_box
 
 REFINEMENT, OVERLAYS, PAGE = "refinement.json", "refinement.png", "refinement.html"
 SHOWN = 8  # frames in the picture
+MARGIN = 0.1  # around the person, a share of the longer side
 
 
 def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
@@ -94,7 +95,7 @@ def _by_split(evaluation: Evaluation) -> dict[str, dict]:
 
 @torch.no_grad()
 def overlays(
-    evaluation: Evaluation, shown: Sequence[int], margin: float
+    evaluation: Evaluation, shown: Sequence[int]
 ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
     """Yield frames, and pictures of each: as it is, and under every pose that is known.
 
@@ -103,7 +104,6 @@ def overlays(
     Args:
         evaluation: of a refinement.
         shown: frames.
-        margin: around the person in all of them, a share of the picture's height.
     """
     video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     poses = {
@@ -114,13 +114,13 @@ def overlays(
         poses["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
     scenes = {id(model): MeshScene(model.faces, model.v_template) for model, *_ in poses.values()}
     seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
-    part = around(seen, margin=int(len(seen) * margin))
+    part = person_box(seen if seen.any() else ~seen, MARGIN)
     for frame in video.frames(shown):
-        k, pictures = frame.index, {"the picture": frame.image[part]}
+        k, pictures = frame.index, {"the picture": part.cut(frame.image)}
         for name, (model, pose, shape, cameras) in poses.items():
             vertices = model(pose[k], shape).vertices[0]
             mesh = vertices, model.faces, scenes[id(model)]
-            pictures[name] = overlay(frame.image, cameras[k], *mesh)[part]
+            pictures[name] = part.cut(overlay(frame.image, cameras[k], *mesh))
         yield k, pictures
 
 
@@ -128,6 +128,6 @@ def _overlays(evaluation: Evaluation) -> np.ndarray:
     """Draw bodies over evenly spaced frames, stage 1 above, refined below, in 8 bits."""
     video = evaluation.video
     shown = spread([k for k in range(len(video)) if k not in video.absent], SHOWN)
-    pictures = overlays(evaluation, shown, margin=1 / 16)
+    pictures = overlays(evaluation, shown)
     columns = [[in_8_bits(own[name]) for name in ("stage 1", "refined")] for _, own in pictures]
     return strip(list(zip(*columns, strict=True)))

@@ -91,22 +91,27 @@ def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = Non
     return Table(head, rows)
 
 
-def _headlines(means: PoseFigures, refined: Refined) -> list[Headline]:
-    lengths = (
-        ("pelvis-aligned error", "body_aligned"),
-        ("aligned error of the hands", "hands_aligned"),
-        ("absolute error, with the depth", "body"),
-    )
-    headlines = [
-        Headline(f"{change[0]:.0f} → {change[1]:.0f} mm", f"{label}, stage 1 → refined")
-        for label, name in lengths
-        if (change := means.change(name))
-    ]
-    best, iou = means["iou_truth"], means.change("iou")
-    limit = "" if best is None else f" ({best:.3f} at the ground-truth pose)"
+def pose_headlines(figures: PoseFigures) -> list[Headline]:
+    """Return the errors of poses, first those without depth."""
+    titles = {
+        "body_aligned": "pelvis-aligned error, stage 1 → refined",
+        "hands_aligned": "pelvis-aligned, of the hands",
+        "feet_aligned": "pelvis-aligned, of the feet",
+        "pelvis_depth": "depth of the pelvis, which one camera shows only with height and lens",
+    }
     return [
-        *headlines,
-        Headline(f"{iou[0]:.3f} → {iou[1]:.3f}", f"silhouette IoU{limit}"),
+        Headline(f"{both[0]:{sign}.0f} → {both[1]:{sign}.0f} mm", label)
+        for name, label in titles.items()
+        for sign in ("+" if name in DEPTHS else "",)
+        if (both := figures.change(name))
+    ]
+
+
+def _headlines(means: PoseFigures, refined: Refined) -> list[Headline]:
+    before, after = means.change("iou")
+    return [
+        *pose_headlines(means),
+        Headline(f"{before:.3f} → {after:.3f}", "silhouette IoU"),
         Headline(f"{refined.seconds_per_frame:.2f} s", "of work for a frame"),
         Headline(str(len(refined.kept)), "frames keep their stage-1 pose"),
     ]
@@ -169,7 +174,7 @@ def _worst(video: Video, measured: FrameFigures) -> list[int]:
 def _frames(title: str, text: str, shown: Sequence[int], evaluation: Evaluation) -> Section:
     """Show overlays of some frames, all poses of a frame side by side."""
     pictures, names = [], ()
-    for k, panels in overlays(evaluation, shown, margin=1 / 12):
+    for k, panels in overlays(evaluation, shown):
         caption = f"frame {k}: {_caption(k, evaluation.measured)}"
         pictures.append(picture(caption, strip([list(panels.values())])))
         names = panels

@@ -39,68 +39,36 @@ WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 HEAD = JOINTS.index("head")
 
-# Close-ups of parts that fail first in a new pose: joints in the middle, side in metres.
-CLOSE_UPS = {
-    "head and hair": (("head", "jaw"), 0.44),
-    "left armpit": (("left_shoulder",), 0.38),
-    "right armpit": (("right_shoulder",), 0.38),
-    "hem": (("left_hip", "right_hip", "left_knee", "right_knee"), 0.72),
-    "left hand": (("left_wrist", "left_middle2"), HAND),
-    "right hand": (("right_wrist", "right_middle2"), HAND),
-}
-
 Detail = Literal["hands", "face"]
 
 
-def person_box(mask: np.ndarray) -> Box:
+def person_box(mask: np.ndarray, margin: float = MARGIN) -> Box:
     """Return the box around a mask (H, W) that is not empty, inside the picture."""
     height, width = mask.shape
     rows, columns = (np.flatnonzero((mask > 0.5).any(axis)) for axis in (1, 0))
-    margin = round(MARGIN * max(np.ptp(rows), np.ptp(columns)))
-    left, right = _at_least(columns[0] - margin, columns[-1] + 1 + margin, width)
-    top, bottom = _at_least(rows[0] - margin, rows[-1] + 1 + margin, height)
+    more = round(margin * max(np.ptp(rows), np.ptp(columns)))
+    left, right = _at_least(columns[0] - more, columns[-1] + 1 + more, width)
+    top, bottom = _at_least(rows[0] - more, rows[-1] + 1 + more, height)
     return Box(left, top, right, bottom)
 
 
-def box_around(camera: Camera, joints: np.ndarray, metres: float, pixels: int = 2) -> Box | None:
+def box_around(camera: Camera, joints: np.ndarray, metres: float) -> Box | None:
     """Return a square around joints (n, 3), world; None if the picture's edge cuts it.
 
     Args:
         camera: of the picture.
         joints: in the middle, metres.
-        metres, pixels: of a side; at least so many pixels.
+        metres: of a side, which is at least SMALLEST pixels long.
     """
     R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
     depth = float((joints @ R.T + t)[:, 2].mean())
     if depth <= 0:
         return None
     u, v = camera.project(joints).mean(0)
-    side = max(pixels, round(camera.fx * metres / depth))
+    side = max(SMALLEST, round(camera.fx * metres / depth))
     left, top = round(u - side / 2), round(v - side / 2)
     fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
     return Box(left, top, left + side, top + side) if fits else None
-
-
-def close_ups(camera: Camera, joints: np.ndarray) -> Iterator[tuple[str, Box]]:
-    """Yield the boxes of CLOSE_UPS that lie in the picture, for joints (55, 3), metres, world."""
-    for name, (middle, metres) in CLOSE_UPS.items():
-        box = box_around(camera, joints[[JOINTS.index(joint) for joint in middle]], metres)
-        if box is not None:
-            yield name, box
-
-
-def hand_box(camera: Camera, joints: np.ndarray, side: str, pixels: int = 2) -> Box | None:
-    """Return a hand's box for joints (55, 3); None if the picture's edge cuts it."""
-    hand = np.vstack([joints[WRISTS[side]], joints[FINGERS[side]]])
-    return box_around(camera, hand, HAND, pixels)
-
-
-def face_box(camera: Camera, joints: np.ndarray, pixels: int = 2) -> Box | None:
-    """Return the face's box for joints (55, 3); None if it looks away or the edge cuts it."""
-    looks = joints[EYES].mean(0) - joints[HEAD]
-    if looks @ (camera.position - joints[HEAD]) <= 0:
-        return None
-    return box_around(camera, joints[JAW_AND_EYES], FACE, pixels)
 
 
 @dataclass(frozen=True)
@@ -127,11 +95,12 @@ class Details:
         joints, weights = posed.joints[0].double().numpy(), self.body.weights
         for side, fingers in FINGERS.items():
             own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
-            box = hand_box(camera, joints, side, SMALLEST)
+            box = box_around(camera, joints[np.r_[WRISTS[side], fingers]], HAND)
             if box is not None and seen[own].float().mean() >= SEEN:
                 yield "hands", box
-        box = face_box(camera, joints, SMALLEST)
-        if box is not None:
+        looks = joints[EYES].mean(0) - joints[HEAD]
+        box = box_around(camera, joints[JAW_AND_EYES], FACE)
+        if box is not None and looks @ (camera.position - joints[HEAD]) > 0:
             yield "face", box
 
 

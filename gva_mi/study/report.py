@@ -28,7 +28,7 @@ from gva_mi.study.overview import overview
 from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
 from gva_mi.study.refinement import OVERLAYS
-from gva_mi.study.refinement_report import errors_table
+from gva_mi.study.refinement_report import errors_table, pose_headlines
 from gva_mi.study.surface import PARTS, TEXTURES, SurfaceFigures
 
 SHOWN = 4  # frames of a split
@@ -65,7 +65,7 @@ def write_report(
     page.write_page(
         path,
         title=title,
-        subtitle=f"{subtitle} {width} x {height} pixels, seed {metrics.seed}.",
+        subtitle=f"{subtitle} {width} x {height} pixels, seed {metrics.options['seed']}.",
         headlines=_headlines(metrics),
         sections=[
             *(first or [_turning(avatar, video)]),
@@ -107,33 +107,17 @@ _FITTED = (
     f" ‘{FITTED}’ have seen what they are measured on: the avatar is the same, and each pose is "
     "fitted to its own picture."
 )
-_LAPS = (
-    "the frame, cut out and on its background",
-    "descent: avatar, splatting, Eq. 9, and its gradients",
-    "density control, re-initialisation, skinning weights",
-)
 
 
 def _headlines(metrics: Metrics) -> list[Headline]:
     """Return pose errors first, because they limit all else; then PSNR, size and time."""
     training, first = metrics.training, metrics.rows[0].name
     minutes, seconds = divmod(round(training.seconds), 60)
-    poses = {
-        "body_aligned": "pelvis-aligned error, stage 1 → refined",
-        "hands_aligned": "pelvis-aligned, of the hands",
-        "feet_aligned": "pelvis-aligned, of the feet",
-        "pelvis_depth": "depth of the pelvis, which one camera shows only with height and lens",
-    }
     shown = {first: "", ALIGNED: ", world aligned"}
     psnr = {(row.name, row.split, row.region): f"{row.psnr:.1f}" for row in metrics.rows}
     splits = {split for _, split, _ in psnr} - {"train"} or {"train"}
     return [
-        *(
-            Headline(f"{both[0]:{sign}.0f} → {both[1]:{sign}.0f} mm", label)
-            for name, label in poses.items()
-            for sign in ("+" if "depth" in name else "",)
-            if (both := metrics.refinement.change(name))
-        ),
+        *pose_headlines(metrics.refinement),
         *(
             Headline(
                 f"{whole} / {psnr.get((name, split, 'person'), '–')} dB",
@@ -207,7 +191,7 @@ def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
 
 
 def _curves(history: Mapping[str, np.ndarray]) -> Section:
-    """Plot losses and the number of Gaussians over the steps; tabulate the time."""
+    """Plot losses and the number of Gaussians over the steps."""
     import matplotlib.pyplot as plt
 
     fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
@@ -220,22 +204,8 @@ def _curves(history: Mapping[str, np.ndarray]) -> Section:
     left.legend(frameon=False, fontsize=8)
     right.plot(steps, history["gaussians"], color="#2f6f5e")
     right.set(xlabel="step", title="Gaussians")
-    text = "Each term of Eq. 9, the number of Gaussians, and where the time went."
-    return Section("Training", text, [plot("", fig)], columns=1, tables=_time(history))
-
-
-def _time(history: Mapping[str, np.ndarray]) -> list[Table]:
-    """Tabulate the time of a fit; empty if its history does not record the parts."""
-    if any(name not in history for name in run_folder.LAPS):
-        return []
-    whole, rows = history["milliseconds"].sum(), []
-    names = dict(zip(_LAPS, run_folder.LAPS, strict=True)) | {"all": "milliseconds"}
-    for title, name in names.items():
-        ms = history[name]
-        figures = (number(x, 1) for x in (ms.sum() / 1e3, np.median(ms), ms.mean(), ms.max()))
-        rows.append([title, *figures, f"{ms.sum() / whole:.0%}"])
-    head = ("", "all steps, s", "a step: median, ms", "mean, ms", "longest, ms", "share")
-    return [Table(head, rows)]
+    text = "Each term of Eq. 9, and the number of Gaussians."
+    return Section("Training", text, [plot("", fig)], columns=1)
 
 
 def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:

@@ -18,7 +18,7 @@ def row(method="adjoint f32", error=1e-7):
 
 def report(*rows, notes=()):
     maps = Maps(np.full((4, 5, 3), 0.5), np.full((4, 5), 1e-7), np.eye(4, 5) > 0)
-    return RendererReport(rows, "a scene", notes, 20, 4, 2e-3, 7, {"means": 1e-4}, maps)
+    return RendererReport(rows, "a scene", notes, 20, 4, 7, {"means": 1e-4}, maps)
 
 
 def test_an_error_beyond_its_tolerance_fails():

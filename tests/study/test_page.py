@@ -7,7 +7,6 @@ from gva_mi.study.page import (
     Section,
     Table,
     animation,
-    around,
     number,
     picture,
     write_page,
@@ -35,11 +34,3 @@ def test_a_page_is_one_file_with_its_pictures(tmp_path):
         assert text in page, text
     assert "&#34;seed&#34;: 7" in page and page.count("data:image/webp;base64,") == 2
     assert "http" not in page and [p.name for p in tmp_path.iterdir()] == ["page.html"]
-
-
-def test_around_holds_a_mask_with_its_margin():
-    inside = np.zeros((10, 12), bool)
-    inside[3:5, 8:11] = True
-    assert around(inside, 2) == (slice(1, 7), slice(6, 12))
-    assert inside[around(inside, 0)].all() and inside[around(inside, 0)].size == 6
-    assert around(np.zeros((3, 3), bool), 1) == (slice(None), slice(None))

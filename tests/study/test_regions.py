@@ -9,13 +9,11 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.splat import Camera, look_at
 from gva_mi.study.regions import (
-    CLOSE_UPS,
     FACE,
     HAND,
     SMALLEST,
     Details,
     box_around,
-    close_ups,
     person_box,
 )
 
@@ -46,16 +44,6 @@ def standing(body):
 def of(details, wanted):
     """The boxes of one kind in the only frame."""
     return [box for region, box in details.boxes(0) if region == wanted]
-
-
-def test_close_ups_hold_the_joints_they_are_of(standing):
-    joints = standing.body(standing.pose, standing.shape).joints[0].detach().double().numpy()
-    boxes = dict(close_ups(standing.cameras[0], joints))
-    assert list(boxes) == list(CLOSE_UPS)
-    for name, box in boxes.items():
-        seen = standing.cameras[0].project(joints[[JOINTS.index(j) for j in CLOSE_UPS[name][0]]])
-        assert ((seen > (box.left, box.top)) & (seen < (box.right, box.bottom))).all()
-    assert boxes["left hand"].left > boxes["left armpit"].left > boxes["right armpit"].left
 
 
 def test_both_hands_are_found_where_the_wrists_are(standing):
@@ -89,6 +77,6 @@ def test_the_face_is_found_between_jaw_and_eyes_from_before_and_not_from_behind(
 
 def test_a_hand_at_the_edge_of_the_picture_or_behind_the_camera_has_no_box(standing):
     camera = standing.cameras[0]
-    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND, SMALLEST) is None
-    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND, SMALLEST) is None
-    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND, SMALLEST) is not None
+    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND) is None
+    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND) is None
+    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND) is not None

@@ -7,26 +7,12 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from gva_mi.fit.run_folder import LAPS
 from gva_mi.study import report
 from gva_mi.study.evaluate import SplitScores
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import ALIGNED, Metrics, Training
 from gva_mi.study.pictures import ShownAvatar, difference, picture_sections
 from gva_mi.study.surface import SurfaceFigures
-
-
-def test_the_time_of_a_fit_is_listed_part_by_part():
-    steps = np.array([1.0, 2.0, 9.0])
-    history = {name: (k + 1) * steps for k, name in enumerate(LAPS)}
-    history["milliseconds"] = sum(history.values())
-    (table,) = report._time(history)
-    *parts, whole = table.rows
-    assert len(parts) == len(LAPS)
-    assert parts[0][1:] == ["0.0", "2.0", "4.0", "9.0", "17%"]
-    assert parts[1][1:] == ["0.0", "4.0", "8.0", "18.0", "33%"]
-    assert whole[0] == "all" and whole[1:] == ["0.1", "12.0", "24.0", "54.0", "100%"]
-    assert report._time({"loss": np.ones(3), "milliseconds": np.ones(3)}) == []  # an older run
 
 
 def test_the_first_figures_are_pose_errors_without_depth_then_psnr_of_picture_and_person():
@@ -37,7 +23,8 @@ def test_the_first_figures_are_pose_errors_without_depth_then_psnr_of_picture_an
     rows = [SplitScores("full", "test", x, 1.0, None, 0.0, region=where) for where, x in scores]
     rows = (*rows, replace(rows[0], name=ALIGNED, split="novel_pose", psnr=26.9))
     training = Training(steps=10, seconds=61.0, gaussians=1234, size=(4, 4))
-    metrics = Metrics(rows, PoseFigures(pairs), training, options={}, versions={})
+    figures = {"rows": rows, "refinement": PoseFigures(pairs), "training": training}
+    metrics = Metrics(**figures, options={}, versions={})
     values = [headline.value for headline in report._headlines(metrics)]
     assert values[:2] == ["49 → 15 mm", "-12 → +55 mm"]
     assert values[2:] == ["35.2 / 30.3 dB", "26.9 / – dB", "1,234", "1 min 01 s"]

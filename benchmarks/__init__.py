@@ -1,1 +1,1 @@
-"""Benchmarks of a checkout: ``python -m benchmarks splat|fit|mesh|body|viewer``."""
+"""Benchmarks of a checkout: ``python -m benchmarks splat|fit|mesh|viewer``."""

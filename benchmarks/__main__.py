@@ -1,4 +1,4 @@
-"""``python -m benchmarks splat|fit|mesh|body|viewer``: print tables of times."""
+"""``python -m benchmarks splat|fit|mesh|viewer``: print tables of times."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Repeats = Annotated[int, Within(1, 100_000)]
 
 
 def bench(
-    what: Positional[Literal["splat", "fit", "mesh", "body", "viewer"]],
+    what: Positional[Literal["splat", "fit", "mesh", "viewer"]],
     *,
     repeats: Repeats = 20,
     seed: Seed = 0,
@@ -29,7 +29,7 @@ def bench(
     no_growth: FlagCreatePairsOff[bool] = False,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
-    """Measure the renderer, a fit, the rendered normals, the body model, or the viewer.
+    """Measure the renderer, a fit, the rendered normals, or the viewer.
 
     Prints tables of milliseconds; on a shared machine trust only ratios within one run.
 

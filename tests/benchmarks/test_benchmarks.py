@@ -18,7 +18,6 @@ TINY = {
     "splatting": {"gaussians": 300, "size": 64, "growth": False},
     "fit": {"gaussians": 300, "size": 32},
     "mesh": {"sizes": (48,)},
-    "body": {"vertices": 60, "frames": (1, 2)},
     "viewer": {"gaussians": 300},
 }
 
@@ -65,7 +64,7 @@ def test_the_command_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_pat
     assert "composite, adjoint" in out
     titles = [table["title"] for table in json.loads((tmp_path / "figures.json").read_text())]
     assert titles[0].startswith("renderer, 8 Gaussians")
-    code, _, err = cli("bench", "body", "--no-growth")
+    code, _, err = cli("bench", "mesh", "--no-growth")
     assert code == 2 and "options of bench splat" in err
     monkeypatch.setattr("gva_mi.cli.bench.CHECKOUT", tmp_path)
     code, _, err = cli("bench", "fit")

@@ -3,9 +3,9 @@
     python notebooks/execute.py                 each lesson whose outputs are stale
     python notebooks/execute.py notebooks/1*    these lessons
 
-Outputs are stale if a code cell, a file that a cell names, or the results versions of the program
-(:data:`gva_mi.core.provenance.RESULTS_VERSIONS`) have changed since they were made. Of a page, only
-the tables count. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
+Outputs are stale if a code cell, a file that a cell names, or the results version of a package that
+a cell imports (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`) have changed since they were made.
+Of a page, only the tables count. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
 """
 
 import base64
@@ -27,6 +27,7 @@ from gva_mi.core.provenance import RESULTS_VERSIONS
 
 HERE = Path(__file__).parent
 STAMP = "made_from"  # in a notebook's metadata
+RESULTS = {"refine": "gva_mi.pose", "avatar": "gva_mi.fit"}  # packages that make them
 
 
 def made_from(notebook, path):
@@ -37,7 +38,11 @@ def made_from(notebook, path):
     return {
         "cells": [_digest(source.encode()) for source in code],
         "figures": {name: _digest(_figures_of(path.parent / name)) for name in there} or None,
-        "results_versions": dict(RESULTS_VERSIONS),
+        "results_versions": {
+            kind: RESULTS_VERSIONS[kind]
+            for kind, package in RESULTS.items()
+            if any(f"from {package}" in source for source in code)
+        },
     }
 
 

@@ -58,7 +58,7 @@ def test_stored_outputs_are_those_of_the_cells(path):
 
 
 def test_whatever_changes_outputs_makes_them_stale(tmp_path, monkeypatch):
-    code = nbformat.v4.new_code_cell('print(open("page.md").read())')
+    code = nbformat.v4.new_code_cell('from gva_mi.fit import ssim\nprint(open("page.md").read())')
     text = nbformat.v4.new_markdown_cell("a page")
     notebook, path = nbformat.v4.new_notebook(cells=[text, code]), tmp_path / "reading.ipynb"
     page = tmp_path / "page.md"
@@ -79,6 +79,8 @@ def test_whatever_changes_outputs_makes_them_stale(tmp_path, monkeypatch):
     code.source += "  # twice"
     assert stale()
     notebook.metadata["made_from"] = tool.made_from(notebook, path)
+    monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
+    assert not stale()  # it refines nothing
     monkeypatch.setitem(RESULTS_VERSIONS, "avatar", RESULTS_VERSIONS["avatar"] + 1)
     assert stale()
 

@@ -25,7 +25,6 @@ SMPL-X files with 400 directions or more hold 300 betas, then expressions (versi
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,7 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays, require_array
+from gva_mi.core.files import read_arrays, require_array, require_keys
 from gva_mi.core.options import Within
 from gva_mi.core.pickles.reader import read_objects
 
@@ -82,12 +81,13 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     expected, keys = f"a body in SMPL-X's format: {', '.join(_SKIN)}", (*_SKIN, *_HANDS, *_OPTIONAL)
     if path.suffix.lower() not in (".pkl", ".pickle"):
         arrays = read_arrays(path, expected, keys)
-        _require(path, arrays, _SKIN)
+        require_keys(path, arrays, _SKIN)
         return arrays
     found = read_objects(path, expected)
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
-    _require(path, found, _SKIN)
+    found = {str(key): value for key, value in found.items()}
+    require_keys(path, found, _SKIN)
     return {key: np.asarray(found[key]) for key in keys if key in found}
 
 
@@ -98,17 +98,10 @@ def _has_marks(arrays: dict[str, np.ndarray]) -> bool:
     return usual and bool((where < len(arrays["f"])).all() and np.isfinite(shares).all())
 
 
-def _require(path: Path, found: Collection[str], keys: Collection[str]) -> None:
-    missing = [key for key in keys if key not in found]
-    if missing:
-        names = ", ".join(sorted(map(str, found))) or "none"
-        raise InputError(f"{path}: key '{missing[0]}' is missing; found: {names}")
-
-
 def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
-    _require(path, arrays, () if form is SMPL else _HANDS)
+    require_keys(path, arrays, () if form is SMPL else _HANDS)
     template = require_array(path, "v_template", arrays["v_template"], (None, 3), largest=LARGEST)
     vertices, joints = len(template), len(form.joints)
     shapes = {

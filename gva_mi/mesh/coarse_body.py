@@ -30,12 +30,9 @@ class CoarseBody:
     """
 
     def __init__(self, whole: BodyModel, faces: int, finer: Tensor | None = None) -> None:
-        """Simplify the mean person.
+        """Simplify the mean person to so many faces, if it has more.
 
-        Args:
-            whole: the body.
-            faces: how many triangles to keep; a body that has no more stays as it is.
-            finer: (n,) numbers of the vertices that close-ups show; None: there are none.
+        ``finer`` (n,) are numbers of the vertices that close-ups show; None: there are none.
         """
         self._faces, self._count = whole.faces, len(whole.v_template)
         if len(whole.faces) <= faces:
@@ -71,11 +68,7 @@ def collapse(
 ) -> tuple[Tensor, Tensor]:
     """Return numbers (n,) of the kept vertices, and the triangles (count, 3) between them.
 
-    Args:
-        vertices: (V, 3) metres.
-        faces: (F, 3) int64.
-        count: triangles, at most F.
-        finer: (n,) numbers of vertices around which more are kept; None: all are alike.
+    More are kept around the vertices ``finer`` (n,); None: all are alike.
     """
     import pymeshlab
     from scipy.spatial import cKDTree

@@ -152,12 +152,7 @@ def load_plugins() -> None:
 
 
 def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
-    """Return a scene of one shape, ``mesh``, with smooth normals.
-
-    Args:
-        faces: (F, 3) integers.
-        vertices: (V, 3) float32.
-    """
+    """Return a scene of one shape, ``mesh``, with faces (F, 3) and float32 vertices (V, 3)."""
     import mitsuba as mi
 
     return mi.load_dict({"type": "scene", "mesh": _mesh_of(faces, vertices)})

@@ -23,14 +23,9 @@ def overlay(
     faces: Tensor,
     scene: MeshScene | None = None,
 ) -> np.ndarray:
-    """Draw a mesh over a picture, (H, W, 3) float32 in [0, 1].
+    """Draw a mesh, vertices (V, 3) in the world, over a picture that a camera took.
 
-    Args:
-        image: (H, W, 3) the picture.
-        camera: that took it.
-        vertices: (V, 3) float32, world, metres.
-        faces: (F, 3).
-        scene: of the mesh, for many pictures; None: a new one.
+    Pictures are (H, W, 3) float32 in [0, 1]. ``scene`` is one of the mesh, for many pictures.
     """
     scene = scene or MeshScene(faces, vertices)
     normals_mask = scene.render(vertices, camera).numpy()

@@ -13,13 +13,9 @@ from torch import Tensor
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Return unit normals (V, 3), averaged over the faces around each vertex by area.
+    """Return unit normals (V, 3), averaged over the faces (F, 3) around each vertex by area.
 
     They are computed in the precision of the vertices.
-
-    Args:
-        vertices: (V, 3).
-        faces: (F, 3) int64.
     """
     a, b, c = vertices[faces].unbind(1)
     crossed = torch.linalg.cross(b - a, c - a)
@@ -31,13 +27,9 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
-    """Return the sparse (V, V) float32 Laplacian: a vertex minus the mean of its neighbours.
+    """Return the Laplacian of ``count`` vertices, (V, V) float32: each minus its neighbours' mean.
 
     Zero where a vertex has none. In torch's coordinate format, whose products add in a fixed order.
-
-    Args:
-        faces: (F, 3) integers.
-        count: V.
     """
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     rows, columns = np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0).T

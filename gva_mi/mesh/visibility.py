@@ -68,12 +68,9 @@ def normals_of_both_sides(
 
 
 def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Tensor:
-    """Return which vertices are visible from each of E viewpoints, (E, V) bool.
+    """Return which vertices are visible from each of E viewpoints (E, 3), (E, V) bool.
 
-    Args:
-        vertices: (V, 3) world, metres.
-        faces: (F, 3) integers, counter-clockwise seen from outside.
-        viewpoints: (E, 3) world, such as camera positions; the edges of pictures are ignored.
+    Faces are counter-clockwise seen from outside; the edges of pictures are ignored.
     """
     load_plugins()
     import mitsuba as mi

@@ -77,9 +77,7 @@ class RestBody:
 def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmarks:
     """Find eyes and mouth; the mouth is where the skin below the nose parts as the jaw drops.
 
-    Args:
-        body, shape: used to pose the jaw.
-        rest: the same body in the rest pose.
+    ``rest`` is the same body in the rest pose.
     """
     vertices = rest.vertices
     eyes = [rest.joints[f"{side}_eye_smplhf"] for side in ("left", "right")]

@@ -43,14 +43,9 @@ class Subject:
     ) -> np.ndarray:
         """Return the surface in the world, (T, N, 3) float32, metres.
 
-        It is skinned like the body, and follows the body's pose correctives. Creases and lags of
-        :mod:`gva_mi.synthetic.clothes.folds` are added.
-
-        Args:
-            body: the body that the subject is drawn on.
-            pose: T frames.
-            past: poses of T frames each, one step, two steps, ... before; empty for no lag.
-            folds: factor on creases and lags.
+        It is skinned like the ``body`` it is drawn on, and follows the body's pose correctives.
+        Creases and lags of ``clothes.folds`` are added, times ``folds``. Poses of the ``past``, one
+        step, two steps, ... before the T frames, let loose ends lag.
         """
         skinned = self.skinned(body, pose, np.arange(len(self.vertices)))
         if folds == 0:

@@ -71,13 +71,10 @@ class Channels:
     def values(
         self, n: mi.Vector3f, w: mi.Float, hit: mi.Bool, camera_world: mi.Matrix3f
     ) -> list[mi.Float]:
-        """Return the channels' values on rays.
+        """Return the channels' values on rays (R,).
 
-        Args:
-            n: (R,) unit normals, world; zero where nothing is hit.
-            w: (R,) depths.
-            hit: (R,) whether a mesh is hit.
-            camera_world: rotation from world to camera.
+        Unit normals n (world) are zero where nothing is hit; w are depths. ``camera_world`` rotates
+        from the world to the camera.
         """
         n = self._to_space(n, camera_world)
         of_kind = {

@@ -53,12 +53,8 @@ class Contours:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Contours | None:
-        """Sample the visible edges; None where there are none.
-
-        Args:
-            caster: of the meshes.
-            density: samples for a pixel of length.
-        """
+        """Sample the visible edges, ``density`` times a pixel of length; None where there are
+        none."""
         topology, projection = caster.surface.topology, caster.projection
         on_image = _EdgesOnImage.of(caster.surface, projection)
         edges = dr.compress(on_image.can_jump)

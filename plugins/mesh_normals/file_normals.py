@@ -17,12 +17,9 @@ INVENTED = 1e-2  # distance of a file's unit normals to what Mitsuba would inven
 
 
 def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return for each vertex of a mesh the one whose shading normal it shares, (V,).
+    """Return for each vertex of a smooth mesh the one whose shading normal it shares, (V,).
 
-    Args:
-        mesh: without face normals.
-        faces: (F, 3) its vertices.
-        points: (V,) for each vertex the first one at its place.
+    ``points`` (V,) is for each vertex the first one at its place.
     """
     share = np.arange(len(points))
     if (points == share).all() or not mesh.has_vertex_normals():

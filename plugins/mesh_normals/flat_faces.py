@@ -22,10 +22,7 @@ def live_sides(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the sides of faces (side ``k`` of face ``f`` is ``3 f + k``) that belong to edges.
 
-    Args:
-        points: (F, 3) of the corners.
-        flat: (n,) faces without area.
-        places: (V, 3) of the points.
+    Faces have ``points`` (F, 3) at ``places`` (V, 3); those numbered ``flat`` (n,) have no area.
 
     Returns:
         The points at the ends of sides in the order in which their faces run, (3F, 2); whether they

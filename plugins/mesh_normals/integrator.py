@@ -26,13 +26,9 @@
      (Default: 1)
 
 Every shape must be a mesh, except ``ellipsoids`` and ``ellipsoidsmesh``, which are ignored: a scene
-that has them for ``gaussian_splat`` works here, too. A mesh with ``face_normals`` is faceted; any
-other is smooth, with normals averaged from its faces by area; those in a file would not move with
-the vertices, and only decide which way they point, and where an edge is hard (``file_normals.py``).
-``flip_normals`` turns them. Vertices of one mesh at one place are one point of its surface, an edge
-between them is no border, and faces without area change nothing (``flat_faces.py``). Sensors are
-``perspective`` or ``orthographic``, films of any kind, with any reconstruction filter and any crop
-window.
+that has them for ``gaussian_splat`` works here, too. ``topology.py`` says which normals and edges a
+mesh has. Sensors are ``perspective`` or ``orthographic``; films may have any filter and any
+crop window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
 of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains how.

@@ -45,13 +45,7 @@ class Interior:
 
     @staticmethod
     def of(caster: RayCaster, filter: PixelFilter, seen: RayHits) -> Interior | None:
-        """Gather the samples; None where nothing is seen.
-
-        Args:
-            caster: of the meshes.
-            filter: of the image.
-            seen: what the image's rays met.
-        """
+        """Gather the samples; None where nothing is seen. ``seen`` are hits of the image's rays."""
         surface, projection = caster.surface, caster.projection
         slanted = _is_slanted(surface, projection.ray(filter.positions()), seen.face)
         rays = dr.compress(seen.hit & slanted)

@@ -43,12 +43,8 @@ class Intersections:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Intersections | None:
-        """Sample the visible lines; None where there are none.
-
-        Args:
-            caster: of the meshes.
-            density: samples for a pixel of length.
-        """
+        """Sample the visible lines, ``density`` times a pixel of length; None where there are
+        none."""
         surface, projection = caster.surface, caster.projection
         cuts = TriangleCuts.of(caster.scene, surface)
         samples = None if cuts is None else _sample(cuts, projection, density)

@@ -64,12 +64,8 @@ class MeshView:
     def tangent(
         self, d_positions: mi.Vector3f, d_to_world: mi.Matrix4f | None = None
     ) -> mi.TensorXf:
-        """Return the derivative of the image (H, W, C) as vertices and sensor move.
-
-        Args:
-            d_positions: (V,) how the vertices of all meshes move, world.
-            d_to_world: how the sensor's transform changes.
-        """
+        """Return the derivative of the image (H, W, C) as vertices (V,) and the sensor's pose
+        move."""
         carried = self.caster.projection.carried
         if d_to_world is not None:
             d_positions = d_positions - carried(d_to_world, self.surface.positions, 1)
@@ -103,11 +99,9 @@ class MeshView:
         return inside, jumps
 
     def adjoint_to_world(self, grad_image: mi.TensorXf, grad_positions: mi.Vector3f) -> mi.Matrix4f:
-        """Return the gradient by the sensor's ``to_world``.
+        """Return the gradient by the sensor's ``to_world`` from that by the image (H, W, C).
 
-        Args:
-            grad_image: (H, W, C) gradient by the image.
-            grad_positions: (V,) what :meth:`adjoint` made of it.
+        ``grad_positions`` (V,) is what :meth:`adjoint` made of it.
         """
         carried_adjoint = self.caster.projection.carried_adjoint
         grad = carried_adjoint(-grad_positions, self.surface.positions, 1)

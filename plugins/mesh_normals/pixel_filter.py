@@ -104,15 +104,11 @@ class PixelFilter:
         return self._gather(grads, pixel, rays - pixel * self.spp)
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
-        """Weights of two sets of samples (R + S,): of rays, and of points of another density.
+        """Weights of two sets of samples: of rays (R,) of the image, and of points (S,) of density
+        ``crowd``.
 
-        Args:
-            crowd: (R + S,) points for a pixel's area.
-            rays: (R,) which of the image's rays the first samples are.
-
-        Returns:
-            One over the density of both sets; that of the rays times ``spp``, by which
-            :meth:`develop` and :meth:`spread` divide.
+        They are one over the density of both sets; that of the rays times ``spp``, by which
+        :meth:`develop` and :meth:`spread` divide.
         """
         weight = dr.rcp(self.spp + crowd)
         of_image = dr.arange(mi.UInt32, dr.width(crowd)) < dr.opaque(mi.UInt32, dr.width(rays))
@@ -121,12 +117,10 @@ class PixelFilter:
     def spread_to(
         self, grads: list[mi.Float], q: mi.Point2f, crowd: mi.Float | None = None
     ) -> list[mi.Float]:
-        """Eq. 4 backward: from gradients by pixels (H W,) to those by the contributions (S,).
+        """Eq. 4 backward: from gradients by pixels (H W,) to those by the contributions (S,) at
+        ``q``.
 
-        Args:
-            grads: of each channel.
-            q: the points, of edges or of triangles.
-            crowd: of those of triangles, as in :meth:`balance`.
+        Points of triangles have a ``crowd``, as in :meth:`balance`.
         """
         total = [mi.Float(0)] * len(grads)
         for pixel, weight, valid in self._around(q, crowd):
@@ -193,15 +187,10 @@ def _around_pixels(
     spp: int,
     size: tuple[int, int],
 ) -> list[mi.Float]:
-    """Sums around pixels, weighted by the table of eq. 2.
+    """Sum around pixels (R,), weighted by the table of eq. 2.
 
-    Args:
-        values: arrays of samples (H W spp,), or of pixels (H W,) where ``place`` is given.
-        pixel: (R,) the pixels to sum around.
-        place: None: over all samples that add to the pixel. (R,): over all pixels that a sample
-            at this place in ``pixel`` adds to.
-        table, steps, spp: of the filter.
-        size: width and height.
+    Without ``place``, over all samples that add to the pixel, from values (H W spp,). With it, over
+    all pixels that a sample at this place (R,) in the pixel adds to, from values (H W,).
     """
     width, height = size
     y = mi.Int32(pixel // width)
@@ -255,8 +244,6 @@ def column_and_row(pixel: mi.UInt32, columns: mi.UInt32) -> tuple[mi.UInt32, mi.
 def _total(mass: np.ndarray, count: int) -> np.ndarray:
     """Return ∫ f over the pixels on the image, for each of ``count`` pixels in a row.
 
-    Args:
-        mass: (2 steps + 1,) ∫ f over a pixel, by the step from it to the one with the filter.
-        count: pixels in the row.
+    ``mass`` is that over one pixel, by the step from it to the one with the filter.
     """
     return np.convolve(np.ones(count), mass, mode="full")[len(mass) // 2 :][:count]

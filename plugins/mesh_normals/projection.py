@@ -145,10 +145,7 @@ class SensorProjection:
     def density(self, c: mi.Vector3f, corner: mi.Point3f, ray: mi.Ray3f) -> mi.Float:
         """Return one over the pixel area of a small parallelogram that a ray meets.
 
-        Args:
-            c: cross product of its sides, world.
-            corner: any point of its plane.
-            ray: as :meth:`ray` makes it.
+        ``c`` is the cross product of its sides, ``corner`` any point of its plane.
         """
         along = dr.dot(c, ray.d)
         h = dr.dot(c, mi.Vector3f(corner) - self.eye) / along if self.pinhole else mi.Float(1)

@@ -64,15 +64,8 @@ class MeshSurface:
         return self._tangential(d_total)
 
     def adjoint(self, grad_corners: mi.Vector3f, grad_corner_normals: mi.Vector3f) -> mi.Vector3f:
-        """Eq. 1 and 2 backward.
-
-        Args:
-            grad_corners: (3F,) gradient by the position of each corner.
-            grad_corner_normals: (3F,) gradient by the shading normal at each corner.
-
-        Returns:
-            (V,) gradient by the positions.
-        """
+        """Eq. 1 and 2 backward: from gradients by the positions and by the normals of all corners
+        (3F,) to that by the positions (V,)."""
         topology = self.topology
         grad_total = self._tangential(topology.corners_of_normal.sum(grad_corner_normals))
         dr.eval(grad_total)
@@ -110,15 +103,8 @@ class MeshSurface:
     def shade_adjoint(
         self, ray: mi.Ray3f, face: mi.UInt32, grad_n: mi.Vector3f | None, grad_t: mi.Float | None
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Eq. 3 backward, for rays (R,) that all hit.
-
-        Args:
-            ray, face: rays and the faces that they meet.
-            grad_n, grad_t: gradients by normals and ray parameters (R,); None stands for zero.
-
-        Returns:
-            (3F,) gradients by the positions, and by the shading normals, of all corners.
-        """
+        """Eq. 3 backward, for rays (R,) that all hit: from gradients by normals and ray parameters,
+        None for zero, to those by positions and by shading normals of all corners, (3F,)."""
         leaves = self._at(face, True)
         with dr.isolate_grad(), dr.resume_grad():
             dr.enable_grad(leaves)

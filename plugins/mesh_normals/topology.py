@@ -73,9 +73,7 @@ class Topology:
     def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NONE) -> Topology:
         """Read the faces of the meshes and find the edges between them.
 
-        Args:
-            meshes: of a scene.
-            flat: (n,) faces without area, beside those with two corners at one place.
+        ``flat`` (n,) are faces without area, beside those with two corners at one place.
         """
         corners = _Corners.of(meshes)
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N

@@ -39,12 +39,7 @@ class TriangleCuts:
 
     @staticmethod
     def of(scene: mi.Scene, surface: MeshSurface) -> TriangleCuts | None:
-        """Find all segments; None where there are none.
-
-        Args:
-            scene: holds the meshes.
-            surface: the meshes.
-        """
+        """Find all segments of the meshes of a scene; None where there are none."""
         edges, faces = _crossings(scene, surface)
         f, g = _pairs(surface.topology, edges, faces)
         if len(f) == 0:
@@ -60,11 +55,7 @@ class TriangleCuts:
 
 
 def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eq. 2 for pairs of triangles.
-
-    Args:
-        f: (C, 3, 3) corners of the first triangle of each pair.
-        g: (C, 3, 3) corners of the second.
+    """Eq. 2 for pairs of triangles f and g, (C, 3, 3).
 
     Returns:
         Which pairs cut one another, (C,) bool, and the ends of their segments, (R, 3) each.
@@ -95,9 +86,7 @@ def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _crossed(corners: np.ndarray, above: np.ndarray) -> np.ndarray:
     """Return where triangles (R, 3, 3) meet a plane: points on two of their sides, (R, 2, 3).
 
-    Args:
-        corners: of the triangles.
-        above: (R, 3) heights of the corners over the plane, of both signs in each row.
+    ``above`` (R, 3) are heights of the corners over the plane, of both signs in each row.
     """
     below = above < 0
     row, side = np.nonzero(below != np.roll(below, -1, axis=1))  # two in each row

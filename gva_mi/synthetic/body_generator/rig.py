@@ -152,16 +152,11 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matr
 def joint_regressor(
     vertices: np.ndarray, directions: np.ndarray, moves: np.ndarray, image: np.ndarray
 ) -> np.ndarray:
-    """Return sparse rows (55, V) that sum to 1 and regress the joints from the vertices.
+    """Return sparse rows (55, V) that sum to 1 and regress the joints from the vertices (V, 3).
 
     They are the smallest weights on the nearest vertices that are exact on the template and, up to
-    ill-conditioned directions, on every shape. Mirror images have mirrored rows.
-
-    Args:
-        vertices: (V, 3) template.
-        directions: (V, 3, K) shapes.
-        moves: (55, 3, K) displacement of the joints by each shape.
-        image: (V,) the mirror image of each vertex.
+    ill-conditioned directions, on every shape: ``directions`` (V, 3, K) of the vertices, ``moves``
+    (55, 3, K) of the joints. Mirror images have mirrored rows; ``image`` (V,) is that of a vertex.
     """
     J = joint_positions()
     regressor = np.zeros((len(J), len(vertices)))

@@ -128,12 +128,9 @@ class Join:
 def surface(joins: Sequence[Join], axes: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     """Extract a surface by marching cubes on a grid whose planes may be unevenly spaced.
 
-    Args:
-        joins: the solids, in the order of assembly.
-        axes: x, y, z of the grid's planes, increasing. The surface is open at the grid's border.
-
-    Returns:
-        vertices (V, 3) and faces (F, 3), counter-clockwise seen from outside.
+    ``axes`` are x, y, z of these planes, increasing; the surface is open at the grid's border.
+    Solids are joined in their order. Returns vertices (V, 3), and faces (F, 3) counter-clockwise
+    seen from outside.
     """
     from skimage.measure import marching_cubes
 

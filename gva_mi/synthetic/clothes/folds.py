@@ -88,11 +88,9 @@ def creases(
 def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
     """Return displacements (n, 3) of loose ends (eq. 4), metres.
 
-    Args:
-        now: (n, 3) skinned positions.
-        past: (MEMORY, n, 3) positions of the previous steps, the latest first.
-        slack: (n,) largest displacement of a vertex, metres.
-        away: (n, 3) unit, from the body to the vertex.
+    ``now`` (n, 3) and ``past`` (MEMORY, n, 3), the latest first, are skinned positions; ``slack``
+    (n,) is the largest displacement, metres, and ``away`` (n, 3) points from the body to the
+    vertex.
     """
     weights = np.exp(-np.arange(1, MEMORY + 1) / 2)
     behind = np.tensordot(weights / weights.sum(), past, axes=1) - now

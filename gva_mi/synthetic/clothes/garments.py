@@ -49,14 +49,9 @@ def _drape(d: np.ndarray, grid: VoxelGrid) -> np.ndarray:
 def _with_opening(
     field: np.ndarray, uncut: np.ndarray, cut: np.ndarray, wall: float = WALL, depth: float = 0.04
 ) -> np.ndarray:
-    """Cut a field where ``cut`` > 0 and hollow it out behind the cut.
+    """Cut a field where ``cut`` > 0, and hollow it out behind the cut, ``depth`` metres inwards.
 
-    Args:
-        field: negative inside the cloth, metres, like the other fields.
-        uncut: the field before any opening was made.
-        cut: positive beyond the opening's plane.
-        wall: thickness of the remaining cloth, metres.
-        depth: how far the hollow extends inwards from the cut, metres.
+    A ``wall`` remains, metres; ``uncut`` is the field before any opening was made.
     """
     hollow = np.maximum(uncut + wall, -cut - depth)
     return smax(smax(field, cut), -hollow, 0.004)

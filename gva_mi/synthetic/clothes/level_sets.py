@@ -67,9 +67,7 @@ def smoothstep(x: np.ndarray, lo: float, hi: float) -> np.ndarray:
 class BodySurface:
     """A body's rest surface as oriented points, which give smooth signed distances.
 
-    Attributes:
-        points: (N, 3) metres, about 7 mm apart.
-        normals: (N, 3) unit, outwards.
+    Points (N, 3), metres, are about 7 mm apart; their normals point outwards.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> None:
@@ -111,12 +109,9 @@ class BodySurface:
 
 
 def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = None) -> RestMesh:
-    """Extract the zero level set of a field by marching cubes.
+    """Extract the zero level set of a field, negative inside, metres, by marching cubes.
 
-    Args:
-        grid: where the field is sampled.
-        field: negative inside, metres.
-        uncut: the field before openings were cut; vertices deep inside it are shaded.
+    ``uncut`` is the field before openings were cut: vertices deep inside it are shaded.
     """
     import trimesh
     from scipy.ndimage import map_coordinates

@@ -31,19 +31,12 @@ STEP = 0.04  # s, time step of lagging cloth
 def perform(
     name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
 ) -> Pose:
-    """Evaluate one of ``MOTIONS``.
+    """Evaluate one of ``MOTIONS`` at moments t (T,), in rounds.
 
     All start from a turn in the A-pose, slightly swaying, while hands and face go through gestures.
-
-    Args:
-        name: of the motion.
-        t: moments (T,), in rounds.
-        joints: (55, 3) of the body at rest, metres; steps depend on the length of the legs.
-        expressions: width of the expression.
-        rng: its draws do not depend on ``t``.
-
-    Returns:
-        T frames near the origin, at any height above the ground.
+    Steps depend on the length of the legs of ``joints`` (55, 3), the body at rest, metres. The
+    draws of ``rng`` do not depend on t. The frames lie near the origin, at any height above the
+    ground.
     """
     rotations, transl = turning(t, rng)
     if name == "everyday":

@@ -82,9 +82,8 @@ class Leg:
     ) -> dict[str, np.ndarray]:
         """Return rotations of hip, knee and ankle by joint name, axis-angle (T, 3).
 
-        Args:
-            hip, ankle: (T, 3) positions, metres; an ankle out of reach is approached.
-            R_root, R_foot: (T, 3, 3) rotations of pelvis and foot in the world.
+        They lead from ``hip`` to ``ankle`` (T, 3), metres; one out of reach is approached. Pelvis
+        and foot have the rotations ``R_root``, ``R_foot`` (T, 3, 3) in the world.
         """
         thigh, shin = self.knee - self.hip, self.ankle - self.knee
         l1, l2 = np.linalg.norm(thigh), np.linalg.norm(shin)

@@ -43,8 +43,7 @@ class Intersections:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Intersections | None:
-        """Sample the visible lines, ``density`` times a pixel of length; None where there are
-        none."""
+        """Sample the visible lines, ``density`` points for a pixel of length; None if none is seen."""
         surface, projection = caster.surface, caster.projection
         cuts = TriangleCuts.of(caster.scene, surface)
         samples = None if cuts is None else _sample(cuts, projection, density)

@@ -104,8 +104,7 @@ class PixelFilter:
         return self._gather(grads, pixel, rays - pixel * self.spp)
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
-        """Weights of two sets of samples: of rays (R,) of the image, and of points (S,) of density
-        ``crowd``.
+        """Weights of two sets of samples (R + S,): of rays, and of ``crowd`` points for a pixel.
 
         They are one over the density of both sets; that of the rays times ``spp``, by which
         :meth:`develop` and :meth:`spread` divide.

@@ -53,7 +53,7 @@ class Contours:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Contours | None:
-        """Sample the visible edges, ``density`` points for a pixel of length; None if none is seen."""
+        """Sample the visible edges, ``density`` points a pixel of length; None if none is seen."""
         topology, projection = caster.surface.topology, caster.projection
         on_image = _EdgesOnImage.of(caster.surface, projection)
         edges = dr.compress(on_image.can_jump)

@@ -43,7 +43,7 @@ class Intersections:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Intersections | None:
-        """Sample the visible lines, ``density`` points for a pixel of length; None if none is seen."""
+        """Sample the visible lines, ``density`` points a pixel of length; None if none is seen."""
         surface, projection = caster.surface, caster.projection
         cuts = TriangleCuts.of(caster.scene, surface)
         samples = None if cuts is None else _sample(cuts, projection, density)

@@ -27,6 +27,7 @@ from gva_mi.synthetic.body_generator.anatomy import (
     LID_RADIUS,
     joint_positions,
 )
+from gva_mi.synthetic.clothes.level_sets import smoothstep
 
 Strains = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 
@@ -113,16 +114,10 @@ def correctives(vertices: np.ndarray, normals: np.ndarray, weights: np.ndarray) 
             j = JOINTS.index(f"{side}_{name}")
             bone, direction = np.multiply(bone, mirror), np.multiply(direction, mirror)
             shared = 4 * weights[:, j] * weights[:, PARENTS[j]]  # 1 where both pull alike
-            facing = _smooth((vertices - J[j]) @ direction / radius + 0.3)
+            facing = smoothstep((vertices - J[j]) @ direction / radius + 0.3, 0, 1)
             push = strength * radius * shared * facing
             field[:, :, j - 1] = -(push[:, None] * normals)[..., None, None] * np.outer(bone, bone)
     return field.reshape(len(vertices), 3, -1)
-
-
-def _smooth(x: np.ndarray) -> np.ndarray:
-    """Smooth step from 0 to 1."""
-    x = np.clip(x, 0, 1)
-    return x * x * (3 - 2 * x)
 
 
 def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -144,8 +139,8 @@ def _blink(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
         reach = np.hypot(offset[:, 1], offset[:, 2])
         reach = reach * (1 + follow * (np.maximum(radius, EYE_RADIUS + _LID_SKIN) / radius - 1))
         moved = np.stack([offset[:, 0], reach * np.sin(turned), reach * np.cos(turned)], axis=1)
-        free = _smooth((0.8 - weights[:, eye]) / 0.3)  # not the eyeball
-        free *= _smooth((LID_RADIUS + 0.006 - radius) / 0.005) * (offset[:, 2] > 0)
+        free = smoothstep((0.8 - weights[:, eye]) / 0.3, 0, 1)  # not the eyeball
+        free *= smoothstep((LID_RADIUS + 0.006 - radius) / 0.005, 0, 1) * (offset[:, 2] > 0)
         field += (moved - offset) * free[:, None]
     return field
 

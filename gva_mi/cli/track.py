@@ -15,7 +15,13 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts, source_of
-from gva_mi.fit.tracking import TRACKED_POSES, known_poses, measure_tracking, write_tracking
+from gva_mi.fit.tracking import (
+    TRACKED_POSES,
+    known_poses,
+    lines_of,
+    measure_tracking,
+    write_tracking,
+)
 
 
 def track(
@@ -68,6 +74,6 @@ def track(
         tracking = measure_tracking(video, model, found, known)
         sources = {"start": start, "avatar": run}
         write_tracking(video, found, tracking, options, offsets, sources)
-    for line in tracking.lines():
+    for line in lines_of(tracking):
         say(line)
     say(f"poses: {out}")

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -30,29 +30,6 @@ TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
 REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
 
 
-@dataclass(frozen=True)
-class Tracking:
-    """Figures of photometric tracking."""
-
-    loss_start: float  # mean over the frames, at the initial poses
-    loss: float  # mean over the frames, at the fitted poses
-    seconds_per_frame: float
-    errors_mm: dict[str, dict[str, float]]  # means by stage and region; empty without ground truth
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the entries ``figures`` and ``errors_mm`` of ``photometric.json``."""
-        figures = asdict(self)
-        errors = figures.pop("errors_mm")
-        return {"figures": figures, "errors_mm": errors}
-
-    def lines(self) -> Iterator[str]:
-        """Yield the main figures, one per line."""
-        for name, region in REGIONS.items() if self.errors_mm else ():
-            lengths = (f"{stage} {mm[region]:.1f}" for stage, mm in self.errors_mm.items())
-            yield f"{name:<11} {' → '.join(lengths)} mm"
-        yield f"loss        {self.loss_start:.4f} → {self.loss:.4f}"
-
-
 def known_poses(video: Video, body: BodyModel) -> tuple[GroundTruth, tuple[Pose, Shape]] | None:
     """Return ground truth and stage-1 poses of a video, before the work; None without truth."""
     truth = truth_of(video, body)
@@ -64,27 +41,39 @@ def measure_tracking(
     body: BodyModel,
     found: FittedPoses,
     known: tuple[GroundTruth, tuple[Pose, Shape]] | None,
-) -> Tracking:
-    """Compare tracked poses with the initial ones of the video, and with ground truth if it is
-    known.
+) -> dict[str, Any]:
+    """Compare tracked poses with the initial ones of the video, and with ground truth if known.
+
+    Returns:
+        ``figures``: mean losses and seconds; ``errors_mm``: mean errors by stage and region.
     """
     stages: dict[str, tuple[Pose, Shape]] = {}
     if known is not None:
         truth, stage_1 = known
         start, tracked = ((pose, video.shape) for pose in (video.pose, found.pose))
         stages = {"stage 1": stage_1, "start": start, "tracked": tracked}
-    return Tracking(
-        loss_start=float(found.losses_before.nanmean()),
-        loss=float(found.losses.nanmean()),
-        seconds_per_frame=found.seconds_per_frame,
-        errors_mm={k: means(pose_errors(body, poses, truth)) for k, poses in stages.items()},
-    )
+    figures = {
+        "loss_start": float(found.losses_before.nanmean()),
+        "loss": float(found.losses.nanmean()),
+        "seconds_per_frame": found.seconds_per_frame,
+    }
+    errors = {k: means(pose_errors(body, poses, truth)) for k, poses in stages.items()}
+    return {"figures": figures, "errors_mm": errors}
+
+
+def lines_of(tracking: dict[str, Any]) -> Iterator[str]:
+    """Yield the main figures of :func:`measure_tracking`, one per line."""
+    figures, errors = tracking["figures"], tracking["errors_mm"]
+    for name, region in REGIONS.items() if errors else ():
+        lengths = (f"{stage} {mm[region]:.1f}" for stage, mm in errors.items())
+        yield f"{name:<11} {' → '.join(lengths)} mm"
+    yield f"loss        {figures['loss_start']:.4f} → {figures['loss']:.4f}"
 
 
 def write_tracking(
     video: Video,
     found: FittedPoses,
-    tracking: Tracking,
+    tracking: dict[str, Any],
     options: PhotometricOptions,
     offsets: Tensor | None,
     sources: dict[str, Path],
@@ -94,7 +83,7 @@ def write_tracking(
     ``offsets`` (V, 3) displace the rest surface that goes with the poses, metres; ``sources`` are
     the files used: ``start``, the initial poses, and ``avatar``.
     """
-    record = tracking.to_json() | {
+    record = tracking | {
         "kept": found.kept,
         **{name: str(path) for name, path in sources.items()},
         "options": asdict(options),

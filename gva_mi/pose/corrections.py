@@ -60,8 +60,8 @@ class Corrections:
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
         spread = torch.zeros(joints, n, n)  # the face stays
-        spread[list(PELVIS)] = prior.pelvis.spread(own[:, list(PELVIS)])
-        spread[list(JOINTS)] = prior.joints.spread(own[:, list(JOINTS)])
+        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS])
+        spread[JOINTS] = prior.joints.spread(own[:, JOINTS])
         self._spread, self._spread_moves = spread, prior.place.spread(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
         self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
@@ -75,12 +75,12 @@ class Corrections:
         prior = prior_from_stage1(stage1, known)
         given = stage1.pose.rotations
         own = torch.zeros(given.shape)
-        own[:, list(PELVIS)], pelvis = prior.pelvis.map_estimate()
-        own[:, list(JOINTS)], joints = prior.joints.map_estimate()
+        own[:, PELVIS], pelvis = prior.pelvis.map_estimate()
+        own[:, JOINTS], joints = prior.joints.map_estimate()
         moves, place = prior.place.map_estimate()
         prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
-        covariance[list(JOINTS)] = joints.covariance(own[:, list(JOINTS)])
+        covariance[JOINTS] = joints.covariance(own[:, JOINTS])
         estimate = roma.rotvec_composition([given, own])
         wanted = anatomy.conditioned(estimate, covariance, stage1.times)
         own = turns_between(given, wanted)
@@ -135,16 +135,16 @@ class Corrections:
         turns, moves = self._at(range(len(self.moves)))
         own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
-        pelvis, joints, places = list(PELVIS), list(JOINTS), moves[..., None]
-        nats = prior.pelvis.energy(of_pelvis, turns[:, pelvis], own[:, pelvis])
-        nats = nats + prior.joints.energy(of_joints, turns[:, joints], own[:, joints])
+        places = moves[..., None]
+        nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], own[:, PELVIS])
+        nats = nats + prior.joints.energy(of_joints, turns[:, JOINTS], own[:, JOINTS])
         nats = nats + prior.place.energy(of_place, places, places)
         rotations = compose(stage1.pose.rotations, own)
         motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times
         terms: list[PriorTerm] = [self._anatomy]
         for term in terms if prior.ground is None else [*terms, prior.ground]:
             nats = nats + term.energy(*motion)
-        held = self._held(turns[:, pelvis].mean((0, 1)), None if distance_shown else moves.mean(0))
+        held = self._held(turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0))
         return nats / len(moves) + held + prior.tilt.energy(*motion)
 
     def constant_turn_energy(self) -> Tensor:
@@ -155,7 +155,7 @@ class Corrections:
         every side of a person who turns. So its weight is how far the person turns: 1 for a full
         turn, 0 for none.
         """
-        mean = self._at(range(len(self.moves)))[0][:, list(JOINTS)].mean(0)
+        mean = self._at(range(len(self.moves)))[0][:, JOINTS].mean(0)
         variance = self.prior.joints.variance_of_mean(bias=True)
         return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
 

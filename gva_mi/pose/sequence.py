@@ -159,10 +159,10 @@ class ClothedPerson:
             if options.refine_camera:
                 self.shared.append((self._log_focal, options.focal_lr))
             if job.landmarks is not None:
-                self._points = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
-                self.shared.append((self._points, LANDMARK_STEP))
+                self.landmark_offsets = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
+                self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
-            self._points = job.known.landmark_offsets
+            self.landmark_offsets = job.known.landmark_offsets
             self._log_focal = torch.full((1, 1), job.known.focal).log()
             self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
             self.shared = []
@@ -175,11 +175,6 @@ class ClothedPerson:
     def offsets(self) -> Tensor:
         """``D`` (V, 3), metres."""
         return self._cloth.offsets
-
-    @property
-    def landmark_offsets(self) -> Tensor:
-        """``o`` (P, 3) of the landmarks, metres."""
-        return self._points
 
     @property
     def shape(self) -> Shape:
@@ -221,7 +216,7 @@ class ClothedPerson:
         if (landmarks := self._job.landmarks) is None:
             return loss
         # A refined focal length leaves sizes in the picture alone.
-        person = self._job.body, pose, self.shape, self._points
+        person = self._job.body, pose, self.shape, self.landmark_offsets
         return loss + o.landmarks * landmarks.losses(frames, *person).mean()
 
     def enable_details(self) -> None:
@@ -247,6 +242,6 @@ class ClothedPerson:
         if o.height is not None:
             energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
         if self._job.landmarks is not None:
-            off = self._job.landmarks.energy(self._points) / len(self.frames)
+            off = self._job.landmarks.energy(self.landmark_offsets) / len(self.frames)
             energy = energy + o.landmarks * off
         return energy

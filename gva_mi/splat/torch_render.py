@@ -85,12 +85,8 @@ def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> No
     """
     dtype = getattr(gaussians.means, "dtype", None)
     for name, tensor in gaussians.arrays().items():
-        if not isinstance(tensor, Tensor):
-            found = type(tensor).__name__
-            raise ValueError(f"render(): {name} must be a torch tensor, got {found}")
-        if not tensor.is_cpu or tensor.dtype not in PRECISION:
-            found = f"{tensor.dtype} on {tensor.device}"
-            raise ValueError(f"render(): {name} must be float32 or float64 on the CPU, got {found}")
+        if problem := problem_of(tensor):
+            raise ValueError(f"render(): {name} {problem}")
         if tensor.dtype != dtype:
             found = f"means {dtype}, {name} {tensor.dtype}"
             raise ValueError(f"render(): all tensors must have one dtype, got {found}")
@@ -111,3 +107,12 @@ def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> No
         if tensor.dtype != dtype or tensor.device.type != "cpu":
             found = f"{tensor.dtype} on {tensor.device}"
             raise ValueError(f"render(): {name} must be {dtype} on the CPU, got {found}")
+
+
+def problem_of(tensor: Tensor) -> str | None:
+    """Return what keeps the kernels from reading a tensor, if anything does."""
+    if not isinstance(tensor, Tensor):
+        return f"must be a torch tensor, got {type(tensor).__name__}"
+    if not tensor.is_cpu or tensor.dtype not in PRECISION:
+        return f"must be float32 or float64 on the CPU, got {tensor.dtype} on {tensor.device}"
+    return None

@@ -8,7 +8,7 @@ are (:func:`prior_from_corrections`). The error model goes into the record of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -33,8 +33,8 @@ PLACE = {
 }  # metres
 
 AXES: Mapping[str, tuple[int, ...]] = {"aside": (0, 1), "depth": (2,)}  # the camera's
-PELVIS = GROUPS["pelvis"]
-JOINTS = tuple(i for name, group in GROUPS.items() if name != "pelvis" for i in group)
+PELVIS = list(GROUPS["pelvis"])
+JOINTS = [i for name, group in GROUPS.items() if name != "pelvis" for i in group]
 LEAST_SLOW = 0.5  # least slow error of a group, relative to the mean over all groups
 
 
@@ -96,13 +96,12 @@ def prior_from_stage1(
     if known is not None:
         largest = lambda name: max(known[name].white, noise[name].white)
         noise |= {name: replace(known[name], white=largest(name)) for name in known}
+    process = lambda *given: ProcessPrior.of_stage1(stage1.times, *given)
     return PosePrior(
         noise,
-        ProcessPrior.of_stage1(
-            stage1.times, turns[:, list(PELVIS)], _by_joint(noise, PELVIS), True
-        ),
-        ProcessPrior.of_stage1(stage1.times, turns[:, list(JOINTS)], _by_joint(noise, JOINTS)),
-        ProcessPrior.of_stage1(stage1.times, shifts[..., None], _by_axis(noise), True),
+        process(turns[:, PELVIS], _by_joint(noise, PELVIS), True),
+        process(turns[:, JOINTS], _by_joint(noise, JOINTS)),
+        process(shifts[..., None], _by_axis(noise), True),
         TiltPrior.of(stage1, stage1.pose.rotations),
         known=frozenset(known or ()),
     )
@@ -119,11 +118,11 @@ def prior_from_corrections(
     noise |= {name: before.noise[name] for name in before.known}
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
-    root, sideways = list(PELVIS), stage1.in_camera(steps, slice(0, -1))[:, list(JOINTS), 2:]
+    root, sideways = steps[:, PELVIS], stage1.in_camera(steps, slice(0, -1))[:, JOINTS, 2:]
     return PosePrior(
         noise,
-        updated_process(before.pelvis, _by_joint(noise, PELVIS), turns[:, root], steps[:, root]),
-        updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, list(JOINTS)], sideways),
+        updated_process(before.pelvis, _by_joint(noise, PELVIS), turns[:, PELVIS], root),
+        updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, JOINTS], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
         TiltPrior.of(stage1, pose.rotations),
         known=before.known,
@@ -164,7 +163,7 @@ def _noise(
 
 
 def _by_joint(
-    noise: Mapping[str, Stage1ErrorModel], joints: tuple[int, ...]
+    noise: Mapping[str, Stage1ErrorModel], joints: Sequence[int]
 ) -> list[Stage1ErrorModel]:
     kind = {i: name for name, group in GROUPS.items() for i in group}
     return [noise[kind[i]] for i in joints]

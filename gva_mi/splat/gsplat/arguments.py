@@ -7,9 +7,9 @@ from typing import Any, Literal, NoReturn, get_args
 import torch
 from torch import Tensor
 
-from gva_mi.jit.tensors import PRECISION
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.gaussians import MAX_DEGREE
+from gva_mi.splat.torch_render import problem_of
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 RasterizeMode = Literal["classic", "antialiased"]
@@ -54,11 +54,8 @@ def require_tensors(given: dict[str, Tensor], backgrounds: Tensor | None) -> Non
     """Check kinds, devices and dtypes: all float32 or all float64, on the CPU."""
     optional = {} if backgrounds is None else {"backgrounds": backgrounds}
     for name, tensor in (given | optional).items():
-        if not isinstance(tensor, Tensor):
-            refuse(f"{name} must be a torch tensor, got {type(tensor).__name__}")
-        if not tensor.is_cpu or tensor.dtype not in PRECISION:
-            found = f"{tensor.dtype} on {tensor.device}"
-            refuse(f"{name} must be float32 or float64 on the CPU, got {found}")
+        if problem := problem_of(tensor):
+            refuse(f"{name} {problem}")
     dtype = given["means"].dtype
     for name, tensor in given.items():
         if tensor.dtype != dtype:

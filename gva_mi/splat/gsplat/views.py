@@ -64,11 +64,6 @@ class RenderedView:
         )
         return RenderedView(drawn, tensors._replace(echo=echo), means2d, depths)
 
-    @property
-    def screen(self) -> Screen:
-        """The Gaussians in this picture."""
-        return self.drawn.call.screen
-
     def image(self, means2d: Tensor) -> Image:
         """Return the picture as a function of its part (..., M, 2) of the common ``means2d``."""
         return Image(*Render.apply(*self.tensors._replace(means2d=means2d), self.drawn)[:-1])
@@ -112,13 +107,13 @@ class RenderedViews:
 
     def of_screens(self, number: Callable[[Screen], Tensor]) -> Tensor:
         """Join a property of every picture's screen, in the rows of ``means2d``."""
-        return self.join(view.drawn.pick(number(view.screen)) for view in self.views)
+        return self.join(view.drawn.pick(number(view.drawn.call.screen)) for view in self.views)
 
     def attach_absgrad(self) -> None:
         """Make backward set ``means2d.absgrad``."""
         # the tensor holds the hook: the hook must hold neither the tensor nor self
         node, shape, packed = weakref.ref(self.means2d), self.shape, self.packed
-        sources = [(v.screen, v.drawn.rows, v.means2d.new_zeros(1, 2)) for v in self.views]
+        zero, drawn = self.means2d.new_zeros(1, 2), [view.drawn for view in self.views]
         sizes = [len(view.means2d) for view in self.views]
 
         def attach(grad: Tensor) -> None:
@@ -126,11 +121,9 @@ class RenderedViews:
             if target is None:
                 return
             parts = []
-            for (screen, rows, zero), size in zip(sources, sizes, strict=True):
-                if screen.absgrad is None:  # no loss depends on this picture
-                    parts.append(zero.expand(size, 2))
-                else:
-                    parts.append(screen.absgrad if rows is None else screen.absgrad[rows])
+            for picture, size in zip(drawn, sizes, strict=True):
+                absgrad = picture.call.screen.absgrad  # None: no loss depends on this picture
+                parts.append(zero.expand(size, 2) if absgrad is None else picture.pick(absgrad))
             target.absgrad = _joined_rows(parts, shape, packed)
 
         self.means2d.register_hook(attach)

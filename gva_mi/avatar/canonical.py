@@ -181,15 +181,9 @@ def seed_on_surface(
 ) -> CanonicalGaussians:
     """Cover a rest surface with flat discs, without random numbers.
 
-    One Gaussian sits on each vertex, and the rest are spread over the faces by area. If fewer
-    Gaussians than vertices are requested, all are spread over the faces.
-
-    Args:
-        vertices: (V, 3) metres, rest pose.
-        faces: (F, 3) int64.
-        skin: gives the Gaussians their skinning weights and blend shapes.
-        options: number and sizes.
-        colors: (V, 3) linear, of the vertices; None: grey.
+    One Gaussian sits on each vertex (V, 3), metres, and the rest are spread over the faces (F, 3)
+    by area. If fewer Gaussians than vertices are requested, all are spread over the faces. The skin
+    gives them weights and blend shapes; ``colors`` (V, 3) are linear, None: grey.
     """
     V = vertices.shape[0]
     count = options.count or V

@@ -52,9 +52,7 @@ class DensifyOptions:
 class ScreenGradients:
     """Sum over views of the length of the loss's gradient by each Gaussian's screen position.
 
-    Attributes:
-        total: (N,) the sum, per half person.
-        views: (N,) how many views showed each Gaussian.
+    ``total`` (N,) is that sum, per half person, ``views`` (N,) how many views showed a Gaussian.
     """
 
     def __init__(self, count: int) -> None:
@@ -90,12 +88,8 @@ def densify(
 ) -> None:
     """Run one round of density control; replaces ``avatar.canonical`` and the optimiser's state.
 
-    Args:
-        avatar: its Gaussians change; skeleton and residual do not.
-        optimizer: holds the parameters of ``avatar.canonical`` in its groups.
-        gradients: of all views since the last round; start new ones afterwards.
-        options: thresholds.
-        generator: draws the places of the halves of a split.
+    The gradients are those of all views since the last round; start new ones afterwards. The
+    generator draws the places of the halves of a split.
     """
     G = avatar.canonical
     with torch.no_grad():

@@ -139,12 +139,8 @@ class Face:
 class FacePart:
     """Corrections of the jaw (d = 3), or of C coefficients of the expression (d = 1).
 
-    Attributes:
-        name: "jaw" or "expression".
-        coefficients: (C,) numbers of the expression's; none for the jaw.
-        start: ``δ⁰`` (n, C, d).
-        prior: the process prior of their energy.
-        u: (n, C, d), a leaf.
+    ``coefficients`` (C,) are numbers of the expression's, none for the jaw; ``start`` is ``δ⁰`` (n,
+    C, d), and ``u`` (n, C, d) a leaf.
     """
 
     def __init__(self, name: str, coefficients: Tensor, prior: ProcessPrior, start: Tensor) -> None:

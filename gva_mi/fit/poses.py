@@ -153,13 +153,9 @@ class TrainedPoses:
 
 
 class _Clip:
-    """Frames that share a prior.
+    """Frames that share a prior, and the corrections of their poses and faces.
 
-    Attributes:
-        frames: their numbers.
-        corrections: of their poses.
-        face: corrections of their jaw and expression.
-        waiting: steps of the fit on these frames since the last step of the poses.
+    ``waiting`` counts steps of the fit on these frames since the last step of the poses.
     """
 
     def __init__(

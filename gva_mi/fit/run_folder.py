@@ -59,14 +59,10 @@ def prepare(
     resume: bool,
     sources: Mapping[str, str | None] | None = None,
 ) -> None:
-    """Prepare the folder of a run and write its options.
+    """Prepare the folder of a run and write its options, plain values.
 
-    Args:
-        out: the folder; created if missing.
-        options: of the run, plain values.
-        video: the video to fit.
-        resume: whether a run of the same options and video may be there already.
-        sources: files that later commands look for: see :func:`sources_of`.
+    With ``resume``, a run of the same options and video may be there already. ``sources`` are files
+    that later commands look for: see :func:`sources_of`.
 
     Raises:
         InputError: a run is there and is not to be resumed, or has other options or another video.

@@ -41,14 +41,11 @@ from gva_mi.pose.stage1 import Stage1, turns_between
 
 
 class Corrections:
-    """``δ`` and ``τ`` of some frames.
+    """``δ`` and ``τ`` of some frames, under a prior.
 
-    Attributes:
-        turns: (n, J, 3, 1) ``u`` of the turns, a leaf.
-        moves: (n, 3, 1) ``u`` of the shifts, a leaf. :class:`gva_mi.pose.optimizer.VectorAdam`
-            takes the last axis for a vector, so each coordinate has its own step size.
-        start: ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
-        prior: of the corrections.
+    ``turns`` (n, J, 3, 1) and ``moves`` (n, 3, 1) are leaves, ``u`` of eq. 2.
+    :class:`gva_mi.pose.optimizer.VectorAdam` takes the last axis for a vector, so each coordinate
+    has its own step size. ``start`` is ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
     """
 
     def __init__(

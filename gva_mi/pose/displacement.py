@@ -24,8 +24,8 @@ _WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 class Displacement:
     """``D`` and its energy.
 
-    Attributes:
-        raw: (V, 3) the leaf that an optimiser may move; ``D`` equals it, but is zero on the hands.
+    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
+    hands.
     """
 
     def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:

@@ -30,13 +30,10 @@ def render(
     options: SplatOptions | None = None,
     background: Tensor | None = None,
 ) -> Image:
-    """Draw ``gaussians`` as ``splat.render`` does, in float64.
+    """Draw ``gaussians``, torch tensors of any precision, as ``splat.render`` does, in float64.
 
-    Args:
-        gaussians: torch tensors of any precision; computed in float64, differentiable.
-        camera: the view; differentiable if it is made from tensors.
-        options: cut-offs.
-        background: (D,); black if None.
+    Differentiable, by the camera too if it is made from tensors; the background (D,) is black if
+    None.
     """
     return _render(gaussians, camera, options or SplatOptions(), background)[0]
 

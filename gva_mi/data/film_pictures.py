@@ -15,12 +15,11 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film import Film
-from gva_mi.data.importers.footage import files_of, uneven_pixels
+from gva_mi.data.importers.footage import files_of, uneven_pixels, varying
 from gva_mi.data.importers.lens import recorded_35mm
 from gva_mi.data.pictures import opened, read_image
 
 MOST = 30.0  # pictures a second, unless more are asked for; and the rate of a folder
-EVEN = 0.1  # share of a step by which steps may differ
 
 
 @dataclass(frozen=True)
@@ -105,18 +104,14 @@ def _evenly(
     if usual <= 0:
         return within, min(fps, MOST), []
     own = (len(times) - 1) / float(times[-1] - times[0])
-    # Moments are whole ticks: of a clock of 1 ms, 30 a second are 33 or 34 ms apart.
-    if np.abs(steps - usual).max() <= max(EVEN * usual, 0.0015):
+    if (varies := varying(steps, 0.001)) is None:
         every = max(1, round(own / fps))
         notes = [f"of {own:.3g} pictures a second one in {every} is used"] * (every > 1)
         return within[::every], own / every, notes
     rate = min(fps, 1 / usual)
     wanted = np.arange(times[0], times[-1] + 0.5 / rate, 1 / rate)
     middle = (times[1:] + times[:-1]) / 2
-    note = (
-        f"the film's rate varies: its pictures are {1000 * steps.min():.3g} to "
-        f"{1000 * steps.max():.3g} ms apart; sampled at even {rate:.3g} a second"
-    )
+    note = f"{varies}; sampled at even {rate:.3g} a second"
     return within[np.searchsorted(middle, wanted)], rate, [note]
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import read_image
+from gva_mi.data.pictures import read_image, require_sides
 from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
 from gva_mi.splat import Camera
 
@@ -50,13 +50,12 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
     frames = _frames(folder / ABOUT, count)
     cameras = load_cameras(folder / "cameras.npz", len(frames), f" for {{}} pictures of {ABOUT}")
     for k, camera in enumerate(cameras):
-        size = (camera.height, camera.width)
         image = read_image(folder / "frames" / f"{k:06d}.png", 3)
         mask = read_mask(folder / "masks", k)
+        if mask is None:
+            raise InputError(f"{folder}: mask {k} is not there")
         for what, found in (("picture", image), ("mask", mask)):
-            if found is None or found.shape[:2] != size:
-                there = "is not there" if found is None else f"is {found.shape[1]}x{found.shape[0]}"
-                raise InputError(f"{folder}: {what} {k} {there}; expected {size[1]}x{size[0]}")
+            require_sides(f"{folder}: {what} {k}", found, camera.width, camera.height)
     return frames, cameras
 
 

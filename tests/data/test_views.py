@@ -61,7 +61,7 @@ def test_damaged_views_are_refused_in_one_sentence(views):
     refused("holds 2 cameras for 3 pictures")
     (views / "views/views.json").write_text(json.dumps({"frames": [0, 1]}))
     write_image(views / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8))
-    refused("picture 1 is 5x4; expected 12x10")
+    refused("picture 1 is 5x4, expected 12x10")
     write_image(views / "views/frames/000001.png", np.zeros((*SIZE, 3), np.uint8))
     (views / "views/masks/000000.png").unlink()
     refused("mask 0 is not there")

@@ -125,12 +125,15 @@ def uneven_rate(source: Pictures) -> str | None:
     """Return a note if a film's frame rate varies; each picture still counts as one frame."""
     if isinstance(source, tuple) or not source.is_file():
         return None
-    steps, tick = steps_of(source)
+    varies = varying(*steps_of(source))
+    return varies and f"{varies}; each is one frame, and motion is taken as even"
+
+
+def varying(steps: np.ndarray, tick: float) -> str | None:
+    """Return words if the seconds (T − 1,) between pictures vary; ``tick`` is the clock's."""
     usual = float(np.median(steps)) if len(steps) else 0.0
     # Moments are whole ticks: 30 a second are 33 or 34 ms apart where a tick is 1 ms.
     if not len(steps) or np.abs(steps - usual).max() <= max(0.1 * usual, 1.5 * tick):
         return None
-    return (
-        f"the film's rate varies: its pictures are {1000 * steps.min():.3g} to "
-        f"{1000 * steps.max():.3g} ms apart; each is one frame, and motion is taken as even"
-    )
+    least, most = 1000 * steps.min(), 1000 * steps.max()
+    return f"the film's rate varies: its pictures are {least:.3g} to {most:.3g} ms apart"

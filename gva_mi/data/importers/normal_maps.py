@@ -20,7 +20,7 @@ from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, Convention, NormalMaps, read_map
-from gva_mi.data.pictures import in_8_bits, write_image
+from gva_mi.data.pictures import in_8_bits, require_sides, write_image
 from gva_mi.splat import Camera
 
 
@@ -110,9 +110,5 @@ def _read(path: Path, camera: Camera) -> np.ndarray:
         stored = np.nan_to_num(stored.astype(np.float32))
         if (stored > 0).any() and not (stored < 0).any():
             raise InputError(f"{path}: holds no number below 0, such as (n + 1) / 2; expected n")
-    if stored.shape[:2] != (camera.height, camera.width):
-        raise InputError(
-            f"{path}: is {stored.shape[1]}x{stored.shape[0]}, expected the frame's "
-            f"{camera.width}x{camera.height}"
-        )
+    require_sides(f"{path}:", stored, camera.width, camera.height)
     return stored

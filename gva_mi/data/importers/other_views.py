@@ -17,7 +17,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.footage import pictures
 from gva_mi.data.importers.lens import undistort
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import require_sides, write_image
 from gva_mi.data.video import spread
 from gva_mi.data.views import VIEWS, save_views
 from gva_mi.splat import Camera
@@ -94,9 +94,5 @@ def _pair(other: FixedCamera, number: int, capture: Capture) -> tuple[np.ndarray
     """Read a picture and its mask, 255 inside."""
     image = next(pictures((other.frames[number],), 3))
     mask = next(capture.read_masks((other.masks[number],)))
-    if mask.shape != image.shape[:2]:
-        raise InputError(
-            f"{other.masks[number]}: is {mask.shape[1]}x{mask.shape[0]}, expected "
-            f"{image.shape[1]}x{image.shape[0]}"
-        )
+    require_sides(f"{other.masks[number]}:", mask, *image.shape[1::-1])
     return image, mask

@@ -27,20 +27,11 @@ from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
 from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.importers import footage
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture
 from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
 from gva_mi.data.importers.estimators import KINDS, VideoInfo, read_estimator
-from gva_mi.data.importers.footage import (
-    count_of,
-    files_of,
-    folder_of,
-    mask_meaning,
-    pictures,
-    raw_masks,
-    uneven_pixels,
-    uneven_rate,
-)
 from gva_mi.data.importers.hand_merge import merge_hands
 from gva_mi.data.importers.lens import filmed_with, undistort
 from gva_mi.data.importers.normal_maps import maps_of, write_maps
@@ -53,7 +44,7 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
-from gva_mi.data.pictures import write_image
+from gva_mi.data.pictures import require_sides, write_image
 from gva_mi.data.video import POSES, save_cameras, spread
 from gva_mi.splat import Camera
 
@@ -85,7 +76,7 @@ def prepare_folder(
     of_lens = []
     if kind not in DATASETS:  # which know their lenses
         track, of_lens = filmed_with(track, options.lens, capture.frames, size)
-    straight = undistort(folder_of(capture.frames), track.K[0], capture.distortion, size)
+    straight = undistort(footage.folder_of(capture.frames), track.K[0], capture.distortion, size)
     count = _write_pictures(out, capture, straight, size, progress, int(track.frames.max()) + 1)
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
@@ -121,7 +112,7 @@ def prepare_folder(
     save_poses(out / POSES, pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
     notes += _doubts(out, replace(track, betas=None).where(inside), pose, shape, cameras, body)
-    of_film = uneven_rate(capture.frames), uneven_pixels(capture.frames)
+    of_film = footage.uneven_rate(capture.frames), footage.uneven_pixels(capture.frames)
     notes += [note for note in (capture.note, *of_film) if note]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
@@ -148,7 +139,7 @@ def _capture(
     for name, given in (("frames", capture.frames), ("masks", masks or options.sam_checkpoint)):
         if given is None:
             raise InputError(f"{source}: brings no {name} of its own; give --{name}")
-    image = next(pictures(capture.frames, 3), None)
+    image = next(footage.pictures(capture.frames, 3), None)
     if image is None:
         raise InputError(f"{source}: no picture of it is there")
     size = image.shape[1::-1]
@@ -156,7 +147,7 @@ def _capture(
         kind, tracks = read_estimator(kind, source, VideoInfo(size, options.focal, body))
         capture = replace(capture, tracks=tracks)
     if capture.masks is not None and capture.meaning is None:  # decided once for all
-        capture = replace(capture, meaning=mask_meaning(capture.masks))
+        capture = replace(capture, meaning=footage.mask_meaning(capture.masks))
     return kind, capture, size
 
 
@@ -166,9 +157,9 @@ def _numbered(kind: str, capture: Capture, first: int | None) -> tuple[Capture, 
     if first is None and (kind in DATASETS or not capture.tracks):
         first = 0
     elif first is None:
-        names = files_of(capture.frames)
+        names = footage.files_of(capture.frames)
         frames = np.concatenate([track.frames for track in capture.tracks])
-        first = first_number(frames, count_of(capture.frames), KINDS[kind].first, names)
+        first = first_number(frames, footage.count_of(capture.frames), KINDS[kind].first, names)
         if first:
             notes = [f"frames are numbered from {first}; --first takes another number"]
     moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
@@ -184,8 +175,9 @@ def _chosen(
     votes = lambda: joints_in_masks(tracks, capture.read_masks(), body.joints)
     track, notes = choose(where, tracks, person, votes if capture.masks and not labels else None)
     if labels:
-        drawn = (mask for _, mask in raw_masks(capture.masks))
-        label = label_under(str(folder_of(capture.masks)), track, drawn, labels, body.joints)
+        drawn = (mask for _, mask in footage.raw_masks(capture.masks))
+        where = str(footage.folder_of(capture.masks))
+        label = label_under(where, track, drawn, labels, body.joints)
         capture = replace(capture, meaning=replace(meaning, label=label))
         notes.append(f"masks are labels, of which {label} lies under the person's joints")
     return capture, track, notes
@@ -204,12 +196,9 @@ def _write_pictures(
     straight = straight or (lambda image: image)
     for image, mask in _pairs(capture):
         for what, found in (("picture", image), ("mask", mask)):
-            if found is not None and found.shape[1::-1] != size:
-                path = folder_of(capture.frames if what == "picture" else capture.masks)
-                raise InputError(
-                    f"{path}: {what} {count} is {found.shape[1]}x{found.shape[0]}, expected "
-                    f"{size[0]}x{size[1]}"
-                )
+            if found is not None:
+                path = footage.folder_of(capture.frames if what == "picture" else capture.masks)
+                require_sides(f"{path}: {what} {count}", found, *size)
         write_image(out / "frames" / f"{count:06d}.png", straight(image))
         if mask is not None:
             values += np.bincount(mask.ravel(), minlength=256)
@@ -218,17 +207,17 @@ def _write_pictures(
         if progress:
             progress(count, max(count, expected))
     if capture.masks is not None:
-        require_person(str(folder_of(capture.masks)), values)
+        require_person(str(footage.folder_of(capture.masks)), values)
     return count
 
 
 def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
     """Yield each picture with its mask; None without masks."""
-    images = pictures(capture.frames, 3)
+    images = footage.pictures(capture.frames, 3)
     if capture.masks is None:
         yield from ((image, None) for image in images)
         return
-    where, masks = folder_of(capture.masks), capture.read_masks()
+    where, masks = footage.folder_of(capture.masks), capture.read_masks()
     for count, image in enumerate(images):
         mask = next(masks, None)
         if mask is None and capture.loose:

@@ -119,7 +119,7 @@ BAD = {
     "astray": "7.png: is of no frame; frames are numbered 8-12, and normals go by the last number",
     "twice": "8.png and back_8.png are both of frame 8; expected one map each",
     "nameless": "front.png: ",
-    "size": "9.png: is 32x24, expected the frame's 64x48",
+    "size": "9.png: is 32x24, expected 64x48",
     "black": "maps: no pixel inside the masks is a unit vector; expected (n + 1) / 2 in pictures",
     "shares": "9.npy: holds no number below 0, such as (n + 1) / 2; expected n",
     "axes": "most normals look away from the camera if they are perspective; expected another",

@@ -42,16 +42,18 @@ class Splits:
         return Splits._of(frames, range((frames - count) // 2, (frames + count) // 2))
 
     @staticmethod
-    def of_film(frames: int, step: int = TEST_EVERY, share: int = 10) -> Splits:
-        """Make every ``step``-th frame a test frame, and one ``share``-th a held-out range.
+    def of_film(frames: int) -> Splits:
+        """Make every 8th frame a test frame, and a tenth of all a held-out range.
 
         The range lies in the middle of the second half, where a person who turns once shows a side
         that the first half has shown.
         """
-        count = max(1, frames // share)
+        count = max(1, frames // 10)
         first = min(frames - count, 3 * frames // 4 - count // 2)
         held_out = range(first, first + count)
-        return Splits._of(frames, {*range(step // 2, frames, step), *held_out}, held_out)
+        return Splits._of(
+            frames, {*range(TEST_EVERY // 2, frames, TEST_EVERY), *held_out}, held_out
+        )
 
     @staticmethod
     def _of(frames: int, test: Collection[int], held_out: Iterable[int] = ()) -> Splits:

@@ -81,13 +81,12 @@ class SubjectFiles:
     def attempt(
         self, what: str, read: Callable[[], T], cause: str = "missing, cut short, or of another "
         "form", remedy: str = "write it again in the form that docs/own_video.md describes",
-        frames: Sequence[int] = (),
     ) -> T | None:  # fmt: skip
         """Call ``read``; if it fails, record a problem and return None."""
         try:
             return read()
         except InputError as reason:
-            self.problems.append(error(what, str(reason), cause, remedy, frames))
+            self.problems.append(error(what, str(reason), cause, remedy))
             return None
 
 

@@ -19,7 +19,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hands import SIDES, ForeignHand, read_hands
-from gva_mi.data.importers.people import joint_pixels
+from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.tracks import Track, interpolate
 
 NEAR = 5  # frames around a hand that was seen, in which it is held
@@ -52,16 +52,12 @@ def merge_hands(
     rotations = track.rotations.copy()
     if track.from_mean_hand:
         rotations[:, LEFT_HAND.start :] += mean_hands
-    at_wrists = None if body is None else joint_pixels(track, body)[:, [
-        JOINTS.index(f"{side}_wrist") for side in SIDES
-    ]]  # fmt: skip
-    said = []
+    seen, said = {} if body is None else pixels_by_frame(track, body), []
     for k, side in enumerate(SIDES):
         if not track.has_hands:
             put_hand(rotations, side, GESTURES["rest"].values)
-        numbers = track.frames.tolist()
-        at = None if at_wrists is None else dict(zip(numbers, at_wrists[:, k], strict=True))
-        chosen = _one_each(hands, side, set(numbers), at)
+        at = {frame: pixels[JOINTS.index(f"{side}_wrist")] for frame, pixels in seen.items()}
+        chosen = _one_each(hands, side, set(track.frames.tolist()), at)
         said.append(f"{len(chosen)} {side}")
         if chosen:
             mean = mean_hands[15 * k : 15 * (k + 1)] if from_mean else 0.0
@@ -80,7 +76,7 @@ def merge_hands(
 
 
 def _one_each(
-    hands: Sequence[ForeignHand], side: str, frames: set[int], at: dict[int, np.ndarray] | None
+    hands: Sequence[ForeignHand], side: str, frames: set[int], at: dict[int, np.ndarray]
 ) -> dict[int, ForeignHand]:
     """Return one hand for each frame: the first, or of several the one nearest to the wrist."""
     found: dict[int, ForeignHand] = {}
@@ -90,7 +86,7 @@ def _one_each(
         other = found.get(hand.frame)
         if other is None:
             found[hand.frame] = hand
-        elif at is not None and hand.centre is not None and other.centre is not None:
+        elif at and hand.centre is not None and other.centre is not None:
             wrist = at[hand.frame]
             if np.linalg.norm(hand.centre - wrist) < np.linalg.norm(other.centre - wrist):
                 found[hand.frame] = hand

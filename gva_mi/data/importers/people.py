@@ -70,36 +70,29 @@ def joints_in_masks(
     A frame with an empty mask has no vote, and neither has a joint beyond the picture's border.
     Masks are (H, W) 8-bit, frame by frame from 0; ``joints`` are (55, 3) of a body at rest, metres.
     """
-    seen = [joint_pixels(track, joints) for track in tracks]
-    rows = [{int(f): i for i, f in enumerate(track.frames)} for track in tracks]
+    seen = [pixels_by_frame(track, joints) for track in tracks]
     votes = np.zeros((len(tracks), 2), int)
     for k, mask in enumerate(masks):
         inside = mask > BARELY
-        if not inside.any():
-            continue
-        for person, row in enumerate(rows):
-            if k in row:
-                hits, there = count_in_mask(seen[person][row[k]], inside)
+        for person, pixels in enumerate(seen if inside.any() else ()):
+            if k in pixels:
+                hits, there = count_in_mask(pixels[k], inside)
                 votes[person] += hits, there - hits
     return votes
 
 
 def label_under(
-    where: str,
-    track: Track,
-    masks: Iterable[np.ndarray],
-    labels: Sequence[int],
-    joints: np.ndarray,
+    where: str, track: Track, masks: Iterable[np.ndarray], labels: Sequence[int], joints: np.ndarray
 ) -> int:
     """Return the label of masks (H, W) under most of a track's joints, where it is in a mask.
 
     The other arguments are those of :func:`joints_in_masks`.
     """
     hits, seen = dict.fromkeys(labels, 0), dict.fromkeys(labels, 0)
-    pixels, row = joint_pixels(track, joints), {int(f): i for i, f in enumerate(track.frames)}
+    pixels = pixels_by_frame(track, joints)
     for k, mask in enumerate(masks):
-        for label in np.unique(mask).tolist() if k in row else ():
-            inside, there = count_in_mask(pixels[row[k]], mask == label)
+        for label in np.unique(mask).tolist() if k in pixels else ():
+            inside, there = count_in_mask(pixels[k], mask == label)
             hits[label] += inside
             seen[label] += there
     best = max((x for x in labels if x), key=hits.__getitem__)
@@ -112,17 +105,21 @@ def label_under(
     return int(best)
 
 
-def joint_pixels(track: Track, joints: np.ndarray, count: int = BODY.stop) -> np.ndarray:
-    """Project a track's first joints, by default root and body, to pixels (n, count, 2).
+def pixels_by_frame(
+    track: Track, joints: np.ndarray, count: int = BODY.stop
+) -> dict[int, np.ndarray]:
+    """Return where a track's first joints, by default root and body, are seen in each frame.
 
-    They are not finite behind the camera. ``joints`` are (55, 3) of a body at rest, metres.
+    Pixels (count, 2) are not finite behind the camera. ``joints`` are (55, 3) of a body at rest,
+    metres.
     """
     places = joint_places(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
     x = places - places[:, :1] + track.places[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         projected = np.einsum("tab,tjb->tja", track.K, x)
         seen = projected[..., :2] / projected[..., 2:]
-    return np.where(x[..., 2:] > 0, seen, np.inf)
+    pixels = np.where(x[..., 2:] > 0, seen, np.inf)
+    return dict(zip(track.frames.tolist(), pixels, strict=True))
 
 
 def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:

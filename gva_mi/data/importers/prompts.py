@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.data.importers.people import joint_pixels
+from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.networks.segment_anything import Prompt
 
@@ -38,11 +38,10 @@ def prompts_of(
 
     Frames are the video's; ``joints`` are (55, 3) of a body at rest, metres; ``size`` is (W, H).
     """
-    by_frame = lambda t: dict(zip(t.frames.tolist(), joint_pixels(t, joints, 55), strict=True))
-    theirs = [by_frame(other) for other in others]
+    theirs = [pixels_by_frame(other, joints, 55) for other in others]
     return [
         _prompt(pixels, [seen[frame] for seen in theirs if frame in seen], size)
-        for frame, pixels in by_frame(track).items()
+        for frame, pixels in pixels_by_frame(track, joints, 55).items()
     ]
 
 

@@ -7,7 +7,6 @@ around the whole person, whose centre is the middle of the hips.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,25 +21,6 @@ _GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anch
 MARGIN = 1.25  # side of the landmark network's square, relative to the circle's diameter
 
 
-@dataclass(frozen=True)
-class DetectedPerson:
-    """A person of a picture, in its pixels."""
-
-    score: float  # in [0, 1]
-    hips: np.ndarray  # (2,) the middle of the hips
-    top: np.ndarray  # (2,) of the circle around the whole person
-
-    @property
-    def radius(self) -> float:
-        """Radius of the circle around the whole person, pixels."""
-        return float(np.linalg.norm(self.top - self.hips))
-
-    @property
-    def square(self) -> TurnedSquare:
-        """What the landmark network should see of the person."""
-        return TurnedSquare.upright(self.hips, self.top, 2 * MARGIN * self.radius)
-
-
 class PersonDetector:
     """MediaPipe's pose detector."""
 
@@ -49,8 +29,11 @@ class PersonDetector:
         self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
         self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
 
-    def find(self, image: np.ndarray) -> list[DetectedPerson]:
-        """Return the people of a picture (H, W, 3) 8-bit, the most certain first."""
+    def find(self, image: np.ndarray) -> list[TurnedSquare]:
+        """Return what the landmark network should see of the people of a picture (H, W, 3) 8-bit.
+
+        The most certain person comes first.
+        """
         height, width = image.shape[:2]
         whole = TurnedSquare((width / 2, height / 2), max(height, width))
         out = self._network(2 * whole.cut(image, self._network.size, edge=False) - 1)
@@ -68,7 +51,8 @@ class PersonDetector:
             points = values[group, 4:8].reshape(-1, 2, 2) + self._anchors[group, None]
             mean = np.average(points, axis=0, weights=scores[group])
             hips, top = whole.to_picture(mean)
-            people.append(DetectedPerson(float(scores[group[0]]), hips, top))
+            radius = float(np.linalg.norm(top - hips))
+            people.append(TurnedSquare.upright(hips, top, 2 * MARGIN * radius))
         return people
 
 

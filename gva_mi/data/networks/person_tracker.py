@@ -16,7 +16,8 @@ import numpy as np
 
 from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.data.networks.known_person import KnownPerson, torso_colours
-from gva_mi.data.networks.person_detector import DetectedPerson, PersonDetector
+from gva_mi.data.networks.person_detector import PersonDetector
+from gva_mi.data.networks.turned_square import TurnedSquare
 
 FOUND = 0.5  # least presence of a person
 MOST = 6  # people of a picture
@@ -85,11 +86,11 @@ class PersonTracker:
             _paint_over(rest, body, grey)
         return seen
 
-    def _look(self, image: np.ndarray, person: DetectedPerson) -> SeenBody | None:
+    def _look(self, image: np.ndarray, person: TurnedSquare) -> SeenBody | None:
         """Return the body of a detected person, if the body network agrees that it is one."""
         bodies = []
         for scale in _SCALES:
-            square = person.square.scaled(scale)
+            square = person.scaled(scale)
             for _ in range(_LOOKS):
                 body = self._network.see(image, square)
                 square = body.square

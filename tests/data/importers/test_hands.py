@@ -12,7 +12,7 @@ from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hand_merge import merge_hands
-from gva_mi.data.importers.people import joint_pixels
+from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import load_video
@@ -150,7 +150,7 @@ def test_hands_that_are_missing_are_relaxed_or_the_body_s(tmp_path, body, seen):
 
 def test_of_several_people_s_hands_the_one_at_the_wrist_counts(tmp_path, body, seen):
     joints = TargetBody.read(None).joints
-    wrist = joint_pixels(body, joints)[0, JOINTS.index("right_wrist")]
+    wrist = pixels_by_frame(body, joints)[0][JOINTS.index("right_wrist")]
     box = lambda x, y: [x - 1, y - 1, x + 1, y + 1]
     hands = [{"is_right": 1, "hand_pose": seen[0][1, k], "bbox": box(*(wrist + 0.3 * (1 - k)))}
              for k in range(2)]  # fmt: skip

@@ -47,7 +47,12 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
     folder = subject / VIEWS
     if not folder.is_dir():
         return None
-    frames = _frames(folder / ABOUT, count)
+    path, expected = folder / ABOUT, '{"frames": [...]}, the video\'s frame of each picture'
+    found = read_json(path, expected)
+    with expecting(path, expected):
+        frames = found["frames"]
+        if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
+            raise ValueError(f"the video has frames 0 to {count - 1}")
     cameras = load_cameras(folder / "cameras.npz", len(frames), f" for {{}} pictures of {ABOUT}")
     for k, camera in enumerate(cameras):
         image = read_image(folder / "frames" / f"{k:06d}.png", 3)
@@ -65,14 +70,3 @@ def save_views(
     """Write ``views.json`` and ``cameras.npz``: frame and camera of each picture."""
     save_cameras(folder / "cameras.npz", cameras)
     write_json(folder / ABOUT, {"frames": list(frames), "cameras": list(names)})
-
-
-def _frames(path: Path, count: int) -> list[int]:
-    """Read the frame number of each picture; the video has ``count`` frames."""
-    expected = '{"frames": [...]}, the video\'s frame of each picture'
-    found = read_json(path, expected)
-    with expecting(path, expected):
-        frames = found["frames"]
-        if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
-            raise ValueError(f"the video has frames 0 to {count - 1}")
-        return frames

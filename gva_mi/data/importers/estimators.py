@@ -70,7 +70,8 @@ class Estimator:
             track = make_track(at, person.name, person.frames, given, K, info.body, self.of_pelvis)
             mean = track.from_mean_hand or (self.mean_hand and track.has_hands)
             notes = (*track.notes, *self._left_out(person.arrays))
-            tracks.append(replace(track, from_mean_hand=mean, notes=notes).sorted())
+            track = replace(track, from_mean_hand=mean, notes=notes)
+            tracks.append(track.where(np.unique(track.frames, return_index=True)[1]))
         return tracks
 
     def _named(self, arrays: Arrays) -> Arrays:

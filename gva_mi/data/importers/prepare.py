@@ -257,7 +257,12 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
     places = places - body.pelvises(body.form, betas)
     tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
     pose = Pose(tensor(rotations), tensor(places), tensor(expression))
-    return pose, shape, [*notes, body.takes_over(track.form)]
+    notes.append(
+        f"for the body {body.name}: rotations, place and betas are the source's own" if own else
+        f"retargeted to the body {body.name}: rotations and the pelvis's place are the source's; "
+        "lengths of limbs and shape are this body's"
+    )  # fmt: skip
+    return pose, shape, notes
 
 
 def _doubts(

@@ -86,12 +86,3 @@ class TargetBody:
         count = min(10, self.model.num_expressions, given.shape[1])
         note = [f"the first {count} of {given.shape[1]} coefficients of the expression are kept"]
         return given[:, :count], note if given[:, count:].any() else []
-
-    def takes_over(self, form: str) -> str:
-        """Return a note on what this body keeps of a source with this body model."""
-        if self.keeps_betas(form):
-            return f"for the body {self.name}: rotations, place and betas are the source's own"
-        return (
-            f"retargeted to the body {self.name}: rotations and the pelvis's place are the "
-            "source's; lengths of limbs and shape are this body's"
-        )

@@ -45,10 +45,6 @@ class Track:
     of_mean: bool = False  # places follow from the mean person's pelvis, which betas move
     notes: tuple[str, ...] = ()  # what of the source is not here
 
-    def sorted(self) -> Track:
-        """Return the track with ascending frames, each once."""
-        return self.where(np.unique(self.frames, return_index=True)[1])
-
     def where(self, rows: np.ndarray) -> Track:
         """Select rows of the track by a mask (n,) or by row numbers."""
         names = ("frames", "rotations", "places", "betas", "K", "expression")

@@ -109,26 +109,21 @@ def motion_of_poses(
     named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
     named["betas"] = shape.betas.double().numpy()
     track = make_track(where, "0", None, named, np.eye(3), body)
-    return _resampled(where, track, fps, "y", [], body, options)
+    return _resampled(where, track, fps, "y", body, options)
 
 
 def _resampled(
-    where: str,
-    track: Track,
-    rate: float,
-    own_up: str | None,
-    notes: list[str],
-    body: TargetBody,
+    where: str, track: Track, rate: float, own_up: str | None, body: TargetBody,
     options: MotionOptions,
-) -> Motion:
+) -> Motion:  # fmt: skip
     """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its form's own axis."""
     if options.hands not in HANDS:
         start = int(track.frames.min() == 1)  # of SMPLer-X
         counted = replace(track, frames=track.frames - start)
         track, more = merge_hands(counted, Path(options.hands), body.mean_hands)
-        notes = [*notes, *more]
+        track = replace(track, notes=(*track.notes, *more))
     rotations, others, known = _timeline(where, track)
-    notes = [*notes, *track.notes]
+    notes = list(track.notes)
     if not known.all():
         _check_gaps(where, known, rate, options)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
@@ -172,18 +167,16 @@ def _resampled(
     return Motion(pose, Shape(tensor(betas)), tuple(notes))
 
 
-def _read(
-    path: Path, body: TargetBody, options: MotionOptions
-) -> tuple[Track, float, str | None, list[str]]:
-    """Read one person's track, frames per second, the form's own up axis, and notes."""
+def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:
+    """Read one person's track, frames per second, and the form's own up axis."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
         track, fps = bvh_track(path, body)
-        return track, rate_of(where, {"fps": fps}, options.source_fps), None, []
+        return track, rate_of(where, {"fps": fps}, options.source_fps), None
     found = from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
-        return joints_track(places, rate, body.joints), rate, None, []
+        return joints_track(places, rate, body.joints), rate, None
     refuse_mhr(where, first_of(found))
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
         found = named_rows(path, found)
@@ -193,8 +186,8 @@ def _read(
     kind = world or kind_of(found)
     if kind is not None and (kind != "parameters" or isinstance(found, Path)):
         record = WORLDS[kind] if world else KINDS[kind]
-        track, notes = _estimated(kind, record, path, found, options.person, body)
-        return track, rate_of(where, {}, options.source_fps), record.up, notes
+        track = _estimated(kind, record, path, found, options.person, body)
+        return track, rate_of(where, {}, options.source_fps), record.up
     if isinstance(found, Path):
         poses = [n for n in ("poses_refined.npz", "poses.npz") if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
@@ -210,19 +203,15 @@ def _read(
     found = unnested(found)
     K = lens_by_name(where, found, VideoInfo((1000, 1000), 1.0))
     K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
-    track, notes = _before_one_lens(make_track(where, "0", None, found, K, body))
+    track = _before_one_lens(make_track(where, "0", None, found, K, body))
     own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
-    return track, rate_of(where, found, options.source_fps), own, notes
+    return track, rate_of(where, found, options.source_fps), own
 
 
 def _estimated(
-    kind: str,
-    record: Estimator,
-    path: Path,
-    found: Any,  # noqa: ANN401
-    person: str | None,
-    body: TargetBody,
-) -> tuple[Track, list[str]]:
+    kind: str, record: Estimator, path: Path, found: Any,  # noqa: ANN401
+    person: str | None, body: TargetBody,
+) -> Track:  # fmt: skip
     """Return one person of an estimator's output, in world or camera axes (module docstring)."""
     if record.needs_video:
         raise InputError(
@@ -238,18 +227,18 @@ def _estimated(
             standing = "in the axes of the camera, which is taken to stand still"
             axes = standing if placed is None else "in the world of its camera's path"
             tracks = tracks if placed is None else placed
-        track, notes = choose(str(path), tracks, person, None)
-    track, of_lens = _before_one_lens(track)
-    return track, [f"{kind}, {axes}", *notes, *of_lens]
+        track, chosen = choose(str(path), tracks, person, None)
+    return _before_one_lens(track, f"{kind}, {axes}", *chosen)
 
 
-def _before_one_lens(track: Track) -> tuple[Track, list[str]]:
-    """Return a track placed before one usual lens, if it has another in each frame, and notes."""
-    if is_one_lens(track.K):
-        return track, []
-    K = usual_lens(track.K)
-    note = f"seen through another lens in each frame; placed before one of {K[0, 0]:.0f} pixels"
-    return through_lens(track, K), [note]
+def _before_one_lens(track: Track, *notes: str) -> Track:
+    """Return a track with notes, before one usual lens if it has another in each frame."""
+    if not is_one_lens(track.K):
+        K = usual_lens(track.K)
+        track = through_lens(track, K)
+        lens = f"{K[0, 0]:.0f} pixels"
+        notes += (f"seen through another lens in each frame; placed before one of {lens}",)
+    return replace(track, notes=(*notes, *track.notes))
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

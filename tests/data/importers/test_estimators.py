@@ -67,7 +67,7 @@ def with_mean_hands(rotations):
 def wham(folder, rotations, transl):
     person = {
         "pose": of_smpl(rotations).reshape(-1, 72), "trans": transl,
-        "betas": np.zeros((FRAMES, 10)), "verts": np.zeros((FRAMES, 6890, 3), "f4"),
+        "betas": np.zeros((FRAMES, 10)), "verts": np.zeros((FRAMES, 9, 3), "f4"),
         "frame_ids": np.arange(FRAMES),
     }  # fmt: skip
     source = dumped(folder / "wham_output.pkl", {np.int64(0): person})

@@ -124,23 +124,8 @@ def test_views_of_cameras_of_different_sizes(tmp_path, filmed, thetas, world, pr
 
 def test_avatarrex(tmp_path, filmed, seen, world, prepared, stands):
     """A picture that was lost is left out, with its pose."""
-    source = tmp_path / "avatarrex_zzr"
-    rotations, places = seen
-    for k, shot in enumerate(filmed.shots()):
-        if k != 2:
-            write_image(source / f"22010708/{k:08d}.jpg", shot)
-            write_image(source / f"22010708/mask/pha/{k:08d}.jpg", filmed.MASK)
-    camera = {"K": (filmed.K - filmed.HALF).ravel().tolist(), "T": filmed.MOVE.tolist(),
-              "R": filmed.matrices(filmed.TURN).ravel().tolist(), "imgSize": [64, 48]}  # fmt: skip
-    (source / "calibration_full.json").write_text(json.dumps({"22010708": camera}))
-    flat = lambda part: rotations[:, part].reshape(filmed.FRAMES, -1)
-    np.savez(
-        source / "smpl_params.npz", betas=np.zeros((1, 10)), global_orient=world[0],
-        transl=world[1] - filmed.SMPLX, body_pose=flat(slice(1, 22)), jaw_pose=flat(slice(22, 23)),
-        left_hand_pose=flat(slice(25, 40)), right_hand_pose=flat(slice(40, 55)),
-        expression=np.zeros((filmed.FRAMES, 10)),
-    )  # fmt: skip
+    source = filmed.avatarrex(tmp_path / "avatarrex_zzr", seen[0], *world, lost=(2,))
     folder, said = prepared(source)
     assert "avatarrex, SMPL-X, 4 frames" in said
     kept = [0, 1, 3, 4]
-    stands(folder, rotations[kept], places[kept], filmed.K, joints=23)
+    stands(folder, seen[0][kept], seen[1][kept], filmed.K, joints=23)

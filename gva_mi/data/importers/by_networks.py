@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def write_normals(
             image = read_image(folder / "frames" / f"{k:06d}.png", 3)
             body = _body_normals(network, camera, posed(k), faces) if network.needs_body else None
             crop, normals = network.see(image, mask, box, body)
-            boxes[k] = list(crop.box)
+            boxes[k] = list(astuple(crop))
             write_image(folder / "normals" / f"{k:06d}.png", (normals + 1) / 2)
             maps += 1
         if progress:
@@ -104,8 +105,7 @@ def _body_normals(
     """Return what gives a network the normals of the body in a part of a camera's frame."""
 
     def normals(crop: CropBox) -> tuple[np.ndarray, np.ndarray]:
-        seen = camera.cropped(crop.left, crop.top, crop.width, crop.height)
-        seen = seen.resized(*network.spec.size)
+        seen = crop.cut_camera(camera).resized(*network.spec.size)
         front, back = normals_of_both_sides(vertices, faces, seen)
         axes = network.spec.convention
         return in_convention(front, seen, axes), in_convention(back, seen, axes)

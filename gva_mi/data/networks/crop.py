@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from gva_mi.data.crop import Box
 
-@dataclass(frozen=True)
-class CropBox:
-    """A rectangle of a picture, in its pixels."""
 
-    left: int
-    top: int
-    width: int
-    height: int
+class CropBox(Box):
+    """A rectangle of a picture that a network sees, resized."""
 
     @staticmethod
     def round_box(box: np.ndarray, margin: float, size: tuple[int, int] = (1, 1)) -> CropBox:
@@ -27,14 +21,9 @@ class CropBox:
         unit = float((needed / size).max())
         width, height = (max(1, round(unit * n)) for n in size)
         left, top = np.round((low + high - (width, height)) / 2).astype(int).tolist()
-        return CropBox(left, top, width, height)
+        return CropBox(left, top, left + width, top + height)
 
-    @property
-    def box(self) -> tuple[int, int, int, int]:
-        """Left, top, right, bottom, in pixels."""
-        return self.left, self.top, self.left + self.width, self.top + self.height
-
-    def cut(
+    def resized(
         self, image: np.ndarray, size: tuple[int, int], fill: tuple[int, int, int]
     ) -> np.ndarray:
         """Cut the rectangle from a picture (H, W, 3) 8-bit, and resize it to ``size`` (w, h).

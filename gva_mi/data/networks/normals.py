@@ -115,7 +115,9 @@ class NormalNetwork:
         fill = np.round(255 * mean)
         if self.spec.convention == "icon":
             image = np.round(image * mask[..., None] + fill * (1 - mask[..., None]))
-        shown = crop.cut(image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist()))
+        shown = crop.resized(
+            image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist())
+        )
         planes = lambda x: x.astype(np.float32).transpose(2, 0, 1)[None]
         given = {self._picture.name: planes((shown / 255 - mean) / std)}
         if body is not None:

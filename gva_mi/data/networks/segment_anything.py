@@ -111,7 +111,7 @@ class SegmentAnything:
     def find(self, image: np.ndarray, prompt: Prompt, before: MaskGuess | None = None) -> MaskGuess:
         """Segment the person in a picture (H, W, 3) 8-bit, given the frame before's mask."""
         crop = CropBox.round_box(prompt.box, MARGIN)
-        seen = torch.from_numpy(crop.cut(image, self.size, _FILL).astype(np.float32) / 255)
+        seen = torch.from_numpy(crop.resized(image, self.size, _FILL).astype(np.float32) / 255)
         seen = (seen - torch.tensor(_MEAN)) / torch.tensor(_STD)
         embeddings = self.network.get_image_embeddings(seen.permute(2, 0, 1)[None])
         logits, scores = self._guess(embeddings, crop, prompt, None)
@@ -171,7 +171,7 @@ def _in_picture(logits: torch.Tensor, crop: CropBox, shape: tuple[int, int]) -> 
     )[0, 0]
     mask = np.zeros(shape, bool)
     left, top = max(0, crop.left), max(0, crop.top)
-    right, bottom = min(shape[1], crop.box[2]), min(shape[0], crop.box[3])
+    right, bottom = min(shape[1], crop.right), min(shape[0], crop.bottom)
     if right > left and bottom > top:
         part = whole[top - crop.top : bottom - crop.top, left - crop.left : right - crop.left]
         mask[top:bottom, left:right] = (part > 0).numpy()

@@ -153,24 +153,20 @@ def _chosen(what: _Choice) -> list[StudyCase]:
     judging = held_out(what.held_out_set)
     both = (*TUNING, *judging)
     cases = {"held-out": judging, "tuning": TUNING, "all": both, "limits": LIMITS}[what.cases]
-    for name, asked, there in (
-        ("error-models", what.error_models, [case.family for case in cases]),
-        ("subjects", what.subjects, [case.take.person for case in cases]),
+    chosen = list(cases)
+    for name, asked, of in (
+        ("error-models", what.error_models, lambda case: case.family),
+        ("subjects", what.subjects, lambda case: case.take.person),
     ):
+        there = dict.fromkeys(map(of, cases))
         for one in asked:
             if one not in there:
-                known = ", ".join(dict.fromkeys(there))
+                known = ", ".join(there)
                 raise InputError(f"study: --{name} has no '{one}'; these cases have: {known}")
-    chosen = []
-    for case in cases:
-        if what.error_models and case.family not in what.error_models:
-            continue
-        if what.subjects and case.take.person not in what.subjects:
-            continue
-        if case.lacks is None:
-            chosen.append(case)
-        else:
-            say(f"{case.name}: left out, because the package {case.lacks} is not installed")
+        chosen = [case for case in chosen if not asked or of(case) in asked]
+    for case in filter(lambda case: case.lacks, chosen):
+        say(f"{case.name}: left out, because the package {case.lacks} is not installed")
+    chosen = [case for case in chosen if not case.lacks]
     if not chosen:
         raise InputError("study: no case has both one of these error models and these subjects")
     return chosen

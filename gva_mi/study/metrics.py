@@ -75,30 +75,29 @@ class PoseFit:
     seconds_per_frame: float
 
 
-@dataclass(frozen=True)
-class Protocol:
-    """Networks of the metrics, and which steps have seen the measured frames."""
+def protocol_of(
+    scorer: Scorer, video: Video, poses: Path, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Describe how a run is measured.
 
-    networks: dict[str, Any]  # of each perceptual metric: see Scorer.networks
-    training_loss: str  # the perceptual term of the training loss
-    masks: str  # that cut out the targets: "true", or "the video's"
-    seen: dict[str, list[str]]  # steps that saw a kind of data, such as "test masks"
-
-    @staticmethod
-    def of(scorer: Scorer, video: Video, poses: Path, options: dict[str, Any]) -> Protocol:
-        """Describe a run; ``poses``: the file the video was opened with, ``options``: the fit's."""
-        pictures, masks = ["stage 1"], []  # a pose estimator looks at every frame
-        if poses.name == REFINED_POSES and load_refinement(poses.parent)[1]:
-            masks = ["refine"]
-        elif poses.name == TRACKED_POSES:
-            pictures, masks = [*pictures, "track"], ["track"]
-        normals = ["refine"] if "refine" in masks and video.has_normals else []
-        return Protocol(
-            networks=scorer.networks(),
-            training_loss=f"VGG16, {options['vgg16']}" if options.get("vgg16") else "rand_vgg",
-            masks="true" if video.true_mask(video.splits.train[0]) is not None else "the video's",
-            seen={"test pictures": pictures, "test masks": masks, "test normals": normals},
-        )
+    Args:
+        scorer: whose networks are named.
+        video: whose masks cut out the targets.
+        poses: the file it was opened with, whose steps have seen test frames.
+        options: of the fit.
+    """
+    pictures, masks = ["stage 1"], []  # a pose estimator looks at every frame
+    if poses.name == REFINED_POSES and load_refinement(poses.parent)[1]:
+        masks = ["refine"]
+    elif poses.name == TRACKED_POSES:
+        pictures, masks = [*pictures, "track"], ["track"]
+    normals = ["refine"] if "refine" in masks and video.has_normals else []
+    return {
+        "networks": scorer.networks(),
+        "training_loss": f"VGG16, {options['vgg16']}" if options.get("vgg16") else "rand_vgg",
+        "masks": "true" if video.true_mask(video.splits.train[0]) is not None else "the video's",
+        "seen": {"test pictures": pictures, "test masks": masks, "test normals": normals},
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +107,7 @@ class Metrics:
     rows: tuple[SplitScores, ...]
     refinement: PoseFigures  # all None if the poses were not refined by this program
     training: Training
-    protocol: Protocol | None = None
+    protocol: dict[str, Any] = field(default_factory=dict)  # see :func:`protocol_of`
     similarity: dict[str, float] | None = None
     surface: tuple[SurfaceFigures, ...] = ()
     poses_mm: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -202,7 +201,7 @@ def measure_run(
         ),
         options=made_with["options"],
         versions=made_with["versions"],
-        protocol=Protocol.of(scorer, video, poses, made_with["options"]),
+        protocol=protocol_of(scorer, video, poses, made_with["options"]),
         similarity=None if similarity is None else similarity.to_json(),
         surface=surface_figures(run, avatar, video.folder, body),
         poses_mm=_pose_errors(video, trained, body),

@@ -7,7 +7,6 @@ film's avatar (:mod:`gva_mi.study.film_report`) begins with films of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -78,7 +77,7 @@ def write_report(
         settings={
             **settings,
             "options": metrics.options,
-            "protocol": metrics.protocol and asdict(metrics.protocol),
+            "protocol": metrics.protocol,
             "similarity": metrics.similarity,
             "versions": metrics.versions,
         },

@@ -156,7 +156,7 @@ def seeds(subject, avatar):
                "rand_vgg": 0.1}  # fmt: skip
         about = {"rows": [row], "refinement": {"figures": {}}, "options": {"seed": 0},
                    "training": {"steps": 1, "seconds": 1.0, "gaussians": 2, "size": [4, 4]},
-                   "versions": {}, "protocol": None,
+                   "versions": {}, "protocol": {},
                    "poses_mm": {"given": {"body": 9.0}, "trained": {"body": 8.0}}}  # fmt: skip
         (folder / "metrics.json").write_text(json.dumps(about))
         refinement = {"figures": {"iou": 0.9, "iou_stage1": 0.8}, "test_frames": "seen"}

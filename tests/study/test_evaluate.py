@@ -147,8 +147,3 @@ def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
 def test_eight_bits_are_rounded_and_clamped():
     x = np.array([-1, 0, 0.4 / 255, 0.6 / 255, 0.5, 1, 2])
     np.testing.assert_array_equal(in_8_bits(x), [0, 0, 0, 1, 128, 255, 255])
-
-
-def test_the_background_is_where_the_person_is_not(known, studio, camera):
-    image = render_frame(known, studio.pose[0], camera, background=(0.0, 0.0, 1.0))
-    np.testing.assert_array_equal(image[0, 0], [0, 0, 255])

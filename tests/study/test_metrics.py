@@ -18,10 +18,10 @@ from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import (
     Metrics,
     PoseFit,
-    Protocol,
     Training,
     _pose_errors,
     load_metrics,
+    protocol_of,
     save_metrics,
 )
 from gva_mi.study.scores import Scorer
@@ -55,7 +55,7 @@ def test_metrics_survive_a_round_trip(metrics, tmp_path):
     fitted = replace(metrics, pose_fit=PoseFit({"passes": 2}, {"3": "it has no mask"}, 0.5))
     known = replace(
         metrics,
-        protocol=Protocol({"lpips": None}, "rand_vgg", "true", {"test pictures": ["stage 1"]}),
+        protocol={"seen": {"test pictures": ["stage 1"]}},
         similarity={"scale": 1.03, "turn_degrees": 0.5, "shift_m": 0.2},
         surface=(SurfaceFigures(500, "before", 900, {"all": 0.5}, {"hair": 12.0}),),
         poses_mm={"given": {"body_aligned": 12.5}, "trained": {"body_aligned": 10.0}},
@@ -98,19 +98,6 @@ def test_trained_poses_have_a_line_of_their_own(metrics):
     assert not any(line.startswith("trained") for line in metrics.lines())
 
 
-def test_a_file_of_an_older_version_lacks_some_figures(metrics):
-    record = metrics.to_json()
-    for name in ("frames_worse", "finger_mm", "ankle_depth_mm_stage1"):
-        del record["refinement"][name]
-    for name in ("protocol", "similarity", "surface"):
-        del record[name]
-    for row in record["rows"]:
-        del row["region"], row["count"]
-    found = Metrics.from_json(record)
-    assert found.refinement["finger_mm"] is None and found.refinement["iou"] == 0.75
-    assert not any(line.startswith(("increased", "aligned", "depth")) for line in found.lines())
-
-
 def test_the_lines_say_the_main_figures(metrics):
     lines = list(metrics.lines())
     assert lines[0] == "aligned     fingers 8.2 → 9.2 mm"
@@ -140,11 +127,11 @@ def test_the_protocol_lists_who_has_seen_the_test_frames(
         )
     monkeypatch.setattr(type(video), "has_normals", True)
     options = {"vgg16": None}
-    found = Protocol.of(Scorer(Weights()), video, tmp_path / poses, options)
-    assert tuple(found.seen.values()) == seen and found.masks == "the video's"
-    assert found.training_loss == "rand_vgg" and found.networks["lpips"] is None
-    ours = Protocol.of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
-    assert ours.training_loss == "VGG16, my.pth"
+    found = protocol_of(Scorer(Weights()), video, tmp_path / poses, options)
+    assert tuple(found["seen"].values()) == seen and found["masks"] == "the video's"
+    assert found["training_loss"] == "rand_vgg" and found["networks"]["lpips"] is None
+    ours = protocol_of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
+    assert ours["training_loss"] == "VGG16, my.pth"
 
 
 def test_errors_of_given_and_of_trained_poses_are_reported(studio, body, tmp_path):

@@ -16,7 +16,6 @@ from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import (
     Metrics,
-    Protocol,
     Training,
     aligned_views,
 )
@@ -185,7 +184,7 @@ def test_fitted_novel_poses_correct_a_skeleton_offset(moved, known, body):
         training=Training(1, 1.0, 1, video.size),
         options={"seed": 0},
         versions={},
-        protocol=Protocol({}, "rand_vgg", "true", seen),
+        protocol={"seen": seen},
     )
     found = with_fitted_poses(metrics, known, video, video, body)
     after = {row.split: row for row in found.rows if row.region == "white"}
@@ -194,4 +193,4 @@ def test_fitted_novel_poses_correct_a_skeleton_offset(moved, known, body):
     assert after["novel_pose"].count == before["novel_pose"].count == len(views[0].frames)
     assert found.pose_fit.kept == {} and set(found.pose_fit.options) == {"novel_pose"}
     # Nobody looked at a test frame, for there is none.
-    assert found.protocol.seen == seen | {"novel pictures": [FITTED], "novel masks": [FITTED]}
+    assert found.protocol["seen"] == seen | {"novel pictures": [FITTED], "novel masks": [FITTED]}

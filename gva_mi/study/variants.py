@@ -6,16 +6,17 @@ whole one, change by change (``docs/paper.md``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
+from typing import Any, Literal, TypeVar
 
 from gva_mi.core.errors import InputError
 from gva_mi.fit import paper
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.options import FitOptions
 
-FREE_RESIDUAL = LossOptions(residual=0.02)  # with the paper's 0.5 it does nothing
-GART_LOSS = LossOptions(perceptual=0.01, residual=0.0, alpha=0.1, ssim=0.01)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -23,64 +24,58 @@ class AvatarVariant:
     """One way to make an avatar of a video."""
 
     name: str
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the fit, by dotted names
     poses: Literal["refined", "printed", "stage 1", "true"] = "refined"
-    trained: bool = True  # poses are trained along with the avatar
-    naked: bool = False  # seeded on the naked body instead of the displaced surface
-    hands: bool = True
-    residual: bool = False
-    stretched: bool = True  # Gaussians stretch and shear with the skin
-    reinitialised: bool = True
     rigid: bool = False  # one rigid body
     one_range: bool = False  # of test frames
-    loss: LossOptions | None = None  # None: that of the options
     changes: int | None = None  # of the options as printed, :data:`CHANGES`; None: not of those
 
     def of(self, options: FitOptions) -> FitOptions:
         """Return the options of this variant's fit."""
         if self.changes is not None:
-            return _changed(options, self.changes)
-        avatar, schedule = options.avatar, options.schedule
-        avatar = replace(
-            avatar,
-            hands=avatar.hands and self.hands,
-            stretch=avatar.stretch and self.stretched,
-            residual=replace(avatar.residual, enabled=avatar.residual.enabled or self.residual),
-        )
-        return replace(
-            options,
-            avatar=avatar,
-            loss=self.loss or options.loss,
-            naked=options.naked or self.naked,
-            poses=options.poses if self.trained else replace(options.poses, trained=False),
-            schedule=schedule if self.reinitialised else replace(schedule, reinit_at=()),
-        )
+            own = [name for _, names in CHANGES[: self.changes + 1] for name in names]
+            own += ["steps", "seed", "checkpoint_every", "vgg16"]
+            return changed(paper.FIT, {name: attrgetter(name)(options) for name in own})
+        return changed(options, self.options)
 
+
+def changed(options: T, values: Mapping[str, Any]) -> T:
+    """Return a dataclass with other values, by dotted names such as ``avatar.hands``."""
+    for name, value in values.items():
+        first, _, rest = name.partition(".")
+        inner = changed(getattr(options, first), {rest: value}) if rest else value
+        options = replace(options, **{first: inner})
+    return options
+
+
+UNTRAINED = {"poses.trained": False}  # poses stay as they are given
+HANDLESS = {"avatar.hands": False}
+UNSTRETCHED = {"avatar.stretch": False}  # Gaussians do not stretch and shear with the skin
+NAKED = {"naked": True}  # seeded on the naked body instead of the displaced surface
+NO_REINIT = {"schedule.reinit_at": ()}
+# A residual whose weight lets it do something, as the paper's 0.5 does not.
+RESIDUAL = {"avatar.residual.enabled": True, "loss": LossOptions(residual=0.02)}
+GART_LOSS = {"loss": LossOptions(perceptual=0.01, residual=0.0, alpha=0.1, ssim=0.01)}
+GART = NAKED | HANDLESS | NO_REINIT | UNSTRETCHED | GART_LOSS
 
 FULL = AvatarVariant("full")
-TRUE_POSES = AvatarVariant("true poses", poses="true", trained=False)
-NO_REFINEMENT = AvatarVariant("without either", poses="stage 1", trained=False)
-NO_HANDS = AvatarVariant("without hand skeleton", hands=False)
-NO_REINIT_NAKED = AvatarVariant("without re-initialisation, naked", reinitialised=False, naked=True)
+NO_HANDS = AvatarVariant("without hand skeleton", HANDLESS)
 VARIANTS = (
     FULL,
     AvatarVariant("without refinement", poses="stage 1"),
-    AvatarVariant("without trained poses", trained=False),
-    NO_REFINEMENT,
+    AvatarVariant("without trained poses", UNTRAINED),
+    AvatarVariant("without either", UNTRAINED, poses="stage 1"),
     NO_HANDS,
-    AvatarVariant("without re-initialisation", reinitialised=False),
-    NO_REINIT_NAKED,
-    AvatarVariant("seeded on the naked body", naked=True),
-    AvatarVariant("without stretching", stretched=False),
-    AvatarVariant("with residual", residual=True, loss=FREE_RESIDUAL),
-    AvatarVariant(
-        "GART-like", poses="stage 1", naked=True, hands=False,
-        reinitialised=False, stretched=False, loss=GART_LOSS,
-    ),
-    AvatarVariant("static 3DGS", trained=False, hands=False, reinitialised=False, rigid=True),
-    TRUE_POSES,
+    AvatarVariant("without re-initialisation", NO_REINIT),
+    AvatarVariant("without re-initialisation, naked", NO_REINIT | NAKED),
+    AvatarVariant("seeded on the naked body", NAKED),
+    AvatarVariant("without stretching", UNSTRETCHED),
+    AvatarVariant("with residual", RESIDUAL),
+    AvatarVariant("GART-like", GART, poses="stage 1"),
+    AvatarVariant("static 3DGS", UNTRAINED | HANDLESS | NO_REINIT, rigid=True),
+    AvatarVariant("true poses", UNTRAINED, poses="true"),
     AvatarVariant("one held-out range", one_range=True),
-)  # fmt: skip
-
+)
 
 CHANGES: tuple[tuple[str, tuple[str, ...]], ...] = (  # name, and the options that it sets
     ("as printed", ()),
@@ -97,22 +92,6 @@ LADDER = tuple(
     AvatarVariant(name, poses="refined" if k else "printed", changes=k)
     for k, (name, _) in enumerate(CHANGES)
 )
-
-
-def _changed(options: FitOptions, count: int) -> FitOptions:
-    """Return the fit as printed with the first changes set as in the options."""
-    same = ("steps", "seed", "checkpoint_every", "vgg16")
-    found = replace(paper.FIT, **{name: getattr(options, name) for name in same})
-    for _, names in CHANGES[: count + 1]:
-        for name in names:
-            part, _, field = name.rpartition(".")
-            if part:
-                own, new = getattr(found, part), getattr(options, part)
-                own = replace(own, **{field: getattr(new, field)})
-                found = replace(found, **{part: own})
-            else:
-                found = replace(found, **{field: getattr(options, field)})
-    return found
 
 
 def variants_named(names: tuple[str, ...]) -> list[AvatarVariant]:

@@ -251,13 +251,8 @@ def columns(metrics: Metrics) -> dict[str, float | None]:
         for name in ("body", "body_aligned", "hands_aligned", "feet_aligned"):
             title = " ".join(reversed(name.split("_")))  # aligned body
             figures[f"pose error, mm: {title}, {which}"] = errors[name]
-    for surface in metrics.surface:  # a later moment replaces an earlier one of its name
-        moment = surface.moment
-        figures |= {f"surface: spacing of {k}, {moment}": x for k, x in surface.spacing.items()}
-        figures |= {f"surface: bias of {k}, {moment}, mm": x for k, x in surface.bias_mm.items()}
-        figures |= {
-            f"surface: stray, {moment}, mm": surface.stray_mm,
-            f"surface: elongation, {moment}": surface.elongation,
-            f"surface: largest, {moment}, mm": surface.largest_mm,
-        }
+    for moment in metrics.surface:  # a later moment replaces an earlier one of its name
+        for name, x in moment.figures.items():
+            title, comma, unit = name.partition(", ")
+            figures[f"surface: {title}, {moment.moment}{comma}{unit}"] = x
     return figures

@@ -19,6 +19,10 @@ from gva_mi.data.fingerprint import FILM
 from gva_mi.synthetic import SynthOptions
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
+TITLES = {  # of what is unusual in a take
+    "motion": "{}", "figure": "{}", "outfit": "{} clothes", "bare": "bare", "scene": "{}",
+    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,17 +48,12 @@ class Take:
     @property
     def name(self) -> str:
         """A title such as ``seed 31, stretched``."""
-        what = [
-            self.motion if self.motion != "turn" else None,
-            self.figure if self.figure != "own" else None,
-            f"{self.outfit} clothes" if self.outfit != "own" else None,
-            "bare" if self.bare else None,
-            self.scene if self.scene != "white" else None,
-            f"camera {self.camera}" if self.camera != "stands" else None,
-            f"{self.frames} frames" if self.frames else None,
-            f"{self.size} pixels" if self.size else None,
-        ]
-        return ", ".join([self.subject or f"seed {self.seed}", *filter(None, what)])
+        other = (
+            text.format(value)
+            for field, text in TITLES.items()
+            if (value := getattr(self, field)) != getattr(Take, field)
+        )
+        return ", ".join([self.subject or f"seed {self.seed}", *other])
 
     def synth(self, frames: int, size: int, novel: int = 0) -> SynthOptions:
         """Return the options that make it, with so many novel poses and views."""

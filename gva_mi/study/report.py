@@ -28,7 +28,7 @@ from gva_mi.study.page import Headline, Section, Table, animation, number, pictu
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
 from gva_mi.study.refinement import OVERLAYS
 from gva_mi.study.refinement_report import errors_table, pose_headlines
-from gva_mi.study.surface import PARTS, TEXTURES, SurfaceFigures
+from gva_mi.study.surface import SurfaceFigures
 
 SHOWN = 4  # frames of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
@@ -169,24 +169,16 @@ def _reinitialisation(
 
 def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
     """List how the Gaussians lie on the true surface, a row for each moment of a fit."""
-    textures = [name for name in ("all", *TEXTURES) if any(name in f.spacing for f in surface)]
-    parts = [name for name in PARTS if any(name in f.bias_mm for f in surface)]
-    head = ("step", "", "Gaussians", *(f"spacing, {name}" for name in textures))
-    head += (*(f"bias of {name}, mm" for name in parts), "stray, mm", "elongation", "largest, mm")
+    names = list(dict.fromkeys(name for moment in surface for name in moment.figures))
+    digits = {name: 1 if name.endswith("mm") else 2 for name in names}
     rows = [
         (
-            f"{figures.step:,}",
-            figures.moment,
-            f"{figures.gaussians:,}",
-            *(number(figures.spacing.get(name), 2) for name in textures),
-            *(number(figures.bias_mm.get(name), 1) for name in parts),
-            number(figures.stray_mm, 1),
-            number(figures.elongation, 1),
-            number(figures.largest_mm, 0),
+            f"{moment.step:,}", moment.moment, f"{moment.gaussians:,}",
+            *(number(moment.figures.get(name), digits[name]) for name in names),
         )
-        for figures in surface
-    ]
-    return Table(head, rows)
+        for moment in surface
+    ]  # fmt: skip
+    return Table(("step", "", "Gaussians", *names), rows)
 
 
 def _curves(history: Mapping[str, np.ndarray]) -> Section:

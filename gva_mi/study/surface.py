@@ -73,11 +73,7 @@ class SurfaceFigures:
     step: int
     moment: str  # "before" or "after" a re-initialisation, or "end" of the fit
     gaussians: int  # opaque ones
-    spacing: dict[str, float]  # eq. 2 by texture, and of "all"
-    bias_mm: dict[str, float]  # eq. 3 by part
-    stray_mm: float | None = None  # eq. 4; it and the next are None in files of older versions
-    elongation: float | None = None  # eq. 5
-    largest_mm: float | None = None  # eq. 6
+    figures: dict[str, float]  # eq. 2 by texture and of "all", eq. 3 by part, eq. 4 to 6
 
 
 def surface_figures(
@@ -106,9 +102,14 @@ def surface_figures(
         opaque = gaussians.opacities.detach() > OPAQUE
         means = gaussians.means.detach()[opaque].double().numpy()
         if len(means) >= FEWEST:
-            figures = spacing(means, truth), bias_mm(means, truth), stray_mm(means, truth)
-            sizes = elongation_and_largest(gaussians.scales.detach()[opaque].double().numpy())
-            found.append(SurfaceFigures(step, moment, len(means), *figures, *sizes))
+            longer, largest = elongation_and_largest(
+                gaussians.scales.detach()[opaque].double().numpy()
+            )
+            figures = {f"spacing of {name}": x for name, x in spacing(means, truth).items()}
+            figures |= {f"bias of {name}, mm": x for name, x in bias_mm(means, truth).items()}
+            figures |= {"stray, mm": stray_mm(means, truth)}
+            figures |= {"elongation": longer, "largest, mm": largest}
+            found.append(SurfaceFigures(step, moment, len(means), figures))
     return tuple(found)
 
 

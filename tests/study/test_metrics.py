@@ -57,7 +57,7 @@ def test_metrics_survive_a_round_trip(metrics, tmp_path):
         metrics,
         protocol={"seen": {"test pictures": ["stage 1"]}},
         similarity={"scale": 1.03, "turn_degrees": 0.5, "shift_m": 0.2},
-        surface=(SurfaceFigures(500, "before", 900, {"all": 0.5}, {"hair": 12.0}),),
+        surface=(SurfaceFigures(500, "before", 900, {"stray, mm": 0.5}),),
         poses_mm={"given": {"body_aligned": 12.5}, "trained": {"body_aligned": 10.0}},
     )
     for some in (metrics, fitted, known, replace(metrics, refinement=UNKNOWN)):

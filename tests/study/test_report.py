@@ -31,13 +31,11 @@ def test_the_first_figures_are_pose_errors_without_depth_then_psnr_of_picture_an
 
 
 def test_a_moment_of_the_surface_is_a_row():
-    moment = SurfaceFigures(500, "after", 16_032, {"all": 0.3}, {"hem": 28.0}, 5.0, 3.5, 42.0)
-    older = replace(moment, elongation=None, largest_mm=None)
-    table = report.surface_table([moment, older])
-    named = dict(zip(table.head, table.rows[0], strict=True))
-    assert named["bias of hem, mm"] == "28.0" and named["stray, mm"] == "5.0"
-    assert named["elongation"] == "3.5" and named["largest, mm"] == "42"
-    assert table.rows[1][-2:] == ("–", "–")
+    figures = {"spacing of all": 0.3, "bias of hem, mm": 28.0, "elongation": 3.5}
+    moment = SurfaceFigures(500, "after", 16_032, figures)
+    table = report.surface_table([moment, replace(moment, figures={"spacing of all": 0.4})])
+    assert table.head[3:] == tuple(figures)
+    assert [row[3:] for row in table.rows] == [("0.30", "28.0", "3.50"), ("0.40", "–", "–")]
 
 
 def test_details_are_rendered_as_large_as_they_are_shown(known, video, body):

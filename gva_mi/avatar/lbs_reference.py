@@ -7,12 +7,11 @@ it, and avatars that do not stretch (Eq. 6 of the paper) use its transforms and 
 
 from __future__ import annotations
 
-import roma
-import torch
 from torch import Tensor
 
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.stretch import LARGEST
+from gva_mi.splat.reference import rotation
 
 
 def lbs_transforms(weights: SparseWeights, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
@@ -34,7 +33,7 @@ def stretched(
     """Return means (N, 3) and covariances (N, 6) of Gaussians that stretch with the skin."""
     A, E = A.view(-1, 3, 4), E.view(-1, 3, 3)
     beta = (1 + E.square().sum((1, 2)) / LARGEST**2).rsqrt()
-    M = roma.unitquat_to_rotmat(torch.nn.functional.normalize(quats, dim=1)[:, [1, 2, 3, 0]])
+    M = rotation(quats)
     F = (A[:, :, :3] + beta[:, None, None] * E) @ M * scales[:, None]
     moved = (A[:, :, :3] @ means[..., None])[..., 0] + A[:, :, 3]
     return moved, (F @ F.mT).flatten(1)[:, [0, 1, 2, 4, 5, 8]]

@@ -25,11 +25,11 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-import roma
 import torch
 from torch import Tensor, nn
 
 from gva_mi.body.pose import PARENTS
+from gva_mi.body.so3 import to_matrix
 from gva_mi.core.options import Within, require_ranges
 
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
@@ -90,7 +90,7 @@ class PoseResidual(nn.Module):
         differentiable in ``means``: the pictures decide where a Gaussian lies, not the slope of the
         network.
         """
-        turned = roma.rotvec_to_rotmat(rotations)
+        turned = to_matrix(rotations)
         bent = (turned - torch.eye(3, dtype=turned.dtype, device=turned.device)).flatten(1)
         code = torch.tanh((self.codes @ bent[..., None])[..., 0])  # z
         at = self.place(self._encode(means.detach()))

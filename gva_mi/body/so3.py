@@ -1,4 +1,6 @@
-"""Composition of rotations in axis-angle form, with its exact derivative.
+"""Rotations as torch tensors: axis-angle to matrices and back, and composition.
+
+Composition has an exact derivative, with a formula of its own:
 
     1. c = log(exp(a) exp(b))
 
@@ -13,8 +15,11 @@ and the adjoint, for a gradient g of c:
 
     4. w = J⁻ᵀ(c) g,    grad_b = Jᵀ(b) w,    grad_a = Jᵀ(a) exp(b) w
 
-Eq. 1 uses quaternions as roma does. It is written out because roma's graph of some forty operations
-takes three times as long, in every step of a fit and of a refinement.
+Eq. 1 uses quaternions. Its derivative is written out because autograd's graph of some forty
+operations takes three times as long, in every step of a fit and of a refinement.
+
+The package roma has these functions too, but importing it imports torch's compiler, which takes
+longer than importing torch. Tests compare with it.
 """
 
 from __future__ import annotations
@@ -25,12 +30,54 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.core.same_bits import sqrt
 
-SMALL = 1e-6  # θ² below which C and D take their limits
+SMALL = 1e-6  # θ² below which C and D take their limits; θ below which exp(x) ≈ I + [x]
+
+
+def to_matrix(x: Tensor) -> Tensor:
+    """Return the rotation matrices exp(x), (..., 3, 3), of axis-angle vectors (..., 3), radians."""
+    theta = torch.norm(x, dim=-1, keepdim=True)
+    axis = x / theta.clamp_min(SMALL)
+    u, v, w = (axis * theta.sin()).unbind(-1)
+    versine = (1 - theta.cos())[..., 0]
+    a, b, c = axis.unbind(-1)
+    aa, bb, cc = a**2 * versine, b**2 * versine, c**2 * versine
+    ab, ac, bc = a * b * versine, a * c * versine, b * c * versine
+    R = [1 - bb - cc, ab - w, ac + v, ab + w, 1 - aa - cc, bc - u, ac - v, bc + u, 1 - aa - bb]
+    (u, v, w), one = x.unbind(-1), torch.ones_like(x[..., 0])
+    first_order = torch.stack([one, -w, v, w, one, -u, -v, u, one], dim=-1)
+    R = torch.where(theta < SMALL, first_order, torch.stack(R, dim=-1))
+    return R.unflatten(-1, (3, 3))
+
+
+def to_rotvec(R: Tensor) -> Tensor:
+    """Return axis-angle vectors (..., 3), at most half a turn, of rotation matrices (..., 3, 3).
+
+    Each column of 4 q qᵀ is a multiple of the quaternion q; the longest has the most digits.
+    Source: Markley, *Unit Quaternion from Rotation Matrix*, 2008.
+    """
+    (a, d, g), (b, e, h), (c, f, i) = (column.unbind(-1) for column in R.unbind(-1))
+    columns = torch.stack(
+        [1 + a - e - i, b + d, c + g, h - f,
+         b + d, 1 + e - i - a, f + h, c - g,
+         c + g, f + h, 1 + i - a - e, d - b,
+         h - f, c - g, d - b, 1 + a + e + i], dim=-1
+    ).unflatten(-1, (4, 4))  # fmt: skip
+    longest = columns.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None]
+    q = torch.take_along_dim(columns, longest, -2)[..., 0, :]
+    q = q / torch.norm(q, dim=-1, keepdim=True)
+    q = torch.where(q[..., 3:] > 0, q, -q)
+    half = torch.atan2(torch.norm(q[..., :3], dim=-1, keepdim=True), q[..., 3:])
+    return q[..., :3] * (2 * half / half.sin()).where(half > 0, 2.0)
 
 
 def compose(a: Tensor, b: Tensor) -> Tensor:
     """Rotate by ``b``, then ``a`` (eq. 1), both (..., 3) radians; has adjoint and tangent."""
     return _Compose.apply(*torch.broadcast_tensors(a, b))
+
+
+def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
+    """Interpolate from rotation ``a`` (weight 0) the shorter way to ``b`` (1), both (..., 3)."""
+    return compose(a, weight * compose(-a, b))
 
 
 class _Compose(torch.autograd.Function):
@@ -59,7 +106,7 @@ class _Compose(torch.autograd.Function):
 
 def _composed(a: Tensor, b: Tensor) -> Tensor:
     """Evaluate eq. 1; the result is at most half a turn."""
-    (w, u), (z, v) = _quaternion(a), _quaternion(b)
+    (w, u), (z, v) = to_quaternion(a), to_quaternion(b)
     real = w * z - (u * v).sum(-1, keepdim=True)
     rest = w * v + z * u + torch.linalg.cross(u, v)
     rest, real = torch.where(real < 0, -rest, rest), real.abs()
@@ -68,7 +115,7 @@ def _composed(a: Tensor, b: Tensor) -> Tensor:
     return rest * torch.where(sine > 0, angle / sine, 2)
 
 
-def _quaternion(x: Tensor) -> tuple[Tensor, Tensor]:
+def to_quaternion(x: Tensor) -> tuple[Tensor, Tensor]:
     """Return the quaternion of an axis-angle as real part (..., 1) and vector (..., 3)."""
     theta = sqrt(x.square().sum(-1, keepdim=True))
     return (theta / 2).cos(), x * (torch.sinc(theta / (2 * torch.pi)) / 2)

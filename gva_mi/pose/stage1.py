@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import roma
 import torch
 from torch import Tensor
 
@@ -76,4 +75,4 @@ class Stage1:
 
 def turns_between(before: Tensor, after: Tensor) -> Tensor:
     """Return the turns ``log(Rᵀ R')`` (..., 3) between rotations ``R`` and ``R'``, axis-angle."""
-    return roma.rotvec_composition([roma.rotvec_inverse(before), after])
+    return compose(-before, after)

@@ -189,14 +189,16 @@ def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
 
 
 def rotation(quat: Tensor) -> Tensor:
-    """Return the rotation matrix of a quaternion wxyz of any length; the identity for zero."""
-    length = quat.norm()
-    if length.detach() == 0:
-        return torch.eye(3, dtype=quat.dtype)
-    w, v = quat[0] / length, quat[1:] / length
-    zero = torch.zeros((), dtype=quat.dtype)
-    K = torch.stack([zero, -v[2], v[1], v[2], zero, -v[0], -v[1], v[0], zero]).view(3, 3)
-    return torch.eye(3, dtype=quat.dtype) + 2 * w * K + 2 * K @ K  # Rodrigues, with half angles
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any length.
+
+    The rotation of zero is the identity.
+    """
+    length = quat.norm(dim=-1, keepdim=True)
+    w, x, y, z = (quat / length.where(length > 0, 1)).unbind(-1)
+    zero = torch.zeros_like(w)
+    K = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+    identity = torch.eye(3, dtype=quat.dtype)
+    return identity + 2 * w[..., None, None] * K + 2 * K @ K  # Rodrigues, with half angles
 
 
 def harmonics(directions: Tensor, count: int) -> Tensor:

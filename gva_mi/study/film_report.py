@@ -17,6 +17,7 @@ import torch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
+from gva_mi.body.so3 import to_matrix
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
@@ -121,10 +122,8 @@ def driven_motion(avatar: Avatar, name: str) -> Pose:
 
 def _frame_from_front(avatar: Avatar, video: Video) -> int:
     """Return the frame in which the person faces the camera most."""
-    import roma
-
     there = [k for k in range(len(video)) if k not in video.absent]
-    ahead = roma.rotvec_to_rotmat(video.pose.rotations[there, 0])[:, :, 2].double().numpy()
+    ahead = to_matrix(video.pose.rotations[there, 0])[:, :, 2].double().numpy()
     axes = np.stack([video.cameras[k].T_camera_world[2, :3] for k in there])
     return there[int(np.argmin((ahead * axes).sum(1)))]
 

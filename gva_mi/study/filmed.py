@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
+from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
@@ -74,8 +74,8 @@ def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Came
     T = torch.from_numpy(np.linalg.inv(after.T_camera_world) @ before.T_camera_world)
     R, t = T[:3, :3].to(pose.transl), T[:3, 3].to(pose.transl)
     pelvis, rotations = body.rest(shape).joints[0], pose.rotations.clone()
-    turned = R @ roma.rotvec_to_rotmat(rotations[:, 0])
-    rotations[:, 0] = roma.rotmat_to_rotvec(turned)
+    turned = R @ to_matrix(rotations[:, 0])
+    rotations[:, 0] = to_rotvec(turned)
     return Pose(rotations, (pelvis + pose.transl) @ R.T + t - pelvis, pose.expression)
 
 

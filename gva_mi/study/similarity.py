@@ -31,14 +31,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.rotations import nearest_rotations
 from gva_mi.body.smplx import BodyModel
+from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import Video
 from gva_mi.splat import Camera
@@ -75,10 +76,10 @@ class Similarity:
             pelvis, own_pelvis: (3,) rest pelvis of their body and of the avatar, metres.
         """
         R = torch.from_numpy(self.rotation)
-        root = R.T @ roma.rotvec_to_rotmat(pose.rotations[:, 0].double())
+        root = R.T @ to_matrix(pose.rotations[:, 0].double())
         place = pose.transl.double() + pelvis - torch.from_numpy(self.translation)
         rotations = pose.rotations.clone()
-        rotations[:, 0] = roma.rotmat_to_rotvec(root).to(rotations)
+        rotations[:, 0] = to_rotvec(root).to(rotations)
         stance = root @ torch.from_numpy(self.stance)
         transl = (place @ R / self.scale + stance - own_pelvis).to(pose.transl)
         return Pose(rotations, transl, pose.expression)
@@ -112,7 +113,7 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     flat = x.reshape(-1, 3), y.reshape(-1, 3)
     whole = _about_the_eye(*flat, given[0], real[0]) if static else _of_moving_camera(*flat)
     off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
-    root = roma.rotvec_to_rotmat(video.pose.rotations[frames, 0].double()).numpy()
+    root = to_matrix(video.pose.rotations[frames, 0].double()).numpy()
     z = np.stack([camera.T_camera_world[2, :3] for camera in given])
     return replace(whole, stance=_stance(off, root, z))
 
@@ -145,9 +146,10 @@ def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) ->
 
 def _of_moving_camera(x: np.ndarray, y: np.ndarray) -> Similarity:
     """Return the least-squares similarity from points x to points y, both (N, 3)."""
-    points = (torch.from_numpy(some) for some in (x, y))
-    R, t, scale = roma.rigid_points_registration(*points, compute_scaling=True)
-    return Similarity(float(scale), R.numpy(), t.numpy())
+    a, b = x - x.mean(0), y - y.mean(0)
+    R = nearest_rotations(b.T @ a)
+    scale = float((b * (a @ R.T)).sum() / np.square(a).sum())
+    return Similarity(scale, R, y.mean(0) - scale * R @ x.mean(0))
 
 
 @torch.no_grad()

@@ -20,12 +20,13 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
+from gva_mi.body import so3
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.rotations import nearest_rotations
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
@@ -76,9 +77,9 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     expression = pose.expression if same else torch.zeros_like(pose.expression)
     joints = fitted.rest(found).joints
     C = _bones(joints, goal.joints)
-    R = roma.rotvec_to_rotmat(pose.rotations)
+    R = so3.to_matrix(pose.rotations)
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
-    rotations = roma.rotmat_to_rotvec(above.mT @ R @ C)
+    rotations = so3.to_rotvec(above.mT @ R @ C)
     T_true = joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl)
     targets = joint_places(T_true, goal.joints)
     transl = pose.transl.clone()
@@ -105,7 +106,7 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
         if len(children) == 1:
             C[joint] = _between(a[0], b[0])
         else:
-            C[joint] = roma.special_procrustes(b.T @ a)
+            C[joint] = torch.from_numpy(nearest_rotations((b.T @ a).numpy()))
     return C
 
 
@@ -114,7 +115,7 @@ def _between(a: Tensor, b: Tensor) -> Tensor:
     a, b = a / a.norm(), b / b.norm()
     axis = torch.linalg.cross(a, b)
     sine = axis.norm()
-    return roma.rotvec_to_rotmat(axis / sine.clamp(min=1e-12) * torch.atan2(sine, a @ b))
+    return so3.to_matrix(axis / sine.clamp(min=1e-12) * torch.atan2(sine, a @ b))
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
@@ -164,7 +165,7 @@ def _linear(body: BodyModel, C: Tensor) -> tuple[np.ndarray, np.ndarray]:
     """
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
     pose = Pose.rest(1, 0, C.dtype)
-    pose = Pose(roma.rotmat_to_rotvec(above.mT @ C)[None], pose.transl, pose.expression)
+    pose = Pose(so3.to_rotvec(above.mT @ C)[None], pose.transl, pose.expression)
     basis = torch.eye(body.num_betas, dtype=C.dtype)
     people = [body(pose, Shape(betas)) for betas in (0 * basis[0], *basis)]
     found = []
@@ -207,11 +208,11 @@ def _step(
     normal = J.mT @ J + torch.diag(damping)
     factor = torch.linalg.cholesky(normal)
     change = torch.cholesky_solve(J.mT @ r[..., None], factor)[..., 0]
-    turn = roma.rotvec_to_rotmat(change[:, :-3].unflatten(1, (-1, 3)))
+    turn = so3.to_matrix(change[:, :-3].unflatten(1, (-1, 3)))
     above = torch.eye(3, dtype=J.dtype).repeat(len(J), len(JOINTS), 1, 1)
     above[:, 1:] = T_world_rest[:, list(PARENTS[1:]), :3, :3]
-    R = above.mT @ turn @ above @ roma.rotvec_to_rotmat(rotations)
-    return roma.rotmat_to_rotvec(R), transl + change[:, -3:]
+    R = above.mT @ turn @ above @ so3.to_matrix(rotations)
+    return so3.to_rotvec(R), transl + change[:, -3:]
 
 
 def _descends() -> Tensor:

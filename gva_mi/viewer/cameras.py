@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import roma
 import torch
 
 from gva_mi.avatar.rig import Rig
@@ -26,6 +25,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.data.pictures import MOST_PIXELS
 from gva_mi.fit.camera_paths import CameraPath, cylinder, shots
 from gva_mi.splat import Camera, look_at
+from gva_mi.splat.reference import rotation
 
 Vector = tuple[float, float, float]
 STEEPEST = np.radians(89.9)  # at 90 degrees the azimuth is undefined
@@ -52,9 +52,7 @@ class ViewerCamera:
 
     def to_camera(self) -> Camera:
         """Return the camera that the renderer uses."""
-        w, *xyz = self.wxyz
-        quat = torch.tensor([*xyz, w], dtype=torch.float64)
-        R_world_camera = roma.unitquat_to_rotmat(quat / quat.norm()).numpy()
+        R_world_camera = rotation(torch.tensor(self.wxyz, dtype=torch.float64)).numpy()
         T_camera_world = np.eye(4)
         T_camera_world[:3, :3] = R_world_camera.T
         T_camera_world[:3, 3] = -R_world_camera.T @ np.array(self.position)

@@ -14,11 +14,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import roma
 import torch
 from torch.nn.functional import pad
 
 from gva_mi.body.pose import Pose
+from gva_mi.body.so3 import compose
 
 Mode = Literal["Gaussians", "mesh", "normals", "skeleton"]
 SeenFrom = Literal["browser", "keyframes", "video"]
@@ -48,7 +48,7 @@ def posed(motion: Pose, state: State) -> Pose:
         if any(angles):
             r = torch.tensor(angles, dtype=rotations.dtype) * (math.pi / 180)
             rotations = rotations.clone()
-            rotations[0, joint] = roma.rotvec_composition([rotations[0, joint], r])
+            rotations[0, joint] = compose(rotations[0, joint], r)
     if any(state.expression):
         added = torch.tensor([state.expression], dtype=expression.dtype)
         width = max(added.shape[1], expression.shape[1])

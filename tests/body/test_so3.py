@@ -1,10 +1,11 @@
-"""Composition of rotations: values and derivatives."""
+"""Rotations: values and derivatives, against roma."""
 
 import pytest
 import roma
 import torch
 
-from gva_mi.body.so3 import compose
+from gva_mi.body.rotations import nearest_rotations
+from gva_mi.body.so3 import compose, slerp, to_matrix, to_rotvec
 
 
 def vectors(*sizes, seed=0):
@@ -20,6 +21,32 @@ def test_it_is_the_product_of_both_rotations(size):
     a, b = vectors(0.3, 1.2, 2.9), vectors(size, size, size, seed=1)
     R = roma.rotvec_to_rotmat(a) @ roma.rotvec_to_rotmat(b)
     torch.testing.assert_close(roma.rotvec_to_rotmat(compose(a, b)), R)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.02, 1.0, 3.14159])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_matrices_and_back(size, dtype):
+    x = vectors(size, size, size, seed=2).to(dtype).requires_grad_()
+    R, expected = to_matrix(x), roma.rotvec_to_rotmat(x)
+    assert torch.equal(R, expected)
+    weights = torch.randn(R.shape, dtype=dtype, generator=torch.Generator().manual_seed(3))
+    ours, theirs = (torch.autograd.grad((y * weights).sum(), x)[0] for y in (R, expected))
+    torch.testing.assert_close(ours, theirs)
+    torch.testing.assert_close(to_rotvec(R), roma.rotmat_to_rotvec(R), rtol=1e-6, atol=0)
+
+
+def test_slerp_turns_at_a_constant_rate():
+    a, b = vectors(0.3, 1.2, 2.9), vectors(0.4, 2.0, 3.0, seed=1)
+    slow, steps = compose(-a, b), torch.tensor([0.0, 0.25, 0.5, 1.0])[:, None, None]
+    for weight, x in zip(steps, slerp(a, b, steps), strict=True):
+        turned = compose(-a, x)
+        torch.testing.assert_close(turned, weight * slow, check_dtype=False)
+
+
+def test_the_nearest_rotation_is_no_reflection():
+    M = torch.randn(50, 3, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    found = torch.from_numpy(nearest_rotations(M.numpy()))
+    torch.testing.assert_close(found, roma.special_procrustes(M, method="svd"))
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.02, 1.0, 2.5])

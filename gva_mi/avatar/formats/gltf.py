@@ -17,7 +17,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
@@ -26,6 +25,7 @@ from gva_mi.avatar.formats.glb import TRIANGLES, VERTICES, Glb
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.skinning import strongest
+from gva_mi.body.so3 import to_quaternion
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.formats.splat import plain_colors
 
@@ -128,7 +128,8 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
 def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
     """Describe a motion: all joints turn, and the first one moves."""
     times = file.add((np.arange(len(motion)) / fps).astype(np.float32))
-    quats = roma.rotvec_to_unitquat(avatar.followed(motion).double()).numpy()  # xyzw, as in glTF
+    real, imaginary = to_quaternion(avatar.followed(motion).double())
+    quats = torch.cat([imaginary, real], -1).numpy()  # xyzw, as in glTF
     for k in range(1, len(quats)):  # of q and -q, take the one nearer to the last
         quats[k][(quats[k] * quats[k - 1]).sum(-1) < 0] *= -1
     places = (motion.transl.double() + avatar.rig.joints[0].double()).numpy()

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import roma
 import torch
 
 from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
+from gva_mi.body.so3 import slerp
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.fields import find_body
@@ -186,12 +186,8 @@ def interpolate(
     after = np.minimum(after, len(times) - 1)
     span = np.maximum(times[after] - times[before], 1e-12)
     s = np.clip((wanted - times[before]) / span, 0, 1)
-    quats = roma.rotvec_to_unitquat(torch.from_numpy(rotations))
-    first, second = quats[before], quats[after]
-    step = roma.quat_product(roma.quat_conjugation(first), second)
-    step = roma.unitquat_to_rotvec(step, shortest_arc=True)
-    step = roma.rotvec_to_unitquat(step * torch.from_numpy(s)[:, None, None])
-    turned = roma.unitquat_to_rotvec(roma.quat_product(first, step), shortest_arc=True)
+    first, second = torch.from_numpy(rotations[before]), torch.from_numpy(rotations[after])
+    turned = slerp(first, second, torch.from_numpy(s)[:, None, None])
     moved = others[before] + s[:, None] * (others[after] - others[before])
     return turned.numpy(), moved
 

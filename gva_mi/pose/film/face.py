@@ -26,7 +26,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import roma
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
@@ -34,7 +33,7 @@ from torch.nn.functional import normalize
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.body.so3 import compose
+from gva_mi.body.so3 import compose, to_matrix
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face_points import FacePoints
@@ -168,7 +167,7 @@ class _FaceProblem:
         turn, place, opened, expression = q.split([3, 3, 1, len(self.d)], dim=1)
         moved = torch.einsum("te,epc->tpc", expression, self.d)
         y = self.x + o + opened[..., None] * self.b + moved
-        A = self.A[some] @ roma.rotvec_to_rotmat(turn)
+        A = self.A[some] @ to_matrix(turn)
         X = y @ A.mT + (self.a[some] + place)[:, None]
         n, P = X.shape[:2]
         D = X.new_zeros(n, P, 3, q.shape[1])

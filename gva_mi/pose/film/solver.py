@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import roma
 import torch
 from torch import Tensor
 
+from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
@@ -157,7 +157,7 @@ class _Film:
         shape = self.mean_shape()
         count = len(self.landmarks)
         rotations = prior.relaxed.expand(count, -1, -1).clone()
-        rotations[:, 0] = roma.rotmat_to_rotvec(first_root(self.landmarks))
+        rotations[:, 0] = so3.to_rotvec(first_root(self.landmarks))
         scale = self.rig.scale(self.landmarks, shape.betas)
         place = first_place(self.landmarks, self.K, scale)
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
@@ -228,8 +228,8 @@ class _Film:
         middle = state.place.mean(0)
         origin = middle - (up @ middle + state.floor) * up
         rotations = state.rotations.clone()
-        root = R_camera_world.T @ roma.rotvec_to_rotmat(rotations[:, 0])
-        rotations[:, 0] = roma.rotmat_to_rotvec(root)
+        root = R_camera_world.T @ so3.to_matrix(rotations[:, 0])
+        rotations[:, 0] = so3.to_rotvec(root)
         shape = Shape(state.betas.float())
         place = (state.place - origin) @ R_camera_world
         transl = place - self.body.rest(shape).joints[0].double()

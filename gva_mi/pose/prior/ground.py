@@ -29,13 +29,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import roma
 import torch
 from torch import Tensor
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import Rest
+from gva_mi.body.so3 import to_matrix
 from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import FREEDOM
@@ -208,7 +208,7 @@ def _square_change(aside: Tensor, times: Tensor) -> Tensor:
 
 def _axes(pose: Pose) -> Tensor:
     """Return the median upright direction, and two at right angles (3, 3)."""
-    upright = roma.rotvec_to_rotmat(pose.rotations[:, 0])[:, :, 1]
+    upright = to_matrix(pose.rotations[:, 0])[:, :, 1]
     up = torch.nn.functional.normalize(upright.median(0).values, dim=0)
     other = torch.eye(3).to(up)[int(up.abs().argmin())]
     first = torch.nn.functional.normalize(torch.linalg.cross(up, other), dim=0)

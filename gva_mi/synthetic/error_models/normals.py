@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import roma
-import torch
 
+from gva_mi.body.rotations import to_matrices
 from gva_mi.data.normals import Convention
 from gva_mi.synthetic.error_models.processes import field
 
@@ -56,8 +55,7 @@ def noisy_normals(
     if noise.flat:
         turned = turned * np.array([1 - min(level * noise.flat, 1)] * 2 + [1])
     if any(noise.turn):
-        turn = torch.tensor(noise.turn, dtype=torch.float64)
-        turned = turned @ roma.rotvec_to_rotmat(level * turn).numpy().T
+        turned = turned @ to_matrices(level * np.array(noise.turn)).T
     turned[..., 2] = np.minimum(turned[..., 2], 0)  # visible surfaces face the camera
     turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-9)
     return (turned * (mask > 0.5)[..., None]).astype(np.float32)

@@ -14,6 +14,7 @@ costs a rounding or two. Passing K instead would change pictures in their last b
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
     from gva_mi_plugins.mesh_normals.multi_crop import Tile
 
     same = np.array_equal(crop.T_camera_world, whole.T_camera_world) and crop.model == whole.model
-    if not same or not np.isclose(pixel_aspect(crop), pixel_aspect(whole), rtol=1e-9):
+    if not same or not math.isclose(pixel_aspect(crop), pixel_aspect(whole), rel_tol=1e-9):
         raise ValueError("tile_of(): the cameras must see crops of one picture")
     scale = crop.fx / whole.fx
     left, top = whole.cx - crop.cx / scale, whole.cy - crop.cy / scale

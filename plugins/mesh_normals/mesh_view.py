@@ -48,7 +48,7 @@ class MeshView:
         caster: RayCaster, filter: PixelFilter, edge_density: float, with_intersections: bool
     ) -> MeshView:
         """Shoot the rays of the image (eq. 1)."""
-        seen = caster.cast(filter.positions(), coherent=True)
+        seen = caster.cast(filter.positions())
         dr.eval(seen.face, seen.hit)
         return MeshView(caster, filter, edge_density, with_intersections, seen)
 

@@ -19,7 +19,7 @@ Eq. 1 uses quaternions. Its derivative is written out because autograd's graph o
 operations takes three times as long, in every step of a fit and of a refinement.
 
 The package roma has these functions too, but importing it imports torch's compiler, which takes
-longer than importing torch. Tests compare with it.
+longer than importing torch.
 """
 
 from __future__ import annotations
@@ -73,11 +73,6 @@ def to_rotvec(R: Tensor) -> Tensor:
 def compose(a: Tensor, b: Tensor) -> Tensor:
     """Rotate by ``b``, then ``a`` (eq. 1), both (..., 3) radians; has adjoint and tangent."""
     return _Compose.apply(*torch.broadcast_tensors(a, b))
-
-
-def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Interpolate from rotation ``a`` (weight 0) the shorter way to ``b`` (1), both (..., 3)."""
-    return compose(a, weight * compose(-a, b))
 
 
 class _Compose(torch.autograd.Function):

@@ -127,7 +127,7 @@ class Face:
         given, steps = self._stage1.pose, []
         for part, corrections in zip(self.parts, found, strict=True):
             if part.name == "jaw":
-                R = compose(given.rotations[:, JAW : JAW + 1], corrections)
+                R = turns_between(-given.rotations[:, JAW : JAW + 1], corrections)
                 steps.append(turns_between(R[:-1], R[1:]))
             else:
                 psi = given.expression[:, part.coefficients, None] + corrections

@@ -22,9 +22,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.body.so3 import slerp
+from gva_mi.pose.stage1 import turns_between
 
 RUNS = 8  # runs of a skim: a person who turns once is seen from eight sides
 
@@ -60,10 +61,15 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
         ours, theirs = whole[slice(clip.start, None)], other[slice(len(whole) - clip.start)]
         weight = (torch.arange(len(ours)).to(ours.transl) + 1)[:, None] / (len(ours) + 1)
         between = Pose(
-            slerp(ours.rotations, theirs.rotations, weight[..., None]),
+            _slerp(ours.rotations, theirs.rotations, weight[..., None]),
             torch.lerp(ours.transl, theirs.transl, weight),
             torch.lerp(ours.expression, theirs.expression, weight),
         )
         rest = other[slice(len(ours), None)]
         whole = Pose.cat([whole[slice(clip.start)], between, rest])
     return whole
+
+
+def _slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
+    """Interpolate between two rotations (..., 3), axis-angle."""
+    return turns_between(-a, weight * turns_between(a, b))

@@ -77,7 +77,7 @@ class Corrections:
         prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
         covariance[JOINTS] = joints.covariance(own[:, JOINTS])
-        estimate = compose(given, own)
+        estimate = turns_between(-given, own)
         wanted = anatomy.conditioned(estimate, covariance, stage1.times)
         own = turns_between(given, wanted)
         return Corrections(stage1, anatomy, prior, stage1.in_camera(own), moves[..., 0])

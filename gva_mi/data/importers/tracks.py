@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
-from gva_mi.body.so3 import slerp
+from gva_mi.body.so3 import compose
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.fields import find_body
@@ -187,7 +187,7 @@ def interpolate(
     span = np.maximum(times[after] - times[before], 1e-12)
     s = np.clip((wanted - times[before]) / span, 0, 1)
     first, second = torch.from_numpy(rotations[before]), torch.from_numpy(rotations[after])
-    turned = slerp(first, second, torch.from_numpy(s)[:, None, None])
+    turned = compose(first, torch.from_numpy(s)[:, None, None] * compose(-first, second))
     moved = others[before] + s[:, None] * (others[after] - others[before])
     return turned.numpy(), moved
 

@@ -30,8 +30,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.rotations import nearest_rotations, to_matrices, to_rotvecs
-from gva_mi.body.so3 import compose
 from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 from gva_mi.pose.stage1 import Stage1
@@ -46,7 +44,7 @@ ROUND = 0.5  # least turn of the person: nearly half round
 class TiltPrior:
     """The chance level of camera-locked tilt of the L joints of the body."""
 
-    means: Tensor  # (L, 3) their mean poses, axis-angle
+    means: Tensor  # (L, 3, 3) their mean poses
     swings: Tensor  # (n, L, 3, 3) ``R_k - mean R``
     across: Tensor  # (3, 3) ``P``
     chance: Tensor  # (L,) ``σ``, radians
@@ -56,9 +54,12 @@ class TiltPrior:
     @torch.no_grad()
     def of(stage1: Stage1, rotations: Tensor) -> TiltPrior:
         """Estimate the chance level from a motion, rotations (n, J, 3)."""
+        import roma  # here, as in stage1.py
+
         R = stage1.R_joint_camera[:, LIMBS]
-        means = to_rotvecs(nearest_rotations(to_matrices(rotations[:, LIMBS].numpy()).mean(0)))
-        means = torch.from_numpy(means).to(R)
+        means = roma.special_procrustes(
+            roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0), method="svd"
+        )
         none, shown = torch.ones(len(means)), stage1.turned > ROUND
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)
@@ -79,7 +80,9 @@ class TiltPrior:
 
     def _turns(self, rotations: Tensor) -> Tensor:
         """Return ``m`` (n, L, 3), radians."""
-        return compose(-self.means, rotations[:, LIMBS])
+        import roma
+
+        return roma.rotmat_to_rotvec(self.means.mT @ roma.rotvec_to_rotmat(rotations[:, LIMBS]))
 
     def _locked(self, turns: Tensor) -> Tensor:
         """Return eq. 1 (L, 3), radians."""

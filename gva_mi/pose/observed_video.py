@@ -16,6 +16,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import Done
 from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.fingerprint import FILM
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -40,6 +41,10 @@ from gva_mi.pose.stage1 import Stage1
 from gva_mi.pose.stature import with_height
 from gva_mi.pose.swaps import fix_swaps
 from gva_mi.splat import Camera
+
+# Nats by which a frame must speak against its refined pose, where stage 1 was made from the same
+# landmarks: it agrees with them by more than the true pose does, and its neighbours know better.
+SURE = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,9 +118,10 @@ class ObservedVideo:
             points = body_at(outline)
             whole = MaskAndNormals.of(outline, scale, points)
             if fine is not None:
-                pictures[outline.index] = FinePicture.of(outline, fine, points)
+                pictures[outline.index] = FinePicture.of(outline, fine, points, of_film)
             return whole
 
+        of_film = video.kind == FILM
         held_out = list(video.splits.test) if options.hold_out_test else []
         evidence, pictures = SpillCache(video.folder), SpillCache(video.folder)
         frames = [k for k in range(len(video)) if k not in held_out]
@@ -132,7 +138,8 @@ class ObservedVideo:
         landmarks = None
         if in_sequence and options.landmarks > 0 and video.landmarks is not None:
             fps = video.fps or FPS
-            landmarks = SeenLandmarks.of(video.landmarks, compared.body, video.cameras, fps)
+            seen = video.landmarks, compared.body, video.cameras, fps
+            landmarks = SeenLandmarks.of(*seen, (pose, shape))
         swapped: dict[str, list[int]] = {}
         if in_sequence and options.unswap:
             bare = Solution(pose, shape, torch.zeros_like(compared.body.v_template))
@@ -210,7 +217,9 @@ class ObservedVideo:
             _losses(self.coarse.body, self.evidence, self.landmarks, self.options, p, shared)
             for p in (self.pose, pose)
         )
-        kept = self.kept | worse_frames(self.evidence, losses_stage1, losses)
+        margin = 0.0 if self.errors is None else SURE * self.options.prior_weight
+        worse = worse_frames(self.evidence, losses_stage1, losses, margin=margin)
+        kept = self.kept | worse
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         pose = with_frames(self.pose, taken, pose[taken])
         if shared.focal != 1:
@@ -233,7 +242,7 @@ class ObservedVideo:
 
 def known_errors(video: Video, options: SequenceOptions) -> Mapping[str, Stage1ErrorModel] | None:
     """Return the error model of the estimator that made the poses; None: it is inferred."""
-    by_solver = options.errors == "film" or (options.errors == "auto" and video.kind == "film")
+    by_solver = options.errors == "film" or (options.errors == "auto" and video.kind == FILM)
     return film_errors(video.fps or FPS) if by_solver else None
 
 

@@ -208,16 +208,16 @@ def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
 
 
 def worse_frames(
-    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3
+    frames: Iterable[int], before: Tensor, after: Tensor, digits: int = 3, margin: float = 0.0
 ) -> dict[int, str]:
     """Return which of some frames have a larger loss (T,) after than before, each with a message.
 
-    NaN counts as larger; losses in the message have so many digits.
+    NaN counts as larger; losses in the message have so many digits; by ``margin`` they may grow.
     """
     return {
         k: f"its loss grew from {before[k]:.{digits}f} to {after[k]:.{digits}f}"
         for k in frames
-        if not after[k] <= before[k]
+        if not after[k] <= before[k] + margin
     }
 
 

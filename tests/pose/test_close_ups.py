@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Outline
-from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, close_ups, parts_of
+from gva_mi.pose.evidence.close_ups import CLEAR, FinePicture, close_up_scale, close_ups, parts_of
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
@@ -88,6 +88,30 @@ def test_the_gradient_points_uphill(vertices, close_up_loss):
     assert bool(grad.isfinite().all()) and float(grad.norm()) > 0
     downhill = x.detach() - 0.003 * grad.sum(0) / grad.sum(0).norm()
     assert float(close_up_loss(downhill)) < float(close_up_loss(x.detach()))
+
+
+def test_a_hand_that_a_films_mask_misses_hardly_pulls(body, scene, seen, vertices):
+    """Its close-up's gradient falls by ``1 + r / c``; one that fits pulls as ever."""
+    person, picture = seen
+    hand = parts_of(body)[0]
+    erased = picture.mask.clone()
+    left, top = np.floor(picture.camera.project(vertices[hand.vertices].double().numpy()).min(0))
+    right, bottom = np.ceil(picture.camera.project(vertices[hand.vertices].double().numpy()).max(0))
+    erased[int(top) : int(bottom), int(left) : int(right)] = 0
+    slope = {}
+    for mask in (picture.mask, erased):
+        for of_film in (False, True):
+            given = replace(picture, mask=mask, normals=None, of_film=of_film)
+            ((_, view),) = close_ups(given, {hand: 1.0}, vertices, person)
+            x = (vertices + torch.tensor([0.004, 0, 0])).requires_grad_()
+            image = scene.render(x, view.camera)
+            off = float(view.silhouette_loss(image).detach())
+            slope[off > 0.5, of_film] = torch.autograd.grad(view.loss(image, 1.0), x)[0]
+            if of_film:
+                plain = slope[off > 0.5, False]
+                assert torch.allclose(slope[off > 0.5, True], plain / (1 + off / CLEAR), rtol=1e-4)
+    assert slope[True, True].norm() < 0.2 * slope[True, False].norm()
+    assert slope[False, True].norm() > 0.3 * slope[False, False].norm()
 
 
 def test_parts_outside_the_image_or_of_weight_zero_have_no_close_up(body, seen, vertices):

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.data.landmarks import BODY, Landmarks, hand_names
-from gva_mi.pose.evidence.landmarks import SeenLandmarks
+from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.pose.evidence.landmarks import HEAD, MEMORY, SeenLandmarks
 from gva_mi.pose.film.rig import LandmarkRig
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
@@ -28,7 +28,7 @@ def seen_of(body, pose, camera, names=NAMES):
 
 
 def loss_of(landmarks, body, pose, camera, offsets=None):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS)
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS, (pose, SHAPE))
     offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
     return seen.losses(range(len(pose)), body, pose, SHAPE, offsets).mean()
 
@@ -50,7 +50,7 @@ def test_the_true_pose_costs_nothing_and_a_turned_arm_does(body, true_pose, came
 
 
 def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, camera, landmarks):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS)
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS, (true_pose, SHAPE))
     offsets = torch.zeros_like(seen.rig.rest)
     offsets[seen.rig.names.index("left_hip")] = torch.tensor([0.0, 0.04, 0.0])
     assert float(loss_of(landmarks, body, true_pose, camera, offsets)) > 0.01
@@ -74,7 +74,37 @@ def test_the_order_of_names_does_not_matter(body, true_pose, camera, landmarks):
 
 
 def test_points_of_a_hand_count_as_few(body, true_pose, camera, landmarks):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS)
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS, (true_pose, SHAPE))
     of_hand = torch.tensor([name.startswith("left_hand") for name in seen.rig.names])
     assert float(seen.count[of_hand].sum()) == pytest.approx(3)
     assert float(seen.count[seen.rig.names.index("left_knee")]) == 1
+
+
+def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
+    """By half the square of its angle over σ, a frame; a face turned away, or none, by nothing."""
+    for root, share in (((0.0, 0.0, 0.0), 1.0), ((0.0, torch.pi, 0.0), 0.0)):
+        rotations = torch.zeros_like(true_pose.rotations)
+        rotations[:, 0] = torch.tensor(root)
+        pose = replace(true_pose, rotations=rotations)
+        plain = seen_of(body, pose, camera)
+        pixels, ones = np.zeros((len(pose), len(FACE), 2)), np.ones((len(pose), len(FACE)))
+        unknown = np.full((*ones.shape, 3), np.nan)
+        face = Landmarks(FACE, pixels, ones, 0 * ones, unknown)
+        both = Landmarks(
+            (*NAMES, *FACE),
+            *(
+                np.concatenate([getattr(x, name) for x in (plain, face)], 1)
+                for name in ("pixels", "confidence", "spread", "metric")
+            ),
+        )
+        bent = rotations.clone()
+        bent[:, JOINTS.index("spine2"), 1] = 0.05
+        losses = []
+        for given in (plain, both):
+            seen = SeenLandmarks.of(given, body, [camera] * len(pose), FPS, (pose, SHAPE))
+            offsets = torch.zeros_like(seen.rig.rest)
+            every = range(len(pose))
+            losses.append(seen.losses(every, body, replace(pose, rotations=bent), SHAPE, offsets))
+        assert seen.faces.tolist() == pytest.approx([share] * len(pose), abs=0.15)
+        expected = seen.faces * (0.05 / HEAD) ** 2 / (2 * MEMORY * FPS)
+        assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)

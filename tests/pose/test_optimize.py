@@ -95,6 +95,7 @@ def test_a_loss_that_grew_or_is_nan_is_worse():
         1: "its loss grew from 1.000 to 1.500",
         2: "its loss grew from 1.000 to nan",
     }
+    assert list(worse_frames([0, 1, 2, 3], before, after, margin=0.5)) == [2]
     assert worse_frames([1], before, after, digits=1) == {1: "its loss grew from 1.0 to 1.5"}
 
 

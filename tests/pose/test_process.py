@@ -1,9 +1,11 @@
 """The MAP estimate of a motion without any image."""
 
+import numpy as np
 import pytest
 import torch
 
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
+from gva_mi.pose.prior.inference import updated_process
 from gva_mi.pose.prior.process import ProcessPrior
 
 N = 90
@@ -39,6 +41,25 @@ def test_a_fast_motion_survives():
     truth[40:56, 0, 0] = 0.5 - 0.5 * torch.cos(torch.arange(16) * torch.pi / 7.5)
     found, _ = estimate(noisy(truth, 0.005), 0.005)
     assert float(found[40:56, 0, 0].max()) > 0.85
+
+
+def test_a_short_gesture_of_a_known_estimator_has_its_speed():
+    """Raised and lowered by 0.6 radians within five frames: a median of 21 frames sees rest."""
+    y = np.zeros(N)
+    y[42:47] = [0, 0.3, 0.6, 0.3, 0]
+    steps = torch.zeros(N - 1, 2, 3)
+    steps[..., 0] = torch.from_numpy(np.diff(y))[:, None]
+    known, guessed = Stage1ErrorModel(0.0, 0.05, 6.0, bias=0.0), Stage1ErrorModel(0.0, 0.05, 6.0)
+    process = ProcessPrior.of_stage1(TIMES, steps, [known, guessed])
+    found = process.square_speed[44]
+    # Over eight frames around each, of three coordinates; then a Gaussian mean over four frames.
+    far = [(y[min(k + 4, N - 1)] - y[max(k - 4, 0)]) ** 2 / 8 / 3 for k in range(N - 1)]
+    near = np.exp(-((np.arange(N - 1) - 44) ** 2) / 32)
+    assert float(found[0]) == pytest.approx(near @ far / near.sum(), rel=0.02)
+    assert found[0] > 20 * found[1]
+    slower = updated_process(process, [known, guessed], torch.zeros(N, 2, 3), 0.1 * process.steps)
+    assert torch.equal(slower.square_speed[:, 0], process.square_speed[:, 0])
+    assert not torch.equal(slower.square_speed[:, 1], process.square_speed[:, 1])
 
 
 def test_an_outlier_takes_the_value_of_its_neighbours():

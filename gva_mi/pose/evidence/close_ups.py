@@ -36,6 +36,7 @@ BORDER = 0.5  # of a part's length, added on each side (2)
 SMALLEST_SIDE = 8  # pixels of a close-up; below, a part is at the edge of the image
 GAIN = 1.25  # pixels of a close-up per pixel of the person's image, at least; below nothing is won
 UNIT = 127  # of a stored normal
+CLEAR = 0.1  # c of masks_normals, eq. 4, for the masks of films: of a part's area
 
 
 @dataclass(frozen=True)
@@ -45,22 +46,22 @@ class FinePicture:
     camera: Camera  # of the part that was cut out
     mask: Tensor  # (H, W) uint8, 255 where the person is
     normals: Tensor | None  # (H, W, 3) int8, 127 times the unit vector; zero outside the mask
+    of_film: bool = False  # whether the mask is a film's
 
     @staticmethod
-    def of(outline: Outline, scale: float, points: Tensor) -> FinePicture:
-        """Crop a frame as :meth:`MaskAndNormals.of` does."""
+    def of(outline: Outline, scale: float, points: Tensor, of_film: bool = False) -> FinePicture:
+        """Crop a frame as :meth:`MaskAndNormals.of` does; ``of_film``: its mask is a film's."""
         fine = MaskAndNormals.of(outline, scale, points)
         normals = None if fine.normals is None else (UNIT * fine.normals).round().to(torch.int8)
-        return FinePicture(fine.camera, (255 * fine.mask).round().to(torch.uint8), normals)
+        return FinePicture(fine.camera, (255 * fine.mask).round().to(torch.uint8), normals, of_film)
 
     def cut(self, box: Box, area: float) -> MaskAndNormals:
         """Return the evidence in a box, whose losses are divided by an area in pixels."""
         normals = None
         if self.normals is not None:
             normals = torch.nn.functional.normalize(box.cut(self.normals).float(), dim=-1)
-        return MaskAndNormals(
-            box.cut_camera(self.camera), box.cut(self.mask).float() / 255, normals, area
-        )
+        camera, mask = box.cut_camera(self.camera), box.cut(self.mask).float() / 255
+        return MaskAndNormals(camera, mask, normals, area, CLEAR if self.of_film else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,17 @@
     1. L_data = L_normal + λ1 L_silhouette
     2. L_normal = Σ_known pixels |N - N_pred|_1 / 3 / area
     3. L_silhouette = Σ_pixels |S - S_pred| / area
+    4. c log(1 + L_silhouette / c) in its place, where masks may err much
 
 with the normals ``N`` (H, W, 3) and the mask ``S`` (H, W) of the frame, and those of the rendered
 body. Normals are compared inside the mask alone; where the body exceeds it, eq. 3 counts. If ``N``
 were zero there, thin parts that a mask misses would count twice, and hands would rather hide in
 front of the trunk. A frame without normals has eq. 3 alone, with a higher weight. All terms are
 divided by the person's area in pixels, so that weights do not depend on size or resolution.
+
+Masks that a network made of a film miss a hand before wood of its colour, or have a part of the
+background beside it. How much such a mask errs is not known. If all sizes from ``c`` upward are as
+probable, its likelihood is eq. 4: a close-up that no pose explains hardly pulls.
 
 Half the outline: masks are rendered with one ray through the centre of each pixel. Of the pixels
 that the rendered outline crosses, those whose centre it covers differ from the frame's mask, and
@@ -63,6 +68,7 @@ class MaskAndNormals:
     mask: Tensor  # (H, W) in [0, 1]
     normals: Tensor | None  # (H, W, 3) unit, zero outside the mask
     area: float  # of the person, pixels
+    clear: float | None = None  # c of eq. 4, of the area; None: eq. 3
 
     @staticmethod
     def of(outline: Outline, scale: float, points: Tensor) -> MaskAndNormals:
@@ -99,7 +105,10 @@ class MaskAndNormals:
             focal: the factor for which the body is stretched (:mod:`gva_mi.pose.focal`); None: 1.
         """
         if self.normals is None:
-            return ALONE * silhouette * self.silhouette_loss(image)
+            off = self.silhouette_loss(image)
+            if self.clear is not None:
+                off = self.clear * torch.log1p(off / self.clear)
+            return ALONE * silhouette * off
         return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
 
     def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:

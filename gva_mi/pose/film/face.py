@@ -77,6 +77,11 @@ def with_face(
         return replace(solved, pose=problem.solve(solved.pose)), []
 
 
+def facing(A: Tensor, a: Tensor) -> Tensor:
+    """Return ``f`` (T,) of a head's rotations (T, 3, 3) and places (T, 3) in the camera's axes."""
+    return (-(A[:, :, 2] * normalize(a, dim=1)).sum(1)).clamp_min(0) ** 8
+
+
 @dataclass(frozen=True)
 class _FaceProblem:
     """T frames and P landmarks, in the camera's axes; float64.
@@ -121,9 +126,8 @@ class _FaceProblem:
             for name in ("pixels", "confidence", "spread")
         )
         square = (METRES * K[0, 0] / a[:, 2:]) ** 2 + PIXELS**2 + spread**2
-        facing = -(A[:, :, 2] * normalize(a, dim=1)).sum(1, keepdim=True).clamp_max(0)
         seen = pixels.isfinite().all(2)
-        precision = torch.where(seen, facing**8 * confidence / square, 0.0)
+        precision = torch.where(seen, facing(A, a)[:, None] * confidence / square, 0.0)
         pixels = torch.where(seen[..., None], pixels, 0.0)
         return _FaceProblem(
             A, a, x - joints[_HEAD], b, points.expressions, pixels, precision, K, dt

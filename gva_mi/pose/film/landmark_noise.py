@@ -3,7 +3,13 @@
 In the picture a landmark is off by a share of the person's size, because networks see people scaled
 to one size. The spread between passes adds to it, and a low confidence widens it:
 
-1. ``σ² = ((share · S)² + spread²) / confidence``,   ``S``: pixels of a person of 1.7 m
+1. ``σ² = ((share · S)² + spread²) / confidence + astray²``,   ``S``: pixels of a person of 1.7 m
+
+A hand is found by a tracker that may stay where the hand was, or jump to another one, without
+saying so. Of the two wrists, that of the hand and that of the body, then the body's is right: on
+rendered people a hand errs by as much as its wrist is away from the body's, and the body's wrist by
+no more than usual. So this distance, beyond what the body's wrist may be off, is the hand's
+``astray``, of its points and of their depths; it is zero for other points.
 
 Depths are guesses. A network that is trained to be right on average gives the mean of the depths
 that a picture leaves possible, so its answers vary less than the true depths do. Along a bone from
@@ -107,12 +113,15 @@ class LandmarkNoise:
         sizes = person_sizes(landmarks)
         share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
-        pixels = np.sqrt(square / np.clip(confidence, LEAST_CONFIDENCE, 1))
+        astray = _astray(landmarks, names, sizes / PERSON)
+        square = square / np.clip(confidence, LEAST_CONFIDENCE, 1)
+        pixels = np.sqrt(square + (astray * sizes[:, None] / PERSON) ** 2)
         known = list(_bones(names))
         bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
         has_depth = found & np.isfinite(landmarks.metric[:, at]).all(2)
         both = has_depth[:, bones].all(2)
-        depth = np.where(both, [bone.sigma for _, bone in known], np.inf)
+        sigma = np.hypot([bone.sigma for _, bone in known], astray[:, bones].max(2))
+        depth = np.where(both, sigma, np.inf)
         tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
         return LandmarkNoise(
             tensor(np.where(found, pixels, np.inf)),
@@ -122,6 +131,23 @@ class LandmarkNoise:
             tensor(depth),
             float(np.median(sizes)),
         )
+
+
+def _astray(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray) -> np.ndarray:
+    """Return ``astray`` (T, P) of eq. 1, metres; ``metre`` (T,) is in pixels."""
+    found, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
+    for side in ("left", "right"):
+        pair = f"{side}_wrist", f"{side}_hand_wrist"
+        if not set(pair) <= set(every):
+            continue
+        wrist, hand = landmarks.indices(pair)
+        apart = landmarks.pixels[:, wrist].astype(float) - landmarks.pixels[:, hand]
+        confidence = np.nan_to_num(landmarks.confidence[:, wrist]).clip(LEAST_CONFIDENCE, 1)
+        usual = 2 * (SHARE * PERSON) ** 2 / confidence
+        beyond = (np.square(apart).sum(1) / metre**2 - usual).clip(0)
+        of_hand = [name.startswith(f"{side}_hand_") for name in names]
+        found[:, of_hand] = np.sqrt(np.nan_to_num(beyond))[:, None]
+    return found
 
 
 def person_sizes(landmarks: Landmarks) -> np.ndarray:

@@ -67,6 +67,11 @@ class Stage1ErrorModel:
     lag: float = 0.0  # frames: what is added to ``slow``, relative to the speed of the motion
 
     @property
+    def known(self) -> bool:
+        """Whether this is knowledge about the estimator, and not inferred from the video."""
+        return self.bias is not None
+
+    @property
     def size(self) -> float:
         """Standard deviation of a coordinate, without the bias."""
         return float(np.hypot(self.white, self.slow))

@@ -137,12 +137,10 @@ def updated_process(
     ``steps`` (n - 1, C, ...) lead from frame to frame, in the coordinates that images show.
     """
     changes = before.changes(steps)
-    times = before.times[: len(changes)].float()
-    square = motion.excursions(changes, motion.SPAN).square().mean(-1)
-    updated = replace(before, error_models=error_models).with_speeds(
-        motion.mean_square(square, times)
-    )
-    return updated.with_outlier_factors(corrections)
+    found = motion.mean_speed(changes, before.times[: len(changes)])
+    updated = replace(before, error_models=error_models).with_speeds(found)
+    speeds = torch.where(before.known, before.square_speed, updated.square_speed)
+    return replace(updated, square_speed=speeds).with_outlier_factors(corrections)
 
 
 def _noise(

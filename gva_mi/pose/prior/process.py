@@ -67,7 +67,14 @@ class ProcessPrior:
             motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
             for span in motion.SPANS
         ]
-        return process.with_speeds(torch.stack(seen).amax(0).clamp(min=0))
+        usual = torch.stack(seen).amax(0).clamp(min=0)
+        mean = motion.mean_speed(process.steps, times[: len(usual)])
+        return process.with_speeds(torch.where(process.known, mean, usual))
+
+    @property
+    def known(self) -> Tensor:
+        """Whether each error model (C,) is knowledge about the estimator."""
+        return torch.tensor([noise.known for noise in self.error_models])
 
     def changes(self, steps: Tensor) -> Tensor:
         """Return ``Δ`` of steps (n - 1, ...): the steps, or if steady their differences."""

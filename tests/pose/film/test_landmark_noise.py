@@ -58,3 +58,16 @@ def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standin
 def test_names_may_be_few(standing):
     noise = LandmarkNoise.of(standing, ["left_hip", "nose"])
     assert noise.pixels.shape == (3, 2) and noise.bones.shape == (0, 2)
+
+
+def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):
+    """The tracker stayed 0.3 m beside the wrist in one frame: the hand alone is doubted, there."""
+    moved = replace(standing, pixels=standing.pixels.copy())
+    hand = [k for k, name in enumerate(standing.names) if name.startswith("left_hand_")]
+    moved.pixels[1, hand, 0] += 60
+    usual, noise = (LandmarkNoise.of(x, standing.names) for x in (standing, moved))
+    assert (noise.pixels[1, hand] - 60).abs().max() < 1.0
+    of_hand = torch.isin(noise.bones, torch.tensor(hand)).any(1)
+    assert (noise.depth[1, of_hand] > 0.29).all()
+    noise.pixels[1, hand], noise.depth[1, of_hand] = usual.pixels[1, hand], usual.depth[1, of_hand]
+    assert torch.equal(noise.pixels, usual.pixels) and torch.equal(noise.depth, usual.depth)

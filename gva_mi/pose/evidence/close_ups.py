@@ -36,7 +36,7 @@ BORDER = 0.5  # of a part's length, added on each side (2)
 SMALLEST_SIDE = 8  # pixels of a close-up; below, a part is at the edge of the image
 GAIN = 1.25  # pixels of a close-up per pixel of the person's image, at least; below nothing is won
 UNIT = 127  # of a stored normal
-CLEAR = 0.1  # c of masks_normals, eq. 4, for the masks of films: of a part's area
+CLEAR = 0.1  # c of masks_normals, eq. 4, for hands in the masks of films: of a hand's area
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,13 @@ class FinePicture:
         normals = None if fine.normals is None else (UNIT * fine.normals).round().to(torch.int8)
         return FinePicture(fine.camera, (255 * fine.mask).round().to(torch.uint8), normals, of_film)
 
-    def cut(self, box: Box, area: float) -> MaskAndNormals:
-        """Return the evidence in a box, whose losses are divided by an area in pixels."""
+    def cut(self, box: Box, area: float, clear: float | None = None) -> MaskAndNormals:
+        """Return the evidence in a box, its losses divided by an area in pixels."""
         normals = None
         if self.normals is not None:
             normals = torch.nn.functional.normalize(box.cut(self.normals).float(), dim=-1)
         camera, mask = box.cut_camera(self.camera), box.cut(self.mask).float() / 255
-        return MaskAndNormals(camera, mask, normals, area, CLEAR if self.of_film else None)
+        return MaskAndNormals(camera, mask, normals, area, clear)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,8 @@ def _close_up(
     if (extent.high - extent.low).min() < SMALLEST_SIDE:
         return None
     box = extent.box(0, np.array([camera.width, camera.height]))
-    return picture.cut(box, part.area / 4 * per_metre)
+    missed = picture.of_film and part.name == "hand"  # feet are in a film's masks
+    return picture.cut(box, part.area / 4 * per_metre, CLEAR if missed else None)
 
 
 def parts_of(body: BodyModel) -> list[BodyPart]:

@@ -100,6 +100,9 @@ BAD = (
         "--schedule.reinit-at must be a number above 0 and below 1, got never",
     ),
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
+    (("gradcheck-normals",), "gradcheck-normals is now `gva-mi gradcheck normals`"),
+    (("study", "refine", "--people", "3"), "study --people is now --subjects"),
+    (("fit", "s", "--poses.nat=3"), "fit --poses.nat is now --poses.prior-weight"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
     ((), "a command is missing; expected one of demo, synth"),
 )
@@ -286,7 +289,7 @@ main(["--help"])
 print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    used = "gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.shown"
+    used = "gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.renamed gva_mi.cli.shown"
     assert run.stdout.splitlines()[-1] == f"imported {used}"
 
 

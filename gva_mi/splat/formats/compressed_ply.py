@@ -48,7 +48,6 @@ from gva_mi.splat.formats.stored import (
 )
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
-from gva_mi.splat.morton import morton_order
 
 CHUNK = 256  # Gaussians
 PACKED = tuple(f"packed_{name}" for name in ("position", "rotation", "scale", "color"))
@@ -60,6 +59,7 @@ _MEANS, _SCALES, _RGB = (
     for kind, axes in (("", "xyz"), ("scale_", "xyz"), ("", "rgb"))
 )
 _MAX_LOG_SCALE = 20.0  # of either sign; SuperSplat's own bounds
+_MORTON_BITS = 10  # of each axis
 
 
 def is_compressed(elements: dict[str, np.ndarray]) -> bool:
@@ -97,7 +97,7 @@ def save_compressed_ply(path: Path, gaussians: Gaussians) -> None:
     """
     stored = Stored.of(path, gaussians, "a compressed .ply", most=3)
     scales = np.clip(stored.log_scales, -_MAX_LOG_SCALE, _MAX_LOG_SCALE)
-    order = morton_order(stored.means)
+    order = _morton(stored.means)
     columns = (stored.means, scales, stored.sh[:, 0] * C0 + 0.5)
     bounds, shares = zip(*(_in_chunks(x[order]) for x in columns), strict=True)
     rgba = np.column_stack([shares[2], np.clip(stored.opacities[order], 0, 1)])
@@ -189,3 +189,16 @@ def _in_chunks(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     extent = end - start
     shares = np.divide(values - start, extent, out=np.zeros_like(values), where=extent > 0)
     return np.concatenate([low, high], axis=1), np.clip(shares, 0, 1)
+
+
+def _morton(means: np.ndarray) -> np.ndarray:
+    """Sort points (N, 3) along a Morton curve through their bounding box."""
+    low, high = means.min(0, initial=np.inf), means.max(0, initial=-np.inf)
+    cells = (1 << _MORTON_BITS) - 1
+    with np.errstate(invalid="ignore"):
+        spot = ((means - low) / np.maximum(high - low, 1e-12) * cells).astype(np.int64)
+    code = np.zeros(len(means), np.int64)
+    for bit in range(_MORTON_BITS):
+        for axis in range(3):
+            code |= (spot[:, axis] >> bit & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")

@@ -93,11 +93,6 @@ class CanonicalGaussians(nn.Module):
     def __len__(self) -> int:
         return self.means.shape[0]
 
-    def take(self, rows: Tensor) -> CanonicalGaussians:
-        """Return a copy of some of them, (M,) int64; a row may be taken more than once."""
-        named = ((name, getattr(self, name)[rows]) for name in (*PARAMETERS, *BINDING))
-        return CanonicalGaussians(**dict(named))
-
     @property
     def scales(self) -> Tensor:
         """Standard deviations, (N, 3) metres."""

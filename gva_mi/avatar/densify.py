@@ -20,11 +20,10 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.canonical import PARAMETERS, CanonicalGaussians
+from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Metres, Share, Within, require_ranges
 from gva_mi.splat import Screen
-from gva_mi.splat.morton import morton_order
 
 
 @dataclass(frozen=True)
@@ -109,10 +108,15 @@ def densify(
         kept = torch.nonzero(~pruned & ~split).flatten()
         clones, halves = (torch.nonzero(x).flatten() for x in (cloned, split))
         parents = torch.cat([kept, clones, halves, halves])
-        canonical, new = G.take(parents), slice(len(kept) + len(clones), None)
+        values = {name: getattr(G, name)[parents] for name in PARAMETERS}
+        new = slice(len(kept) + len(clones), None)
         drawn = torch.randn(2 * len(halves), 3, generator=generator, dtype=G.means.dtype)
-        canonical.means[new] += _rotate(canonical.quats[new], drawn * canonical.scales[new])
-        canonical.log_scales[new] -= math.log(options.split_shrink)
+        values["means"][new] += _rotate(
+            values["quats"][new], drawn * values["log_scales"][new].exp()
+        )
+        values["log_scales"][new] -= math.log(options.split_shrink)
+        binding = {name: getattr(G, name)[parents] for name in BINDING}
+        canonical = CanonicalGaussians(**values, **binding)
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))
 
 
@@ -145,16 +149,6 @@ def replace_gaussians(
                 state[key] = carried
         optimizer.state[after] = state
     avatar.canonical = canonical
-
-
-def sort_gaussians(avatar: Avatar, optimizer: torch.optim.Optimizer) -> None:
-    """Sort an avatar's Gaussians, and Adam's moments, along a curve through the rest pose.
-
-    Kernels read the Gaussians of a tile: neighbours in space that are neighbours in memory, too,
-    are in the processor's cache. Density control and re-initialisation leave another order.
-    """
-    order = torch.from_numpy(morton_order(avatar.canonical.means.detach().numpy()))
-    replace_gaussians(avatar, optimizer, avatar.canonical.take(order), order, len(order))
 
 
 def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:

@@ -26,12 +26,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, seed_avatar
-from gva_mi.avatar.densify import (
-    ScreenGradients,
-    densify,
-    replace_gaussians,
-    sort_gaussians,
-)
+from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
@@ -157,10 +152,8 @@ class Run:
         )
         self.optimizer = _optimizer(self.avatar, options.rates)
         self._pixel = smallest_pixel(video, rig)
-        if state is None:
-            self._start_anew()
-        else:
-            self.gradients = ScreenGradients(len(self.avatar.canonical))
+        self.gradients = ScreenGradients(len(self.avatar.canonical))
+        if state is not None:
             self.poses.load_state(state["poses"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.gradients.total, self.gradients.views = state["gradients"]
@@ -213,7 +206,7 @@ class Run:
         if schedule.densifies(self.step, options.steps):
             generator = torch_state(options.seed, RandomStream.DENSIFY, self.step)
             densify(self.avatar, self.optimizer, self.gradients, options.densify, generator)
-            self._start_anew()
+            self.gradients = ScreenGradients(len(self.avatar.canonical))
         if schedule.reinitialises(self.step, options.steps):
             self._reinitialise(out)
         elif schedule.rebinds_weights(self.step):
@@ -230,11 +223,6 @@ class Run:
         run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
         replace_gaussians(self.avatar, self.optimizer, new.canonical)
         self.avatar.set_skin_weights(new.skin)
-        self._start_anew()
-
-    def _start_anew(self) -> None:
-        """Sort new Gaussians, and gather their gradients from zero."""
-        sort_gaussians(self.avatar, self.optimizer)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
 
     def clamp_scales(self) -> None:

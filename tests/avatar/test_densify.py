@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gva_mi.avatar.canonical import PARAMETERS
-from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify, sort_gaussians
+from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify
 from gva_mi.body import Pose
 from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
 
@@ -109,23 +109,6 @@ def test_optimiser_follows(avatar, generator):
     avatar(Pose.rest()).means.sum().backward()
     optimizer.step()
     assert not torch.equal(avatar.canonical.means, before["means"])
-
-
-def test_sorting_brings_neighbours_together_and_keeps_each_row_whole(avatar):
-    shuffled = torch.randperm(642, generator=torch.Generator().manual_seed(1))
-    avatar.canonical = avatar.canonical.take(shuffled)
-    optimizer, before = adam(avatar), values(avatar.canonical)
-    moments = {n: optimizer.state[getattr(avatar.canonical, n)]["exp_avg"] for n in PARAMETERS}
-    sort_gaussians(avatar, optimizer)
-    after = avatar.canonical.means.detach()
-    row = torch.cdist(after, before["means"]).argmin(dim=1)  # where each one was
-    assert row.unique().numel() == 642
-    for name, value in values(avatar.canonical).items():
-        assert torch.equal(value, before[name][row]), name
-    for name, value in moments.items():
-        assert torch.equal(optimizer.state[getattr(avatar.canonical, name)]["exp_avg"], value[row])
-    steps = lambda means: means.diff(dim=0).norm(dim=1).mean()
-    assert steps(after) < steps(before["means"]) / 5
 
 
 def test_growth_stops_at_the_cap_with_the_largest_gradients(avatar, generator):

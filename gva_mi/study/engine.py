@@ -15,6 +15,7 @@ results version of the study (:data:`gva_mi.core.provenance.RESULTS_VERSIONS`).
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
@@ -62,7 +63,7 @@ class Work(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(ABC):
     """The inputs of a study, and the file of its results."""
 
     folder: Path
@@ -71,13 +72,13 @@ class Study:
     kind: ClassVar[str]  # names its files
 
     @property
+    @abstractmethod
     def variants(self) -> Sequence[str]:
         """Names of the ways that each case is computed."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Return work in rounds; each piece of the last one returns the figures of a pair."""
-        raise NotImplementedError
 
     @cached_property
     def made_with(self) -> dict[str, Any]:

@@ -141,7 +141,7 @@ def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
     tables = []
     if problems:
         rows = [(p.what, p.figure, p.cause, p.remedy) for p in problems]
-        tables.append(Table(("what", "measured", "likely cause", "what to do"), rows))
+        tables.append(Table(("what", "measured", "likely cause", "what to do"), rows, words=True))
     if notes:
-        tables.append(Table(("notes",), [(note,) for note in notes]))
+        tables.append(Table(("notes",), [(note,) for note in notes], words=True))
     return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)

@@ -35,6 +35,7 @@ class Table:
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
+    words: bool = False  # cells are sentences, which wrap, and not numbers
 
 
 @dataclass(frozen=True)

@@ -202,5 +202,5 @@ def _exceptions(refined: Refined) -> list[Section]:
         (refined.without_normals, "no normals: fitted to silhouettes alone"),
     ):
         rows += [(listed(frames), what)] if frames else []
-    table = Table(("frames", "what differs"), rows)
+    table = Table(("frames", "what differs"), rows, words=True)
     return [Section("Frames that differ", "", tables=[table])] if rows else []

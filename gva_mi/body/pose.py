@@ -13,7 +13,6 @@ from torch import Tensor
 from gva_mi.core.arrays import Form
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
-from gva_mi.core.options import Within
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 _HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]
@@ -42,7 +41,6 @@ SMPLX_FIELDS: Mapping[str, slice] = {
 # Generous bounds of valid files: metres, standard deviations, radians.
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3
-FOCAL = Within(0.01, 100)  # factor on a focal length
 _WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
 
 
@@ -124,7 +122,6 @@ class PoseFile:
     pose: Pose
     shape: Shape
     stage: int  # source of the poses: 0 ground truth, 1 an estimator, 2 refinement or training
-    focal: float  # factor on the focal lengths of the video's cameras that the poses belong to
     offsets: Tensor | None  # (V, 3) displacement of the rest surface that refinement found, metres
 
 
@@ -135,7 +132,7 @@ _REQUIRED = ("global_orient", "body_pose", "transl", "betas")
 def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     """Read ``poses.npz``: SMPL-X's names, each (T, ...), and ``betas`` (B,).
 
-    Face and hands may be missing: they are then zero. So may ``stage`` (1), ``focal`` (1) and
+    Face and hands may be missing: they are then zero. So may ``stage`` (1) and
     ``offsets``. Other keys are ignored.
 
     Args:
@@ -164,15 +161,13 @@ def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     if betas.ndim != 1:
         expected = "must be (B,), one person for all frames"
         raise InputError(f"{path}: 'betas' {expected}; got {tuple(betas.shape)}")
-    stage, focal = data.get("stage", np.array(1)), data.get("focal", np.array(1.0))
+    stage = data.get("stage", np.array(1))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
         raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
-    focal = float(require_array(path, "focal", focal, (), kind="iuf"))
-    FOCAL.require(str(path), "'focal'", focal)
     offsets = data.get("offsets")
     if offsets is not None:
         offsets = _numbers(path, "offsets", offsets, (None, 3))
-    return PoseFile(Pose.from_smplx(named), Shape(betas), int(stage), focal, offsets)
+    return PoseFile(Pose.from_smplx(named), Shape(betas), int(stage), offsets)
 
 
 def is_pose_file(path: Path) -> bool:
@@ -216,14 +211,11 @@ def save_poses(
     *,
     stage: int,
     offsets: Tensor | None = None,
-    focal: float = 1.0,
 ) -> None:
     """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`."""
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()
-    if focal != 1:
-        data["focal"] = np.array(focal)
     write_arrays(path, **data, betas=shape.betas.detach().numpy(), stage=np.array(stage))
 
 

@@ -20,7 +20,6 @@ from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Weight, Workers
 from gva_mi.core.provenance import versions
-from gva_mi.core.tasks import cluster
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import GroundTruth, truth_of
@@ -45,7 +44,6 @@ def refine(
     paper_prior: Weight = REFINE.prior,
     normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
     workers: Workers = 1,
-    scheduler: str | None = None,
     report: Switch = False,
     body: Path | None = None,
     overwrite: Switch = False,
@@ -64,7 +62,6 @@ def refine(
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
-        scheduler: address of a dask.distributed cluster that does the work instead.
         report: also write refinement.html, with the errors of every frame.
         body: a body in SMPL-X's .npz format; without it the one that the first subject was
             prepared for, else the built-in body.
@@ -72,12 +69,9 @@ def refine(
     """
     if not subjects:
         raise InputError("refine: give the folder of a subject, or of several")
-    if scheduler is not None and workers != 1:
-        raise InputError("refine: give --workers or --scheduler, not both")
-    if preset == "paper" and (options.hold_out_test or options.refine_camera):
-        name = "--hold-out-test" if options.hold_out_test else "--refine-camera"
+    if preset == "paper" and options.hold_out_test:
         raise InputError(
-            f"refine: {name} needs all frames together, and --preset paper takes each alone"
+            "refine: --hold-out-test needs all frames together, and --preset paper takes each alone"
         )
     shared = ("size", "faces", "silhouette", "height", "step", "largest_turn")
     own = {name: getattr(options, name) for name in shared}
@@ -94,8 +88,7 @@ def refine(
         for subject in subjects:
             held.enter_context(folder_lock(subject, "gva-mi refine"))
             require_room(subject / REFINED_POSES, overwrite)
-        made = cluster(scheduler) if scheduler is not None else local_workers(workers)
-        executor = held.enter_context(made)
+        executor = held.enter_context(local_workers(workers))
         way = printed if preset == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
             if report:

@@ -81,7 +81,7 @@ def _ctrl_c_held() -> Iterator[None]:
 def worker_died(error: BaseException) -> InputError:
     """Return the sentence for a worker that died before its work was done."""
     return InputError(
-        f"a worker process, or the scheduler, is gone ({reason_of(error)}): killed, or out of "
+        f"a worker process is gone ({reason_of(error)}): killed, or out of "
         "memory; every file that is there is whole; run it again, with fewer workers where "
         "memory is short"
     )

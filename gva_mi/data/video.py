@@ -11,8 +11,7 @@
                                           width, height
       landmarks.npz                       optional; gva_mi.data.landmarks
       poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
-      poses_refined.npz                   optional: poses after stage 2; focal, if it was refined:
-                                          a factor on the fx and fy of cameras.npz
+      poses_refined.npz                   optional: poses after stage 2
       splits.json                         optional: train and test frames; gva_mi.data.splits
       views/                              optional: held-out other cameras; gva_mi.data.views
       truth/                              ground truth of synthetic subjects, for evaluation
@@ -97,7 +96,6 @@ class Video:
     _images: Sequence[np.ndarray] = field(repr=False)  # a film, or [] to read frames/ one by one
     normals: NormalMaps | None = None
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
-    focal: float = 1.0  # factor on the focal lengths of cameras.npz, which the poses belong to
     stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
     offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
     landmarks: Landmarks | None = None  # of all frames, where a network found them
@@ -202,9 +200,6 @@ def load_video(
     cameras = load_cameras(folder / "cameras.npz", count)
     poses = poses or folder / POSES
     found = read_pose_file(poses, count)
-    # Where the refinement moved the focal length too, its poses hold for that one only.
-    if found.focal != 1:
-        cameras = [camera.zoomed(found.focal) for camera in cameras]
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
     absent = {k: "it has no picture" for k in range(count) if k not in set(numbers)}
     for k in numbers:
@@ -225,7 +220,7 @@ def load_video(
     kind, fps = prepared_from(folder) if poses == folder / POSES else (None, None)
     landmarks, absent = open_landmarks(folder, count), dict(sorted(absent.items()))
     return Video(
-        folder, cameras, found.pose, found.shape, splits, images, maps, absent, found.focal,
+        folder, cameras, found.pose, found.shape, splits, images, maps, absent,
         found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
 

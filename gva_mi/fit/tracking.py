@@ -96,6 +96,5 @@ def write_tracking(
             video.shape,
             stage=2,
             offsets=offsets,
-            focal=video.focal,
         )
         write_json(unfinished / TRACKING, record)

@@ -103,7 +103,7 @@ def fit(
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
-        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2, focal=video.focal)
+        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2)
     run.avatar.save(out / run_folder.AVATAR)
     checkpoint.drop_state(out)
     return run.avatar

@@ -56,7 +56,6 @@ class Solution:
         default_factory=dict
     )  # stage 1's errors, if inferred
     footing: ContactStats | None = None  # how the feet touch the ground, if inferred
-    focal: float = 1.0  # factor on the focal length (gva_mi.pose.focal); not yet in the pose
     landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.pose.evidence.landmarks
 
 

@@ -28,9 +28,7 @@ from gva_mi.pose.evidence.masks_normals import (
     common_scale,
     gather,
     mean_loss,
-    seen_body,
 )
-from gva_mi.pose.focal import follow
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
@@ -56,7 +54,7 @@ class Refined(Solution):
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
     without_normals: list[int]  # frames that were fitted to their silhouette alone
     seconds_per_frame: float  # summed over all workers
-    cameras: list[Camera] | None = None  # of all frames if the focal length was refined
+    cameras: list[Camera] | None = None  # that the poses are for, if not the video's
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
     # Pairs of limbs that stage 1 had swapped, and in which frames.
     swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
@@ -222,14 +220,10 @@ class ObservedVideo:
         kept = self.kept | worse
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
         pose = with_frames(self.pose, taken, pose[taken])
-        if shared.focal != 1:
-            pelvis = self.coarse.body.rest(shared.shape).joints[0]
-            pose = follow(pose, pelvis, self.cameras, shared.focal)
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
         shared = replace(shared, pose=pose, offsets=self.coarse.spread(shared.offsets))
         return Refined(
             **vars(shared),
-            cameras=[c.zoomed(shared.focal) for c in self.cameras] if shared.focal != 1 else None,
             losses_stage1=losses_stage1,
             losses=losses,
             kept=dict(sorted(kept.items())),
@@ -265,11 +259,10 @@ def _losses(
     """Return the evidence's loss (T,) in T poses, without close-ups; NaN where there is none."""
     losses = torch.full((len(pose),), torch.nan)
     scene = MeshScene(body.faces, body.v_template)
-    focal = None if person.focal == 1 else torch.tensor(person.focal)
     with one_torch_thread():
         for k, seen in evidence.items():
-            vertices = seen_body(body, pose[k], person.shape, person.offsets, [seen], focal)
-            losses[k] = mean_loss(scene, vertices, [seen], options.silhouette, focal=focal)
+            vertices = body(pose[k], person.shape, person.offsets).vertices
+            losses[k] = mean_loss(scene, vertices, [seen], options.silhouette)
         if landmarks is None:
             return losses
         offsets = person.landmark_offsets

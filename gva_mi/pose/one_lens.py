@@ -44,9 +44,8 @@ def as_filmed(refined: Refined, before: Video, video: Video, body: BodyModel) ->
     """Return what was found before one lens for the lenses of the video as it was filmed."""
     if before is video:
         return refined
-    by, to = ([camera.zoomed(refined.focal) for camera in v.cameras] for v in (before, video))
-    pose = _seen_by(to, refined.pose, refined.shape, body, by)
-    return replace(refined, pose=pose, cameras=to if refined.focal != 1 else None)
+    pose = _seen_by(video.cameras, refined.pose, refined.shape, body, before.cameras)
+    return replace(refined, pose=pose)
 
 
 def _seen_by(

@@ -12,7 +12,6 @@ optimised (:mod:`gva_mi.pose.optimize`) on
         + E(D)                                 gva_mi.pose.displacement
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       if the height H is known: gva_mi.pose.stature
-        + λs (log s)²                          if the focal length is refined: gva_mi.pose.focal
 
 One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
 cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
@@ -34,7 +33,7 @@ from gva_mi.core.options import Metres, Rate, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
-from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss, seen_body
+from gva_mi.pose.evidence.masks_normals import mean_loss
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import DescentOptions, Learn, PartFrames, Passes, PriorWeight, descend
 from gva_mi.pose.optimizer import lever_arms
@@ -75,11 +74,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     # Stage 1's error model: inferred from the video, or that of the film solver. "auto": that of
     # the film solver if it made the poses.
     errors: Literal["auto", "inferred", "film"] = "auto"
-    # Also refine the focal length. The result is some per cent too long if the person stays
-    # far away.
-    refine_camera: bool = False
-    focal_lr: Rate = 0.003  # change of its logarithm in a first step
-    focal_prior: Weight = 0.02  # λs, weight of its squared logarithm
     part: PartFrames = 120  # frames refined together; a longer video is cut into clips
     # Frames of a longer video from which the unknowns that its clips share are found.
     skim: Annotated[int, Within(1, 10_000)] = 96
@@ -120,11 +114,10 @@ def refine_sequence(
         person, job.pose, person.arms, options, progress, job.following, errors=job.errors
     )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
-    focal = float(person.focal.detach())
     ground = found.prior.ground
     contact = None if ground is None else ground.contact
     points = None if job.landmarks is None else person.landmark_offsets.detach()
-    return Solution(found.pose, shape, offsets, found.prior.noise, contact, focal, points)
+    return Solution(found.pose, shape, offsets, found.prior.noise, contact, points)
 
 
 def repeats(frames: int) -> int:
@@ -135,8 +128,8 @@ def repeats(frames: int) -> int:
 class ClothedPerson:
     """The :class:`gva_mi.pose.optimize.Evidence` of the refinement: a clothed person in all frames.
 
-    The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D``, ``β``
-    and the focal length are the shared leaves, unless the job knows them from a first round.
+    The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D`` and
+    ``β`` are the shared leaves, unless the job knows them from a first round.
     """
 
     # With a known height, depth is scaled with body size and not fitted, because hair and shoes
@@ -153,17 +146,13 @@ class ClothedPerson:
         self._close = False
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
-        self._log_focal = torch.zeros(1, 1, requires_grad=options.refine_camera)
         if job.known is None:
             self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, options.betas_lr)]
-            if options.refine_camera:
-                self.shared.append((self._log_focal, options.focal_lr))
             if job.landmarks is not None:
                 self.landmark_offsets = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
             self.landmark_offsets = job.known.landmark_offsets
-            self._log_focal = torch.full((1, 1), job.known.focal).log()
             self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
             self.shared = []
         self.anatomy = Anatomy.of(rest.joints)
@@ -180,11 +169,6 @@ class ClothedPerson:
     def shape(self) -> Shape:
         """``β``."""
         return Shape(self._betas[:, 0])
-
-    @property
-    def focal(self) -> Tensor:
-        """``s``, a scalar: the factor on the focal length (:mod:`gva_mi.pose.focal`)."""
-        return self._log_focal.exp()[0, 0]
 
     @property
     def soles(self) -> Soles:
@@ -205,40 +189,27 @@ class ClothedPerson:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term in these poses, a mean over their frames."""
         seen = [self._job.evidence[k] for k in frames]
-        focal = self.focal.detach() if self._options.refine_camera else None
-        vertices = seen_body(self._job.body, pose, self.shape, self.offsets, seen, focal)
-        outlines = self._outlines(pose, seen)
+        vertices = self._job.body(pose, self.shape, self.offsets).vertices
         closer, o = [], self._options
         if self._close and self._job.fine:
             bodies = zip(frames, vertices.detach(), seen, strict=True)
             closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
-        loss = mean_loss(self._scene, vertices, seen, o.silhouette, closer, focal, outlines)
+        loss = mean_loss(self._scene, vertices, seen, o.silhouette, closer)
         if (landmarks := self._job.landmarks) is None:
             return loss
-        # A refined focal length leaves sizes in the picture alone.
         person = self._job.body, pose, self.shape, self.landmark_offsets
         return loss + o.landmarks * landmarks.losses(frames, *person).mean()
 
     def enable_details(self) -> None:
-        """Start to use close-ups and refine the focal length: both need nearly right poses."""
+        """Start to use close-ups, which need nearly right poses."""
         self._close = True
 
-    def _outlines(self, pose: Pose, seen: Sequence[MaskAndNormals]) -> Tensor | None:
-        """Return the current person, detached from all but the focal length, if it is refined."""
-        if not (self._options.refine_camera and self._close):
-            return None
-        still = Pose(pose.rotations.detach(), pose.transl.detach(), pose.expression)
-        person = still, Shape(self.shape.betas.detach()), self.offsets.detach()
-        return seen_body(self._job.body, *person, seen, self.focal)
-
     def energy(self) -> Tensor:
-        """Return the terms of clothes, shape, height and focal length."""
+        """Return the terms of clothes, shape and height."""
         o = self._options
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
         cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
         energy = o.betas_prior * moved + cloth
-        if o.refine_camera:
-            energy = energy + o.focal_prior * self._log_focal.square().sum()
         if o.height is not None:
             energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
         if self._job.landmarks is not None:

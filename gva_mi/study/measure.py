@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -49,7 +48,7 @@ ERRORS = {
 KEYS = (
     *(name for key in ERRORS.values() for name in (f"{key}_stage1", key)),
     "points", "frames_worse", "frames_worse_aligned", "frames_worse_hands", "iou_stage1", "iou",
-    "iou_truth", "iou_true_masks", "focal_error_stage1", "focal_error", "seconds_per_frame",
+    "iou_truth", "iou_true_masks", "seconds_per_frame",
 )  # fmt: skip
 
 
@@ -61,7 +60,7 @@ class PoseFigures:
     ``frames_worse`` is the share of frames whose error increased, also pelvis-aligned and of the
     hands; ``iou`` compares the bare body
     with the masks, ``iou_truth`` the ground-truth body, ``iou_true_masks`` the refined body with
-    the true masks; ``focal_error`` is relative.
+    the true masks.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -94,9 +93,7 @@ class PoseFigures:
             known = {kind: self[f"frames_worse{name}"] for name, kind in kinds.items()}
             shares = (f"{kind} in {x:.0%}" for kind, x in known.items() if x is not None)
             yield f"increased   error: {', '.join(shares)} of the frames"
-        focal, iou, limit = self.change("focal_error"), self.change("iou"), self["iou_truth"]
-        if focal and focal[0]:
-            yield f"focal       {focal[0]:+.1%} → {focal[1]:+.1%} off"
+        iou, limit = self.change("iou"), self["iou_truth"]
         if iou:
             best = "" if limit is None else f" (ground-truth pose {limit:.3f})"
             yield f"silhouette  IoU {iou[0]:.3f} → {iou[1]:.3f}{best}"
@@ -201,16 +198,8 @@ def measure(
     frames |= {
         "iou_truth": silhouette_iou(video, truth.body, *true),
         "iou_true_masks": silhouette_iou(video, body, *after, cameras, true_masks=True),
-        "focal_error_stage1": _focal_errors(video.cameras, truth.cameras),
-        "focal_error": _focal_errors(cameras or video.cameras, truth.cameras),
     }
     return FrameFigures(frames, seconds, points="joints" if truth.foreign else "vertices")
-
-
-def _focal_errors(found: Sequence[Camera], true: Sequence[Camera]) -> Tensor:
-    """Return relative errors (T,) of focal lengths; positive if too long."""
-    lengths = [[(c.fx * c.fy) ** 0.5 for c in cameras] for cameras in (found, true)]
-    return torch.from_numpy(np.divide(*lengths) - 1)
 
 
 @torch.no_grad()

@@ -12,6 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+
+from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PictureSide, require_ranges
@@ -19,7 +23,6 @@ from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.video import Video, load_video
-from gva_mi.pose.focal import follow
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
@@ -112,13 +115,17 @@ def refine_case(
     else:
         zoomed = with_true_focal(truth, video, body)
         refined = refine(zoomed, body, replace(options, height=height_of(truth)), progress)
-        refined = replace(refined, cameras=refined.cameras or zoomed.cameras)
+        refined = replace(refined, cameras=zoomed.cameras)
     return Evaluation(video, body, options, refined, truth)
 
 
 def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
     """Give a video the true focal length; its poses follow, as by ``prepare --lens``."""
     longer = truth.cameras[0].fx / video.cameras[0].fx
-    pelvis = body.rest(video.shape).joints[0]
-    cameras = [camera.zoomed(longer) for camera in video.cameras]
-    return replace(video, cameras=cameras, pose=follow(video.pose, pelvis, video.cameras, longer))
+    cameras, pose = [camera.zoomed(longer) for camera in video.cameras], video.pose
+    T = torch.from_numpy(np.stack([camera.T_camera_world for camera in cameras]))
+    R, t = (x.to(pose.transl.dtype) for x in (T[:, :3, :3], T[:, :3, 3]))
+    axis = R[:, 2]  # optical axis, in the world: along it the pelvis moves
+    depth = ((body.rest(video.shape).joints[0] + pose.transl) * axis).sum(1) + t[:, 2]
+    transl = pose.transl + (longer - 1) * depth[:, None] * axis
+    return replace(video, cameras=cameras, pose=Pose(pose.rotations, transl, pose.expression))

@@ -60,10 +60,9 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "versions": versions,
     }
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    focal = video.focal * refined.focal
     others = (REFINEMENT, OVERLAYS, PAGE)
     with atomic_files(folder / REFINED_POSES, *others) as unfinished:
-        save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets, focal=focal)
+        save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
         write_json(unfinished / REFINEMENT, record)
         write_image(unfinished / OVERLAYS, _overlays(evaluation))
 

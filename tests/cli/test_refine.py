@@ -66,18 +66,10 @@ def test_normals_are_read_by_the_given_convention(subject, cli):
 
 BAD = {
     "nobody": ((), "refine: give the folder of a subject, or of several"),
-    "both": (
-        ("nowhere", "--workers", "2", "--scheduler", "tcp://10.0.0.1:8786"),
-        "not both",
-    ),
     "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
     "paper, held out": (
         ("nowhere", "--preset", "paper", "--hold-out-test"),
         "--hold-out-test needs all frames together",
-    ),
-    "paper, camera": (
-        ("nowhere", "--preset", "paper", "--refine-camera"),
-        "--refine-camera needs all frames together",
     ),
 }
 

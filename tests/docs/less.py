@@ -61,7 +61,6 @@ NOT_RUN = {
     "gva-mi refine subject --report --overwrite": REPORTED,
     "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
-    "gva-mi refine A B --scheduler ADDRESS": "needs a cluster: tests/pose/test_parallel.py",
     "gva-mi COMMAND --help": "any: tests/cli",
 }
 

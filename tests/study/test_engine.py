@@ -162,5 +162,4 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     assert height_of(truth) == pytest.approx(float(Stature.of(body).height(truth.shape)), abs=0.01)
     (found,) = run_study(RefineStudy(tmp_path, body, options), [case])
     figures = found.figures
-    assert figures["focal_error"] < 1e-6 < 0.03 < figures["focal_error_stage1"]
     assert abs(figures["pelvis_depth_mm"]) < 0.5 * abs(figures["pelvis_depth_mm_stage1"])

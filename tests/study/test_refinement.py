@@ -55,14 +55,11 @@ def test_a_frame_without_a_mask_has_no_iou(estimated, body, refined):
     assert np.isfinite(found.means["iou"]) and found.means.change("body") is None
 
 
-def test_a_found_camera_is_measured_and_used(estimated, body, refined, truth):
+def test_the_silhouette_is_measured_through_the_lens_of_the_poses(estimated, body, refined, truth):
     short = [replace(c, fx=0.9 * c.fx, fy=0.9 * c.fy) for c in estimated.cameras]
     misled = replace(estimated, cameras=short)
     found = measure(misled, body, replace(refined, cameras=truth.cameras), truth).means
-    assert found["focal_error_stage1"] == pytest.approx(-0.1) and found["focal_error"] == 0
-    left = measure(misled, body, refined, truth).means
-    assert left["focal_error"] == pytest.approx(-0.1) and left["iou"] < found["iou"]
-    assert any(line.startswith("focal") for line in left.lines())
+    assert measure(misled, body, refined, truth).means["iou"] < found["iou"]
 
 
 def test_figures_come_back_from_json(measured, estimated, body, refined):

@@ -194,13 +194,12 @@ def _read_cameras(files: SubjectFiles) -> None:
     found = files.attempt("unreadable", lambda: load_cameras(path))
     if found is None:
         return
-    focal = files.poses.focal if files.poses is not None else 1.0
     if len(found) == 1:
         found = found * max(1, files.count)
     if files.count and len(found) != files.count:
         files.problems.append(_other_count(path.name, len(found), files.count))
     files.problems += check_intrinsics(found)
-    files.cameras = {k: c.zoomed(focal) for k, c in enumerate(found) if k in files.pictures}
+    files.cameras = {k: c for k, c in enumerate(found) if k in files.pictures}
 
 
 def _other_count(name: str, length: int, count: int) -> Problem:

@@ -36,8 +36,6 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BodyModel
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data.crop import (
     Extent,
@@ -49,7 +47,6 @@ from gva_mi.data.crop import (
 )
 from gva_mi.data.video import Frame, Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.focal import brought_back, follow, stretched
 from gva_mi.splat import Camera
 
 ALONE = 3.0  # weight of a silhouette without normals
@@ -96,28 +93,24 @@ class MaskAndNormals:
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
-    def loss(self, image: Tensor, silhouette: float, focal: Tensor | None = None) -> Tensor:
+    def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
 
         Args:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
-            focal: the factor for which the body is stretched (:mod:`gva_mi.pose.focal`); None: 1.
         """
         if self.normals is None:
             off = self.silhouette_loss(image)
             if self.clear is not None:
                 off = self.clear * torch.log1p(off / self.clear)
             return ALONE * silhouette * off
-        return self.normal_loss(image, focal) + silhouette * self.silhouette_loss(image)
+        return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
 
-    def normal_loss(self, image: Tensor, focal: Tensor | None = None) -> Tensor:
+    def normal_loss(self, image: Tensor) -> Tensor:
         """Return eq. 2 of a rendering (H, W, 4), for a frame with normals."""
-        found = image[..., :3]
-        if focal is not None:
-            found = brought_back(found, focal)
         known = self.normals.any(-1)  # inside a mask they may be missing, too
-        return ((found - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
+        return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
         """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
@@ -178,38 +171,12 @@ def gather(
     return reasons
 
 
-def seen_body(
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    offsets: Tensor,
-    seen: Sequence[MaskAndNormals],
-    focal: Tensor | None,
-) -> Tensor:
-    """Return the vertices (B, V, 3) of a body as they are rendered in B frames.
-
-    Args:
-        body, shape, offsets: the person.
-        pose: of the B frames.
-        seen: their evidence, whose cameras see the body.
-        focal: a factor on their focal length, for which the body moves in depth and is stretched
-            (:mod:`gva_mi.pose.focal`); None: 1.
-    """
-    if focal is None:
-        return body(pose, shape, offsets).vertices
-    cameras = [frame.camera for frame in seen]
-    pose = follow(pose, body.rest(shape).joints[0], cameras, focal)
-    return stretched(body(pose, shape, offsets).vertices, cameras, focal)
-
-
 def mean_loss(
     scene: MeshScene,
     vertices: Tensor,
     seen: Sequence[MaskAndNormals],
     silhouette: float,
     closer: Sequence[Sequence[tuple[float, MaskAndNormals]]] = (),
-    focal: Tensor | None = None,
-    outlines: Tensor | None = None,
 ) -> Tensor:
     """Return the mean over frames of eq. 1, close-ups included; differentiable in the vertices.
 
@@ -223,14 +190,10 @@ def mean_loss(
         seen: the evidence of the same B frames.
         silhouette: λ1.
         closer: close-ups of the same B frames with weights relative to the person's; empty: none.
-        focal: a factor on the focal length (:mod:`gva_mi.pose.focal`), for which the vertices are
-            already stretched; normals are brought back here.
-        outlines: (B, V, 3) the vertices once more; they get the gradient of the whole persons'
-            silhouettes alone. None: nothing gets it.
     """
     closer = closer or [()] * len(seen)
     frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
-    return _MeanLoss.apply(vertices, outlines, focal, scene, frames, silhouette)
+    return _MeanLoss.apply(vertices, scene, frames, silhouette)
 
 
 class _MeanLoss(torch.autograd.Function):
@@ -238,33 +201,28 @@ class _MeanLoss(torch.autograd.Function):
     def forward(
         ctx: FunctionCtx,
         vertices: Tensor,
-        outlines: Tensor | None,
-        focal: Tensor | None,
         scene: MeshScene,
         frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
         silhouette: float,
     ) -> Tensor:
-        losses, gradients, of_outlines = [], [], []
-        differentiated = any(ctx.needs_input_grad)
+        losses, gradients = [], []
+        differentiated = ctx.needs_input_grad[0]
         for body, views in zip(vertices.detach().unbind(), frames, strict=True):
             with torch.set_grad_enabled(differentiated):
                 body = body.contiguous().requires_grad_(differentiated)
                 images = scene.render_together(body, [seen.camera for _, seen in views])
                 loss = sum(
-                    weight * seen.loss(image, silhouette, focal)
+                    weight * seen.loss(image, silhouette)
                     for (weight, seen), image in zip(views, images, strict=True)
                 )
-                if differentiated and outlines is not None:
-                    whole = views[0][1].silhouette_loss(images[0])
-                    of_outlines += torch.autograd.grad(whole, body, retain_graph=True)
                 if differentiated:
                     gradients += torch.autograd.grad(loss, body)
             losses.append(float(loss.detach()))
-        means = [torch.stack(x) / len(frames) for x in (gradients, of_outlines) if x]
-        ctx.save_for_backward(*means)
+        if differentiated:
+            ctx.save_for_backward(torch.stack(gradients) / len(frames))
         return vertices.new_tensor(sum(losses) / len(frames))
 
     @staticmethod
     def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
-        gradient, *of_outlines = (grad_loss * mean for mean in ctx.saved_tensors)
-        return gradient, (of_outlines[0] if of_outlines else None), None, None, None, None
+        (gradient,) = ctx.saved_tensors
+        return grad_loss * gradient, None, None, None

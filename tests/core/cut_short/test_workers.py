@@ -99,5 +99,5 @@ class Waits:
 def test_a_killed_worker_is_one_sentence(sign):
     with pytest.raises(InputError) as error, workers(2) as pool:
         list(run([Waits(sign)], pool))
-    assert "a worker process, or the scheduler, is gone" in str(error.value)
+    assert "a worker process is gone" in str(error.value)
     assert "\n" not in str(error.value)

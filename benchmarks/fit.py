@@ -45,9 +45,7 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         video = _turning(Path(folder), body, seeds, size)
         fit = Run(video, body, options, None, None)
-        samples = FrameSampler(
-            video, video.splits.train, seed, True, options.window, options.mask_error
-        )
+        samples = FrameSampler(video, video.splits.train, seed, options.window, options.mask_error)
         title = f"fit, {gaussians:,} Gaussians, {size} x {size} pixels"
         clock, parts = Clock(), PartClock()
         for measured in (clock, parts):

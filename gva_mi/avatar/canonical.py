@@ -32,7 +32,7 @@ from torch.nn.functional import pad
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.skin_weights import Skin
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Within, require_ranges
+from gva_mi.core.options import InnerShare, Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
@@ -153,7 +153,7 @@ class _SparseDirections:
         return moved.view(self.count, 3)
 
 
-@dataclass(frozen=True)
+@options_of("SeedOptions")
 class SeedOptions:
     """Options of the first Gaussians, which cover the rest body."""
 
@@ -168,7 +168,6 @@ class SeedOptions:
     flatness: Annotated[float, Within(0, 100, "low")] = 0.25
 
     def __post_init__(self) -> None:
-        require_ranges("SeedOptions", self)
         require_count("SeedOptions", self.count)
 
 

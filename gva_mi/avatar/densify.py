@@ -13,7 +13,6 @@ fit binds them again from time to time. Adam's moments follow their rows; new ro
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -21,32 +20,25 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians
-from gva_mi.core.errors import InputError
-from gva_mi.core.options import Metres, Share, Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.splat import Screen
 
+SPLIT_SHRINK = 1.6  # the two halves of a split are so much smaller: that of 3DGS
+MIN_OPACITY = 0.05  # below it a Gaussian is removed
+MAX_SCALE = 0.1  # metres; above it a Gaussian is removed
 
-@dataclass(frozen=True)
+
+@options_of("DensifyOptions")
 class DensifyOptions:
     """Thresholds of density control. Defaults are those of 3DGS and GART."""
 
     # Of g: loss per half person, mean over the views that saw it.
     grad_threshold: Annotated[float, Within(0, 1e6)] = 2e-4
-    split_scale: Metres = 0.01  # metres; above it a Gaussian is split, below it is cloned
-    # The two halves are this much smaller.
-    split_shrink: Annotated[float, Within(1, 100, "low")] = 1.6
-    min_opacity: Share = 0.05  # below it a Gaussian is removed
-    max_scale: Metres = 0.1  # metres; above it a Gaussian is removed
+    split_scale: Annotated[float, Within(0, MAX_SCALE, "low")] = (
+        0.01  # metres; above it a Gaussian is split, below it is cloned
+    )
     # No growth beyond this many; the largest gradients come first.
     max_count: Annotated[int, Within(0, 10_000_000)] = 40_000
-
-    def __post_init__(self) -> None:
-        require_ranges("DensifyOptions", self)
-        if self.split_scale > self.max_scale:
-            raise InputError(
-                "DensifyOptions: split_scale <= max_scale is needed, "
-                f"got {self.split_scale}, {self.max_scale}"
-            )
 
 
 class ScreenGradients:
@@ -97,7 +89,7 @@ def densify(
         if len(wanted) != len(G):
             raise ValueError(f"densify(): gradients of {len(wanted)} Gaussians, but {len(G)} exist")
         size = G.scales.amax(1)
-        pruned = (G.opacities < options.min_opacity) | (size > options.max_scale)
+        pruned = (G.opacities < MIN_OPACITY) | (size > MAX_SCALE)
         grows = (wanted > options.grad_threshold) & ~pruned
         room = max(0, options.max_count - int((~pruned).sum()))
         if int(grows.sum()) > room:  # both clone and split add exactly one
@@ -114,7 +106,7 @@ def densify(
         values["means"][new] += _rotate(
             values["quats"][new], drawn * values["log_scales"][new].exp()
         )
-        values["log_scales"][new] -= math.log(options.split_shrink)
+        values["log_scales"][new] -= math.log(SPLIT_SHRINK)
         binding = {name: getattr(G, name)[parents] for name in BINDING}
         canonical = CanonicalGaussians(**values, **binding)
     replace_gaussians(avatar, optimizer, canonical, parents, inherited=len(kept))

@@ -50,16 +50,19 @@ from gva_mi.avatar.skin_weights import Skin, diffused
 from gva_mi.avatar.spread_limbs import SpreadLimbs
 from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
 from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
-from gva_mi.core.options import Share, Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
-Neighbours = Annotated[int, Within(1, 1000)]
+OPAQUE = 0.5  # only Gaussians above this opacity carry the surface
+FLOATER_NEIGHBOURS = 16  # that a floater is far away from
+CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 1
+NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
 
 
-@dataclass(frozen=True)
+@options_of("ReinitOptions")
 class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
@@ -67,26 +70,21 @@ class ReinitOptions:
     count: Count = 0
     # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
     surface: Literal["offset", "alpha"] = "offset"
-    opaque: Share = 0.5  # only Gaussians above this opacity carry the surface
-    floater_neighbours: Neighbours = 16  # a floater's mean distance to so many neighbours ...
-    # ... exceeds the mean of all by so many standard deviations.
+    # The mean distance of a floater to its neighbours exceeds the mean of all by so many standard
+    # deviations.
     floater_sigmas: Annotated[float, Within(0, 1000)] = 2.0
     # Gaps narrower than twice this are closed, metres; at least the points' spacing.
     alpha: Annotated[float, Within(0.004, 1)] = 0.015
     # The body inside lies so far below its surface.
     filler_depth: Annotated[float, Within(0, 1)] = 0.012
     smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's, or Laplace's filter
-    # Density at the most curved places / in flat ones, minus 1.
-    curvature_gain: Annotated[float, Within(0, 1000)] = 2.0
     # Density in the face / elsewhere, minus 1.
     face_gain: Annotated[float, Within(0, 1000)] = 5.0
-    neighbours: Neighbours = 4  # K old Gaussians that opacity and colour are taken from
     # Standard deviation of the logarithm of a size.
     scale_jitter: Annotated[float, Within(0, 5)] = 0.1
     random: bool = False  # any orientation, and no flat side, instead of discs in the surface
 
     def __post_init__(self) -> None:
-        require_ranges("ReinitOptions", self)
         require_count("ReinitOptions", self.count)
 
 
@@ -119,7 +117,7 @@ def reinitialise(
         raise ValueError("reinitialise(): too few opaque Gaussians to be a surface")
     means = G.means.detach()[solid].double().numpy()
     rig = avatar.rig
-    floats = find_floaters(means, options.floater_neighbours, options.floater_sigmas)
+    floats = find_floaters(means, FLOATER_NEIGHBOURS, options.floater_sigmas)
     on_surface = solid[torch.from_numpy(~floats)]
     weights = G.weights[on_surface].double().numpy()
     surface = mesh_gaussians(means[~floats], rig, options, weights)
@@ -137,8 +135,8 @@ def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
 
     So it is in a fit that has diverged, or that has only just begun.
     """
-    solid = torch.nonzero(avatar.canonical.opacities.detach() > options.opaque).flatten()
-    return solid if len(solid) > max(options.floater_neighbours, FEWEST) else None
+    solid = torch.nonzero(avatar.canonical.opacities.detach() > OPAQUE).flatten()
+    return solid if len(solid) > max(FLOATER_NEIGHBOURS, FEWEST) else None
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
@@ -196,7 +194,7 @@ def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np
     apart = np.linalg.norm(left - right)
     centre = (left + right) / 2 - (0, BELOW_EYES * apart, 0)
     face = np.linalg.norm(surface.vertices - centre, axis=1) < FACE_RADIUS * apart
-    curved = 1 + options.curvature_gain * curvature(surface)
+    curved = 1 + CURVATURE_GAIN * curvature(surface)
     return curved * (1 + options.face_gain * face)
 
 
@@ -218,7 +216,7 @@ def regaussian(
     old, shape = avatar.canonical, avatar.options.seed
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-    K = min(options.neighbours, len(sources))
+    K = min(NEIGHBOURS, len(sources))
     tree = cKDTree(old.means.detach()[sources].double().numpy())
     distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K, workers=-1))
     share = 1 / (distance**2 + 1e-8)  # a tenth of a millimetre counts as touching

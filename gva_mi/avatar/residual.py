@@ -22,7 +22,6 @@ views, too. ``gva-mi study avatar --rows full "with residual"`` measures it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Annotated
 
 import torch
@@ -30,12 +29,12 @@ from torch import Tensor, nn
 
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.so3 import to_matrix
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 
 
-@dataclass(frozen=True)
+@options_of("ResidualOptions")
 class ResidualOptions:
     """The size of the network."""
 
@@ -44,9 +43,6 @@ class ResidualOptions:
     # L; the finest wavelength is 2^(1 - L) of the body's height.
     frequencies: Annotated[int, Within(1, 24)] = 4
     width: Annotated[int, Within(1, 4096)] = 32  # of both hidden layers
-
-    def __post_init__(self) -> None:
-        require_ranges("ResidualOptions", self)
 
 
 class PoseResidual(nn.Module):

@@ -37,7 +37,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.skinning import strongest
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -48,7 +48,7 @@ STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
 
-@dataclass(frozen=True)
+@options_of("SkinningOptions")
 class SkinningOptions:
     """How Gaussians take their skinning weights from the outer skin."""
 
@@ -57,9 +57,6 @@ class SkinningOptions:
     neighbours: Annotated[int, Within(1, 11)] = 6  # vertices that a point takes its weights from
     # P of Eq. 5, joints of a point; where legs and trunk share a hem, 4 are too few.
     joints: Annotated[int, Within(1, 55)] = 8
-
-    def __post_init__(self) -> None:
-        require_ranges("SkinningOptions", self)
 
 
 @dataclass(frozen=True)

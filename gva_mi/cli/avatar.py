@@ -21,7 +21,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, write_json
 from gva_mi.core.lock import folder_lock
-from gva_mi.core.options import Seed, Within, require_ranges
+from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.provenance import hash_files
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.problems import CheckReport
@@ -49,7 +49,7 @@ QUALITY = {  # passes of the refinement, passes before its prior is inferred, st
 }
 
 
-@dataclass(frozen=True)
+@options_of("avatar")
 class AvatarEffort:
     """How much work an avatar is worth."""
 
@@ -61,9 +61,6 @@ class AvatarEffort:
     # avatar there; no: all frames train it.
     test_frames: bool = True
     seed: Seed = 0  # of the refinement and the fit
-
-    def __post_init__(self) -> None:
-        require_ranges("avatar", self)
 
 
 def avatar(

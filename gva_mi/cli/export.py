@@ -23,7 +23,7 @@ from gva_mi.cli.series import HASH, hash_of, series
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat.formats import LOAD
 from gva_mi.splat.gaussians import MAX_DEGREE
@@ -31,7 +31,7 @@ from gva_mi.splat.gaussians import MAX_DEGREE
 MARKER = "export.json"  # every folder of exports holds it
 
 
-@dataclass(frozen=True)
+@options_of("export")
 class ExportOptions:
     """Options of what ``export`` writes."""
 
@@ -46,9 +46,6 @@ class ExportOptions:
     # Of the harmonics of Gaussians: cut or filled up with zeros; 3 makes 248 bytes each in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
     no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
-
-    def __post_init__(self) -> None:
-        require_ranges("export", self)
 
 
 Work = Callable[[], None]  # writes to --out; everything it can fail on has been checked

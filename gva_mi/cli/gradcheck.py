@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +14,7 @@ from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Seed, Within, require_ranges
+from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.gradcheck.avatar import check_avatar
 from gva_mi.gradcheck.engine import Report, write_reports
 from gva_mi.gradcheck.normals import COORDINATES, check_normals
@@ -34,7 +34,7 @@ ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@options_of("gradcheck")
 class GradcheckOptions:
     """Options of the checks: which inputs they cover, and how finely."""
 
@@ -51,9 +51,6 @@ class GradcheckOptions:
     # normals: lines across the moving rectangle, for the reference boundary term.
     lines: Annotated[int, Within(1, 1_000_000)] = 16000
     points: Annotated[int, Within(1, 10_000)] = 89  # normals: points per face, reference interior
-
-    def __post_init__(self) -> None:
-        require_ranges("gradcheck", self)
 
     def require_only(self, what: What, **files: Path | None) -> None:
         """Raise an InputError for an option or a file that only another check has."""

@@ -12,12 +12,10 @@ PYTHON_ONLY: dict[str, tuple[str, ...]] = {  # constants of the method, by datac
     "SeedOptions": ("opacity", "overlap", "flatness"),
     "ResidualOptions": ("code", "frequencies", "width"),
     "Rates": ("means_end", "quats", "log_scales", "logit_opacities", "light"),
-    "DensifyOptions": ("split_shrink", "min_opacity", "max_scale"),
     "ReinitOptions": (
-        "opaque", "floater_neighbours", "floater_sigmas", "alpha", "filler_depth", "smoothing",
-        "curvature_gain", "neighbours", "scale_jitter", "surface", "random",
+        "floater_sigmas", "alpha", "filler_depth", "smoothing", "scale_jitter", "surface", "random",
     ),
-    "PoseOptions": ("step", "largest_turn", "translation_lr", "decay", "part"),
+    "PoseOptions": ("step", "largest_turn", "translation_lr", "part"),
 }  # fmt: skip
 
 # The options of its steps that `gva-mi study avatar` takes.

@@ -16,7 +16,7 @@ from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.lock import folder_lock
-from gva_mi.core.options import Within, Workers, require_ranges
+from gva_mi.core.options import Within, Workers, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import workers as local_workers
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
@@ -30,7 +30,7 @@ from gva_mi.study.variants import variants_named
 IN_PICTURES = 3  # cases that the avatar's page shows
 
 
-@dataclass(frozen=True)
+@options_of("study")
 class _Choice:
     """Options of both studies."""
 
@@ -44,9 +44,6 @@ class _Choice:
     workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
     overwrite: Switch = False  # recompute results that the file already holds
-
-    def __post_init__(self) -> None:
-        require_ranges("study", self)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@
 
     steps: Annotated[int, Within(1, 1_000_000)] = 3000
 
-The command line shows the range in ``--help`` and refuses other numbers; :func:`require_ranges`
-does the same for options made in Python. Both ends are finite, so NaN and infinity are in no range.
+The command line shows the range in ``--help`` and refuses other numbers; :func:`options_of` does
+the same for options made in Python. Both ends are finite, so NaN and infinity are in no range.
 """
 
 from __future__ import annotations
@@ -14,10 +14,20 @@ import dataclasses
 import functools
 import numbers
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from gva_mi.core.errors import InputError
 
@@ -61,6 +71,26 @@ Workers = Annotated[int, Within(1, 256)]
 Metres = Annotated[float, Within(0, 10, "low")]  # a step, or the size of a detail of a person
 Turn = Annotated[float, Within(0, 10, "low")]  # radians per step
 PictureSide = Annotated[int, Within(16, 4096, unit="pixels")]
+
+
+@dataclass_transform(frozen_default=True)
+def options_of(command: str) -> Callable[[type[T]], type[T]]:
+    """Make a class a frozen dataclass that raises an InputError for a number outside its range.
+
+    ``command`` stands before the sentence. A ``__post_init__`` of the class comes after that check.
+    """
+
+    def decorate(kind: type[T]) -> type[T]:
+        further = getattr(kind, "__post_init__", lambda self: None)
+
+        def check(self: T) -> None:
+            require_ranges(command, self)
+            further(self)
+
+        kind.__post_init__ = check
+        return dataclass(frozen=True)(kind)
+
+    return decorate
 
 
 def require_ranges(where: str, options: object) -> None:

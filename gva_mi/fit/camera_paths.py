@@ -21,7 +21,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.data.pictures import MOST_PIXELS, require_size
 from gva_mi.splat import Camera, look_at
 
@@ -32,7 +32,7 @@ _MARGIN = 1.1  # room in the picture for hair and hems outside the body
 _EVERY = 16  # every 16th vertex measures the person
 
 
-@dataclass(frozen=True)
+@options_of("cameras")
 class CameraPath:
     """Options of a path of cameras around the person.
 
@@ -55,7 +55,6 @@ class CameraPath:
     )
 
     def __post_init__(self) -> None:
-        require_ranges("cameras", self)
         require_size("cameras", *self.size)
 
     def or_usual(self, moving: bool) -> CameraPath:

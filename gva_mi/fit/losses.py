@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from gva_mi.core.options import Weight, require_ranges
+from gva_mi.core.options import Weight, options_of
 from gva_mi.fit.ssim import ssim
 from gva_mi.splat import Image
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 
 
-@dataclass(frozen=True)
+@options_of("LossOptions")
 class LossOptions:
     """Weights of the terms; the reconstruction term has weight 1. The defaults are the paper's."""
 
@@ -46,9 +46,6 @@ class LossOptions:
     residual: Weight = 0.5  # λ4, per metre, of the pose-conditioned residual
     alpha: Weight = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
     ssim: Weight = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
-
-    def __post_init__(self) -> None:
-        require_ranges("LossOptions", self)
 
 
 @dataclass(frozen=True)

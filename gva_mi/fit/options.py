@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +10,7 @@ from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Rate, Seed, Share, Within, require_ranges
+from gva_mi.core.options import InnerShare, Rate, Seed, Share, Within, options_of
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.renders import DRAWN
@@ -29,7 +29,7 @@ Every = Annotated[int, Within(0, 1_000_000)]  # steps
 FromOne = Annotated[int, Within(1, 1_000_000)]
 
 
-@dataclass(frozen=True)
+@options_of("fit")
 class Rates:
     """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023) except for means and colours.
 
@@ -47,11 +47,8 @@ class Rates:
     light: Rate = 2e-3  # direction of the light
     residual: Rate = 1e-3  # weights of the pose-conditioned MLP
 
-    def __post_init__(self) -> None:
-        require_ranges("fit", self)
 
-
-@dataclass(frozen=True)
+@options_of("fit")
 class Schedule:
     """Schedule of density control, re-initialisation and binding of weights."""
 
@@ -62,7 +59,6 @@ class Schedule:
     rebind_every: Every = 100  # steps between bindings to the outer skin; 0: never
 
     def __post_init__(self) -> None:
-        require_ranges("fit", self)
         if self.densify_from > self.densify_until:
             found = f"{self.densify_from}, {self.densify_until}"
             raise InputError(f"fit: densify_from <= densify_until is needed, got {found}")
@@ -85,7 +81,7 @@ class Schedule:
         return self.rebind_every > 0 and step % self.rebind_every == 0
 
 
-@dataclass(frozen=True)
+@options_of("fit")
 class FitOptions:
     """Options of the fit of an avatar."""
 
@@ -95,7 +91,6 @@ class FitOptions:
     seed: Seed = 0  # seed of all random numbers in the run
     # Seed on the naked body, as in the paper, instead of the displaced surface of a refinement.
     naked: bool = False
-    random_background: bool = True  # a new colour each step teaches alpha; else white
     # Smallest standard deviation of a Gaussian, in pixels of the training frames.
     min_scale: Annotated[float, Within(0, 100)] = 0.6
     # Side of the random window of the perceptual and SSIM terms, pixels.
@@ -116,7 +111,6 @@ class FitOptions:
     poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:
-        require_ranges("fit", self)
         if self.first_steps and not self.poses.trained:
             raise InputError("fit: --first-steps are for trained poses; got --no-poses.trained")
 

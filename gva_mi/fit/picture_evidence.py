@@ -35,7 +35,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
-from gva_mi.core.options import Metres, Weight, Within
+from gva_mi.core.options import Metres, Weight, Within, options_of
 from gva_mi.data.crop import NoEvidence, person_box
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame
@@ -50,7 +50,7 @@ MARGIN = 0.1  # share of the box around the person, added on each side
 SMALLEST_SIDE = 16  # pixels of that box
 
 
-@dataclass(frozen=True)
+@options_of("track")
 class PhotometricOptions(DescentOptions):
     """Options of photometric tracking."""
 

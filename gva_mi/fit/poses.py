@@ -30,7 +30,6 @@ refinement, a Gaussian process in time whose smoothness is estimated from the vi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import torch
@@ -39,7 +38,7 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.core.options import InnerShare, Metres, Turn, Within, require_ranges
+from gva_mi.core.options import Metres, Turn, Within, options_of
 from gva_mi.fit.faces import Face
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
@@ -49,8 +48,11 @@ from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera
 
+LEARN_AT = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
+DECAY = 0.1  # what is left of the step sizes at the end
 
-@dataclass(frozen=True)
+
+@options_of("fit")
 class PoseOptions:
     """Options of poses trained along with an avatar."""
 
@@ -58,18 +60,12 @@ class PoseOptions:
     # Steps of the fit per step of the poses.
     every: Annotated[int, Within(1, 1_000_000)] = 8
     prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
-    # Shares of all steps after which the prior is fitted again.
-    learn_at: tuple[InnerShare, ...] = (0.3, 0.5)
     step: Metres = 0.003  # metres that a joint moves the skin beyond it, in a first step
     largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
     translation_lr: Metres = 0.002  # metres in a first step
     # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
     expression_lr: Annotated[float, Within(0, 1)] = 0.03
-    decay: Annotated[float, Within(0, 1, "low")] = 0.1  # what is left of these steps at the end
     part: Annotated[int, Within(2, 10_000)] = 240  # frames that share a prior
-
-    def __post_init__(self) -> None:
-        require_ranges("fit", self)
 
 
 class TrainedPoses:
@@ -128,9 +124,9 @@ class TrainedPoses:
             clip.waiting += frame in clip.frames
         if done % options.every:
             return
-        rounds = {round(at * self._steps / options.every) for at in options.learn_at}
+        rounds = {round(at * self._steps / options.every) for at in LEARN_AT}
         for clip in self._clips:
-            clip.step(options.prior_weight, options.decay ** (done / self._steps))
+            clip.step(options.prior_weight, DECAY ** (done / self._steps))
             if done // options.every in rounds:
                 clip.learn(options)
 

@@ -124,7 +124,6 @@ class FrameSampler:
         video: the video they are read from.
         frames: numbers of the frames.
         seed: seed of the run.
-        random_background: a new colour at each step; else white.
         window: side of the random window, pixels; a smaller image is taken whole.
         mask_error: possible error of mask outlines, as a share of the root of the area of the
             person's box.
@@ -136,13 +135,12 @@ class FrameSampler:
         video: Video,
         frames: Sequence[int],
         seed: int,
-        random_background: bool,
         window: int,
         mask_error: float,
         folder: Path | None = None,
     ) -> None:
         self.frames, self.seed = list(frames), seed
-        self.random_background, self.window = random_background, window
+        self.window = window
         self.cameras = [video.cameras[k] for k in self.frames]
         self.boxes = []
         self._kept = SpillCache(Path(tempfile.gettempdir()) if folder is None else folder)
@@ -163,14 +161,10 @@ class FrameSampler:
         """Return the sample of a step; every pass over the frames has a new order."""
         which, position = divmod(step, len(self))
         k = int(random_state(self.seed, RandomStream.ORDER, which).permutation(len(self))[position])
-        color = torch.ones(3)
-        if self.random_background:
-            drawn = random_state(self.seed, RandomStream.BACKGROUND, step).random(
-                3, dtype=np.float32
-            )
-            color = torch.from_numpy(drawn)
+        # A new colour at each step teaches the avatar its alpha.
+        color = random_state(self.seed, RandomStream.BACKGROUND, step).random(3, dtype=np.float32)
         box, window = self.boxes[k], self._window(k, step)
-        cutout, area = Cutout(*self._kept[k], color), box.width * box.height
+        cutout, area = Cutout(*self._kept[k], torch.from_numpy(color)), box.width * box.height
         return Sample(self.frames[k], cutout, area, self.cameras[k], window)
 
     def _window(self, k: int, step: int) -> Box:

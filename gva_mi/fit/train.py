@@ -89,7 +89,7 @@ def fit(
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = Run(video, body, options, offsets, state)
-        chosen = options.seed, options.random_background, options.window, options.mask_error
+        chosen = options.seed, options.window, options.mask_error
         samples = FrameSampler(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
             figures = run.follow(samples, distance, out)

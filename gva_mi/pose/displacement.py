@@ -18,6 +18,9 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 
+# a, for one (1/m)²; b and c, for one square metre: cloth may stand off the body by decimetres, and
+# hardly enters it.
+SMOOTH, SMALL, OUTWARD = 1.6e-4, 10.0, 400.0
 _WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 
 
@@ -43,8 +46,14 @@ class Displacement:
         """``D`` (V, 3), metres."""
         return self.raw * self._free
 
-    def energy(self, offsets: Tensor, smooth: float, small: float, outward: float) -> Tensor:
-        """Return ``E(D)`` with weights a, for one (1/m)², and b and c, for one square metre."""
+    def energy(
+        self,
+        offsets: Tensor,
+        smooth: float = SMOOTH,
+        small: float = SMALL,
+        outward: float = OUTWARD,
+    ) -> Tensor:
+        """Return ``E(D)`` with weights a, b and c."""
         bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
         inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
         total = smooth * bent + small * offsets.square().sum() + outward * inward

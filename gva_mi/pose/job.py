@@ -10,7 +10,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.options import Weight, Within, require_ranges
+from gva_mi.core.options import Weight, Within, options_of
 from gva_mi.pose.evidence.close_ups import FinePicture
 from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
@@ -21,7 +21,7 @@ from gva_mi.pose.stature import PEOPLE
 FEWEST_FACES = 500  # a body with fewer has no hands left
 
 
-@dataclass(frozen=True)
+@options_of("refine")
 class RefineOptions:
     """Options that both methods have.
 
@@ -40,9 +40,6 @@ class RefineOptions:
 
     name: ClassVar[str]  # of the method, on the command line and in records
     description: ClassVar[str]  # of the method in a few words, for a report
-
-    def __post_init__(self) -> None:
-        require_ranges("refine", self)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Metres, Seed, Turn, Within, require_ranges
+from gva_mi.core.options import Metres, Seed, Turn, Within
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.optimizer import VectorAdam, turn_rates
 from gva_mi.pose.prior.anatomy import Anatomy
@@ -116,7 +116,6 @@ class DescentOptions:
     decay: ClassVar[float]  # final learning rates, relative to the initial ones
 
     def __post_init__(self) -> None:
-        require_ranges(self.command, self)
         if not 2 * self.overlap < self.part:
             raise InputError(
                 f"{self.command}: overlap must be less than half a part, "

@@ -21,7 +21,7 @@ limb tilts toward the camera, but its neighbours see the limb from another side.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -29,7 +29,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.console import Progress
-from gva_mi.core.options import Metres, Rate, Weight, Within
+from gva_mi.core.options import Metres, Rate, Weight, Within, options_of
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import Displacement
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
@@ -45,10 +45,12 @@ from gva_mi.pose.stature import Stature
 STEPS_A_PASS = 16  # smallest number
 FINGERS = GROUPS["fingers"]
 HOLD_HEIGHT = 1e3  # λh, for one square metre
+HOLD_BETAS = 0.01  # λβ, for one squared standard deviation
+BETAS_STEP = 0.05  # standard deviations in a first step
 LANDMARK_STEP = 0.001  # metres in a first step, of the landmarks' offsets
 
 
-@dataclass(frozen=True)
+@options_of("refine")
 class SequenceOptions(DescentOptions, RefineOptions):
     """Options of the refinement of all frames together."""
 
@@ -61,15 +63,10 @@ class SequenceOptions(DescentOptions, RefineOptions):
     learn: Learn = 11  # passes after which stage 1's error model is inferred
     prior_weight: PriorWeight = 0.015  # ν: weight of the prior beside Eq. 8's data term
     unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
-    cloth_smooth: Weight = 1.6e-4  # a of the displacement's energy, for one (1/m)²
-    cloth_small: Weight = 10.0  # b of the displacement's energy, for one square metre
-    cloth_outward: Weight = 400.0  # c of the displacement's energy, for one square metre
-    betas_prior: Weight = 0.01  # λβ, for one squared standard deviation
     # Metres that a joint moves the skin beyond it, in a first step.
     step: Metres = 0.012
     translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
     cloth_lr: Rate = 0.003  # metres in a first step
-    betas_lr: Rate = 0.05  # standard deviations in a first step
     landmarks: Weight = 0.015  # λl: weight of one nat of landmarks, where the video has them
     # Stage 1's error model: inferred from the video, or that of the film solver. "auto": that of
     # the film solver if it made the poses.
@@ -81,10 +78,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
     name: ClassVar[str] = "sequence"
     command: ClassVar[str] = "refine"
     decay: ClassVar[float] = 0.03
-
-    def __post_init__(self) -> None:
-        RefineOptions.__post_init__(self)
-        DescentOptions.__post_init__(self)
 
     @property
     def close_up_size(self) -> int:
@@ -147,7 +140,7 @@ class ClothedPerson:
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
         self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
         if job.known is None:
-            self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, options.betas_lr)]
+            self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, BETAS_STEP)]
             if job.landmarks is not None:
                 self.landmark_offsets = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
@@ -208,8 +201,7 @@ class ClothedPerson:
         """Return the terms of clothes, shape and height."""
         o = self._options
         moved = (self.shape.betas - self._job.shape.betas).square().sum()
-        cloth = self._cloth.energy(self.offsets, o.cloth_smooth, o.cloth_small, o.cloth_outward)
-        energy = o.betas_prior * moved + cloth
+        energy = HOLD_BETAS * moved + self._cloth.energy(self.offsets)
         if o.height is not None:
             energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
         if self._job.landmarks is not None:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Share, Within, require_ranges
+from gva_mi.core.options import InnerShare, Share, Within, options_of
 
 Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
 
 
-@dataclass(frozen=True)
+@options_of("SplatOptions")
 class SplatOptions:
     """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3."""
 
@@ -29,7 +29,6 @@ class SplatOptions:
     depth: bool = True  # make the depth image too; pictures without it are faster
 
     def __post_init__(self) -> None:
-        require_ranges("SplatOptions", self)
         if not self.alpha_min < self.alpha_max:
             found = f"{self.alpha_min}, {self.alpha_max}"
             raise InputError(f"SplatOptions: alpha_min < alpha_max is needed, got {found}")

@@ -23,7 +23,7 @@ from gva_mi.body.pose import Pose, load_offsets, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.files import json_equals, write_json
-from gva_mi.core.options import PictureSide, require_ranges
+from gva_mi.core.options import PictureSide, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import Task
 from gva_mi.data.ground_truth import load_ground_truth
@@ -53,7 +53,7 @@ REFINE_STEPS = 1000  # of a case, in steps of a fit, for the progress bar
 MADE_WITH = "made_with.json"  # in a run's folder
 
 
-@dataclass(frozen=True)
+@options_of("study")
 class AvatarStudyOptions:
     """Size of the study."""
 
@@ -62,9 +62,6 @@ class AvatarStudyOptions:
     novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
     refine: SequenceOptions = field(default_factory=SequenceOptions)
     fit: FitOptions = field(default_factory=FitOptions)
-
-    def __post_init__(self) -> None:
-        require_ranges("study", self)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ know them: with :attr:`RefineStudyOptions.known`, height and focal length are th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import torch
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.options import PictureSide, require_ranges
+from gva_mi.core.options import PictureSide, options_of
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
@@ -34,7 +34,7 @@ from gva_mi.study.tables import MILLIMETRES
 from gva_mi.synthetic.options import VideoFrames
 
 
-@dataclass(frozen=True)
+@options_of("study")
 class RefineStudyOptions:
     """Size of the study."""
 
@@ -42,9 +42,6 @@ class RefineStudyOptions:
     size: PictureSide = 512  # pixels, width and height of the pictures
     known: bool = False  # the subject's height and the focal length are given
     refine: SequenceOptions = field(default_factory=SequenceOptions)
-
-    def __post_init__(self) -> None:
-        require_ranges("study", self)
 
 
 class RefineStudy(Study):

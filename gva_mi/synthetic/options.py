@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, require_ranges
+from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, options_of
 from gva_mi.synthetic.error_models.models import Levels, require_family
 from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
@@ -26,7 +26,7 @@ NovelPictures = Annotated[int, Within(0, 1000)]
 Level = Annotated[float, Within(0, 10)]
 
 
-@dataclass(frozen=True)
+@options_of("synth")
 class SynthOptions:
     """A synthetic subject, its motion, its pictures, and the errors of its stage-1 data."""
 
@@ -58,7 +58,6 @@ class SynthOptions:
     workers: Workers = 1  # processes that render; any number gives the same bits
 
     def __post_init__(self) -> None:
-        require_ranges("synth", self)
         if self.frames * self.size**2 > MOST_PIXELS:
             found = f"{self.frames} of {self.size}x{self.size}"
             raise InputError(

@@ -153,5 +153,5 @@ def test_misuse_is_explained(avatar):
         gradients.add(Screen(), 100)
     with pytest.raises(ValueError, match="gradients of 3 Gaussians, but 642 exist"):
         densify(avatar, adam(avatar), gradients)
-    with pytest.raises(ValueError, match="split_scale <= max_scale"):
+    with pytest.raises(ValueError, match="split_scale must be above 0 and at most 0.1"):
         DensifyOptions(split_scale=0.2)

@@ -23,7 +23,7 @@ from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import LEFT_HAND, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source, refuse_mhr
 from gva_mi.data.importers.estimators import (
     KINDS,
@@ -54,7 +54,7 @@ FrameRate = Annotated[float, FPS]
 _SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
 
 
-@dataclass(frozen=True)
+@options_of("motion")
 class MotionOptions:
     """Options of the conversion of a motion to this program's conventions."""
 
@@ -72,7 +72,6 @@ class MotionOptions:
     person: str | None = None
 
     def __post_init__(self) -> None:
-        require_ranges("motion", self)
         if self.hands not in HANDS and not Path(self.hands).exists():
             raise InputError(
                 f"motion: --hands must be {' or '.join(HANDS)}, or hands found by another "

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Within, require_ranges
+from gva_mi.core.options import Within, options_of
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.data.networks.segment_anything import GET, SegmentAnything
 from gva_mi.data.normals import Convention
@@ -18,7 +17,7 @@ Colour = Annotated[float, Within(-1000, 1000)]  # some take values up to 255
 Spread = Annotated[float, Within(0, 1000, "low")]
 
 
-@dataclass(frozen=True)
+@options_of("prepare")
 class PrepareOptions:
     """Options of ``prepare`` beside the source."""
 
@@ -78,7 +77,6 @@ class PrepareOptions:
                 raise InputError(
                     f"prepare: --normals-{name} is for a network, and {self.normals} is a folder"
                 )
-        require_ranges("prepare", self)
         if self.masks == SAM and self.sam_checkpoint is None and not SAM.exists():
             raise InputError(f"prepare: --masks sam needs --sam-checkpoint; expected {GET}")
         if self.sam_checkpoint is not None and self.masks != SAM:

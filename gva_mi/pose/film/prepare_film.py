@@ -23,7 +23,7 @@ from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, within
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_array, read_json, write_json
-from gva_mi.core.options import Within, from_json, require_ranges
+from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
@@ -45,7 +45,7 @@ _LENS = (
 )
 
 
-@dataclass(frozen=True)
+@options_of("film")
 class FilmOptions:
     """Options of a film."""
 
@@ -66,9 +66,6 @@ class FilmOptions:
     keypoints: Path | None = None
     # Folder of the networks' files; without it GVA_MI_WEIGHTS or the cache, which pip fills.
     weights: Path | None = None
-
-    def __post_init__(self) -> None:
-        require_ranges("film", self)
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import Steps
 from gva_mi.study.measure import Evaluation
-from gva_mi.study.refinement import OVERLAYS, PAGE, write_record
-from gva_mi.study.refinement_report import write_refinement_report
+from gva_mi.study.refinement import OVERLAYS, write_record
 
 
 def refine(
@@ -44,7 +43,6 @@ def refine(
     paper_prior: Weight = REFINE.prior,
     normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
     workers: Workers = 1,
-    report: Switch = False,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -62,7 +60,6 @@ def refine(
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
-        report: also write refinement.html, with the errors of every frame.
         body: a body in SMPL-X's .npz format; without it the one that the first subject was
             prepared for, else the built-in body.
         overwrite: replace existing refined poses.
@@ -91,9 +88,7 @@ def refine(
         executor = held.enter_context(local_workers(workers))
         way = printed if preset == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor):
-            if report:
-                write_refinement_report(evaluation, versions())
-            for line in _summary(evaluation, report):
+            for line in _summary(evaluation):
                 say(line)
 
 
@@ -127,7 +122,7 @@ def _truth(video: Video, model: BodyModel) -> GroundTruth | None:
         return None
 
 
-def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
+def _summary(evaluation: Evaluation) -> Iterator[str]:
     """Yield the lines that summarise a refinement and name its files."""
     folder, refined = evaluation.video.folder, evaluation.refined
     for limbs, frames in refined.swapped.items():
@@ -135,5 +130,3 @@ def _summary(evaluation: Evaluation, report: bool) -> Iterator[str]:
     yield from describe_prior(refined.noise, refined.footing)
     yield from evaluation.measured.means.lines()
     yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"
-    if report:
-        yield f"report: {folder / PAGE}"

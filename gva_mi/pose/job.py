@@ -39,7 +39,6 @@ class RefineOptions:
     hold_out_test: bool = False  # test frames are not used; the motion prior fills them in
 
     name: ClassVar[str]  # of the method, on the command line and in records
-    description: ClassVar[str]  # of the method in a few words, for a report
 
 
 @dataclass(frozen=True)

@@ -84,10 +84,6 @@ class SequenceOptions(DescentOptions, RefineOptions):
         """Pixels of a hand in close-ups; 0: there are none."""
         return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
 
-    @property
-    def description(self) -> str:
-        return f"all frames together, seed {self.seed}"
-
 
 def refine_sequence(
     job: RefineJob, options: SequenceOptions, progress: Progress | None = None

@@ -43,10 +43,6 @@ class SingleFrameOptions(RefineOptions):
 
     name: ClassVar[str] = "paper"
 
-    @property
-    def description(self) -> str:
-        return "Eq. 8 as printed"
-
 
 def refine_single_frames(
     job: RefineJob, options: SingleFrameOptions, progress: Progress | None = None

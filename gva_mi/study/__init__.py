@@ -6,7 +6,7 @@
 * ``metrics.py``: ``metrics.json`` of a run; ``report.py``: its page;
 * ``pictures.py``: avatars beside the ground truth, for the page of a run and of a study;
 * ``measure.py``: pose errors before and after refinement;
-* ``refinement.py``: ``refinement.json`` of a subject; ``refinement_report.py``: its page;
+* ``refinement.py``: ``refinement.json`` of a subject; ``pose_tables.py``: its figures on a page;
 * ``cases.py``, ``subjects.py``: tuning and held-out cases, and their videos;
 * ``engine.py``: cases x variants -> figures, one resumable file; ``refine_study.py`` and
   ``avatar_study.py`` (with ``variants.py``) define the two studies;

@@ -6,9 +6,8 @@
       poses_refined.npz   all frames, and the offsets of the displaced surface: gva_mi.body.pose
       refinement.json     figures, frames that kept their stage-1 pose and why, options, versions
       refinement.png      the body over some frames: stage 1 above, refined below
-      refinement.html     a page, if asked for
 
-The other three files always belong to the poses in the folder. The paper refines test frames too,
+The other two files always belong to the poses in the folder. The paper refines test frames too,
 from their own masks and normals: ``"test_frames": "seen"``. If they were ``"held out"``, their
 poses follow from the other frames, and ``figures_by_split`` lists both. ``stage1_errors`` are the
 inferred standard deviations of stage 1's errors (radians for joints, metres for the place) and
@@ -19,7 +18,6 @@ exchanged left and right before the refinement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -37,13 +35,13 @@ from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.regions import person_box
 
-REFINEMENT, OVERLAYS, PAGE = "refinement.json", "refinement.png", "refinement.html"
+REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
 SHOWN = 8  # frames in the picture
 MARGIN = 0.1  # around the person, a share of the longer side
 
 
 def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
-    """Write the first three files, and remove what an older refinement left."""
+    """Write the three files."""
     video, refined, options = evaluation.video, evaluation.refined, evaluation.options
     folder: Path = video.folder
     record = {
@@ -60,8 +58,7 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "versions": versions,
     }
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    others = (REFINEMENT, OVERLAYS, PAGE)
-    with atomic_files(folder / REFINED_POSES, *others) as unfinished:
+    with atomic_files(folder / REFINED_POSES, REFINEMENT, OVERLAYS) as unfinished:
         save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
         write_json(unfinished / REFINEMENT, record)
         write_image(unfinished / OVERLAYS, _overlays(evaluation))
@@ -93,40 +90,18 @@ def _by_split(evaluation: Evaluation) -> dict[str, dict]:
 
 
 @torch.no_grad()
-def overlays(
-    evaluation: Evaluation, shown: Sequence[int]
-) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """Yield frames, and pictures of each: as it is, and under every pose that is known.
-
-    One frame at a time, because eight whole frames of 1080p as floats take a gigabyte.
-
-    Args:
-        evaluation: of a refinement.
-        shown: frames.
-    """
-    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
-    poses = {
-        "stage 1": (body, video.pose, video.shape, video.cameras),
-        "refined": (body, refined.pose, refined.shape, refined.cameras or video.cameras),
-    }
-    if (truth := evaluation.truth) is not None:
-        poses["ground-truth pose"] = (truth.body, truth.pose, truth.shape, truth.cameras)
-    scenes = {id(model): MeshScene(model.faces, model.v_template) for model, *_ in poses.values()}
-    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
-    part = person_box(seen if seen.any() else ~seen, MARGIN)
-    for frame in video.frames(shown):
-        k, pictures = frame.index, {"the picture": part.cut(frame.image)}
-        for name, (model, pose, shape, cameras) in poses.items():
-            vertices = model(pose[k], shape).vertices[0]
-            mesh = vertices, model.faces, scenes[id(model)]
-            pictures[name] = part.cut(overlay(frame.image, cameras[k], *mesh))
-        yield k, pictures
-
-
 def _overlays(evaluation: Evaluation) -> np.ndarray:
     """Draw bodies over evenly spaced frames, stage 1 above, refined below, in 8 bits."""
-    video = evaluation.video
+    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
     shown = spread([k for k in range(len(video)) if k not in video.absent], SHOWN)
-    pictures = overlays(evaluation, shown)
-    columns = [[in_8_bits(own[name]) for name in ("stage 1", "refined")] for _, own in pictures]
-    return strip(list(zip(*columns, strict=True)))
+    scene, cameras = MeshScene(body.faces, body.v_template), refined.cameras or video.cameras
+    seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
+    part = person_box(seen if seen.any() else ~seen, MARGIN)
+    rows: list[list[np.ndarray]] = [[], []]
+    for frame in video.frames(shown):  # one at a time: eight of 1080p as floats take a gigabyte
+        k = frame.index
+        before, after = body(video.pose[k], video.shape), body(refined.pose[k], refined.shape)
+        for row, posed, camera in ((rows[0], before, frame.camera), (rows[1], after, cameras[k])):
+            drawn = overlay(frame.image, camera, posed.vertices[0], body.faces, scene)
+            row.append(in_8_bits(part.cut(drawn)))
+    return strip(rows)

@@ -26,8 +26,8 @@ from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_met
 from gva_mi.study.overview import overview
 from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
+from gva_mi.study.pose_tables import errors_table, pose_headlines
 from gva_mi.study.refinement import OVERLAYS
-from gva_mi.study.refinement_report import errors_table, pose_headlines
 from gva_mi.study.surface import SurfaceFigures
 
 SHOWN = 4  # frames of a split

@@ -43,7 +43,6 @@ NAMED = {
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
-REPORTED = "needs a folder that is not refined, or --overwrite: tests/core/cut_short"
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 NOT_RUN = {
     "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
@@ -57,8 +56,6 @@ NOT_RUN = {
     "gva-mi study refine --held-out-set 7 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
-    "gva-mi refine subject --report": REPORTED,
-    "gva-mi refine subject --report --overwrite": REPORTED,
     "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi COMMAND --help": "any: tests/cli",

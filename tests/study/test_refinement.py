@@ -11,8 +11,8 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.pose import SequenceOptions
 from gva_mi.study.measure import Evaluation, PoseFigures, measure
+from gva_mi.study.pose_tables import errors_table
 from gva_mi.study.refinement import load_refinement, write_record
-from gva_mi.study.refinement_report import _worst, errors_table, write_refinement_report
 
 
 @pytest.fixture(scope="module")
@@ -75,41 +75,18 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     video = replace(estimated, folder=tmp_path)
     refined = replace(refined, held_out=[5])
     evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
-    (tmp_path / "refinement.html").write_text("of an older refinement")
     write_record(evaluation, {"gva_mi": "1.2.3"})
     record = json.loads((tmp_path / "refinement.json").read_text())
     splits = record["figures_by_split"]
     assert splits["train"]["vertex_mm"] == 0 < splits["test"]["vertex_mm"]
     assert record["kept"] == {"5": refined.kept[5]} and record["test_frames"] == "held out"
     assert (tmp_path / "refinement.png").exists() and (tmp_path / "poses_refined.npz").exists()
-    assert not (tmp_path / "refinement.html").exists()
     figures, seen = load_refinement(tmp_path)
     assert figures == evaluation.measured.means and not seen
     assert load_refinement(tmp_path / "none") == (PoseFigures.from_json({}), True)
     (tmp_path / "refinement.json").write_text("[]")
     with pytest.raises(InputError, match="refinement.json: .*`gva-mi refine` writes"):
         load_refinement(tmp_path)
-
-
-def test_the_worst_frames_come_first(estimated, measured):
-    assert _worst(estimated, measured)[0] == 5
-    assert _worst(replace(estimated, absent={5: "gone"}), measured)[0] != 5
-    blind = replace(measured, frames={"iou": torch.tensor([0.9, 0.3, torch.nan, 1, 1, 1])})
-    assert _worst(estimated, blind)[:2] == [1, 0]
-
-
-@pytest.mark.parametrize("given", [True, False], ids=["ground truth", "none"])
-def test_the_report_is_complete(tmp_path, estimated, body, refined, truth, given):
-    folder = shutil.copytree(estimated.folder, tmp_path / "subject")
-    video = replace(estimated, folder=folder)
-    evaluation = Evaluation(video, body, SequenceOptions(), refined, truth if given else None)
-    write_refinement_report(evaluation, {"gva_mi": "1.2.3"})
-    page = (folder / "refinement.html").read_text()
-    assert "its loss grew from 0.100 to &lt;0.200&gt;" in page  # escaped
-    for text in ("Worst frames", "fitted to silhouettes alone", "1.2.3", "passes"):
-        assert text in page, text
-    assert ("Errors are distances" in page) is ("hands, pelvis-aligned" in page) is given
-    assert page.count("data:image/webp") >= 12
 
 
 def test_trained_poses_have_a_column_beside_refined_ones():

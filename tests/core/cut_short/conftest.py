@@ -20,7 +20,7 @@ from gva_mi.synthetic import SynthOptions, make_subject
 TIMES = re.compile(r"seconds|s a frame$")  # keys of measured times
 GROWING = ("new/refine.json", "new/avatar.json")  # grow case by case
 ABOUT = {  # files, and the poses beside them that they describe
-    **dict.fromkeys(("refinement.json", "refinement.png", "refinement.html"), "poses_refined.npz"),
+    **dict.fromkeys(("refinement.json", "refinement.png"), "poses_refined.npz"),
     "photometric.json": "poses_photometric.npz",
 }
 
@@ -155,7 +155,6 @@ def prepared(request, tmp_path_factory, subject, video, built_in_body):
         frames=2, size=32, samples=4, clothes=False, hair=False, novel_poses=0, novel_views=0
     )
     make_subject(folder / "like", bare, built_in_body)
-    shutil.copytree(folder / "like", folder / "bare")
     _refined_before(folder / "like", folder / "refined")
     frames = len(video)
     np.savez(

@@ -43,9 +43,6 @@ COMMANDS = {
     "refine, in the place of another": Command(
         "refine {}/refined --passes 1 --size 48 --overwrite", at_last=10
     ),
-    "refine, with a page": Command(
-        "refine {}/bare --passes 1 --size 48 --report", OVERWRITE, tries=2
-    ),
     "a run": Command(
         f"fit {{}}/subject --out {{}}/new {FIT}", RESUME, quick=True, tries=1
     ),

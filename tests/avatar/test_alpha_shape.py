@@ -6,7 +6,6 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from gva_mi.avatar.alpha_shape import alpha_shape
-from gva_mi.avatar.surface_points import curvature
 
 ALPHA = 0.04
 
@@ -50,17 +49,3 @@ def test_gaps_narrower_than_the_ball_are_closed(gap, pieces):
     one = shell(1500, 0.15, noise=0.0)
     mesh = as_trimesh(alpha_shape(np.vstack([one, one + [0.3 + gap, 0, 0]]), ALPHA, 0))
     assert mesh.body_count == pieces
-
-
-def test_laplacian_smoothing_shrinks_a_sphere():
-    raw, smooth = (as_trimesh(alpha_shape(shell(), ALPHA, steps)) for steps in (0, 3))
-    rough = lambda mesh: np.linalg.norm(mesh.vertices, axis=1).std()
-    assert rough(smooth) < 0.7 * rough(raw)
-    assert smooth.volume < raw.volume
-
-
-def test_scattered_points_still_have_a_curvature():
-    """Their alpha shape touches itself; curvature needs a manifold."""
-    points = np.random.default_rng(3).uniform(0, 0.4, (1500, 3))
-    surface = alpha_shape(points, ALPHA, smoothing=0)
-    assert len(curvature(surface)) == len(surface.vertices) and len(surface.faces) > 100

@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions
-from gva_mi.avatar.densify import replace_gaussians
 from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample, wanted_density
 from gva_mi.avatar.rig import Rig
 from gva_mi.body import Shape, load_body
@@ -131,16 +130,6 @@ def test_gaussians_are_bound_to_the_new_skin(result):
     for name, value in found.named().items():
         assert torch.equal(getattr(G, name), value), name
     assert len(new.skin.vertices) != len(avatar.skin.vertices)
-
-
-def test_reinitialise_does_not_change_the_avatar(result):
-    avatar, new = result
-    avatar = copy.deepcopy(avatar)
-    assert len(avatar.canonical.means) == 8000 + len(FLOATERS)
-    optimizer = torch.optim.Adam(avatar.parameters())
-    replace_gaussians(avatar, optimizer, new.canonical)
-    assert avatar.canonical is new.canonical
-    assert any(p is new.canonical.means for p in optimizer.param_groups[0]["params"])
 
 
 def test_the_same_seed_gives_the_same_bits(plain_body):

@@ -62,12 +62,6 @@ def test_fingers_enter(points, weights, rotations):
     assert torch.equal(change > 0, weights.argmax(1) == 40)
 
 
-def test_a_subset_moves_as_the_whole(points, weights, rotations):
-    mlp = network()
-    some = mlp(points[::3], weights[::3], rotations)
-    assert torch.allclose(some, mlp(points, weights, rotations)[::3], atol=1e-7)
-
-
 def test_every_parameter_receives_a_gradient_after_one_step(points, weights, rotations):
     mlp = network(trained=False)
     optimizer = torch.optim.Adam(mlp.parameters(), 1e-3)

@@ -124,14 +124,6 @@ def test_slopes_of_linear_weights_on_a_sheet_are_exact_along_it_and_zero_across(
     torch.testing.assert_close(slopes.sum(2), torch.zeros(len(vertices), 3), atol=1e-6, rtol=0)
 
 
-def test_no_points_have_no_weights(body):
-    skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 4))
-    found = skin.bind(torch.zeros(0, 3))
-    weights, directions = found.weights, found.directions
-    assert found.slopes.shape == (0, 3, 55)
-    assert weights.shape == (0, 55) and directions.shape == (0, 3, 4)
-
-
 # Real clothes, in the poses that tear them.
 
 

@@ -65,12 +65,6 @@ def test_left_and_right_are_mirror_images(body):
     np.testing.assert_allclose(joints[MIRRORED] * (-1, 1, 1), joints, atol=1e-6)
 
 
-def test_one_unit_of_height_is_four_percent(body):
-    rest, taller = body.rest(neutral()), body.rest(Shape(torch.eye(10, dtype=F64)[0]))
-    torch.testing.assert_close(taller.vertices, 1.04 * rest.vertices, rtol=0, atol=5e-4)
-    torch.testing.assert_close(taller.joints, 1.04 * rest.joints, rtol=0, atol=5e-4)
-
-
 def test_expressions_move_only_the_face(body):
     rest = body.rest(neutral())
     for k in range(len(EXPRESSIONS)):

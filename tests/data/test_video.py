@@ -9,7 +9,7 @@ import pytest
 from gva_mi import InputError
 from gva_mi.body.pose import save_poses
 from gva_mi.data.pictures import read_image, write_image, write_movie
-from gva_mi.data.video import Splits, load_video, spread
+from gva_mi.data.video import Splits, load_video
 
 
 def rewrite(path, **changes):
@@ -142,11 +142,6 @@ def test_bad_input_is_one_sentence_that_says_where(subject, name):
     with pytest.raises(InputError, match=sentence) as caught:
         load_video(subject)
     assert "\n" not in str(caught.value)
-
-
-def test_indices_are_spread_evenly_with_both_ends():
-    assert spread(range(100), 4) == [0, 33, 66, 99]
-    assert spread([3, 5], 4) == [3, 5] and spread([], 4) == []
 
 
 def test_a_file_of_poses_holds_its_stage(subject):

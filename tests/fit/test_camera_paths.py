@@ -69,12 +69,6 @@ def test_a_turntable_holds_one_pose_and_goes_once_round(known, walk):
     assert len(shots(CameraPath("turntable"), known.rig, walk)) == 72
 
 
-def test_an_orbit_goes_round_while_the_motion_plays(known, walk):
-    found = shots(CameraPath("orbit", frames=9), known.rig, walk)
-    assert [shot.frame for shot in found] == [0, 1, 2, 3, 4, 5, 0, 1, 2]
-    assert len({tuple(shot.camera.position) for shot in found}) == 9
-
-
 def test_a_static_camera_stands_before_the_person(known, walk):
     found = shots(CameraPath("static"), known.rig, walk)
     assert [shot.frame for shot in found] == list(range(6))

@@ -28,12 +28,6 @@ def test_no_round_of_density_control_follows_where_a_reinitialisation_does():
     assert both == [200, 400, 600, 800] and schedule.reinitialises(1000, 2000)
 
 
-def test_weights_are_looked_up_every_so_many_steps():
-    found = [k for k in range(1, 301) if Schedule(rebind_every=100).rebinds_weights(k)]
-    assert found == [100, 200, 300]
-    assert not any(Schedule(rebind_every=0).rebinds_weights(k) for k in range(1, 301))
-
-
 def test_options_go_into_a_file(tmp_path):
     options = FitOptions(vgg16=Path("weights.pth"))
     assert json.loads(json.dumps(options.plain()))["vgg16"] == "weights.pth"

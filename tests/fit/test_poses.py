@@ -74,13 +74,6 @@ def rms(pose, truth, frames):
     return float((pose.transl - truth.transl)[frames].square().sum(1).mean().sqrt())
 
 
-def test_untrained_poses_stay_as_they_were_given(truth, known, camera):
-    options = PoseOptions(trained=False)
-    poses = trained_to(truth, given := off(truth, lasting()), known, camera, options)
-    assert not poses.trained and poses.all() is given
-    assert torch.equal(poses(2).transl, given.transl[2:3]) and poses.state() == []
-
-
 def test_poses_come_to_ground_truth_and_unseen_frames_follow(truth, known, camera):
     given = off(truth, lasting())
     found = trained_to(truth, given, known, camera).all()

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import torch
 
 from gva_mi.fit.camera_paths import CameraShot
-from gva_mi.fit.renders import over, render_frame, render_layer, render_shots, to_rgba
+from gva_mi.fit.renders import over, render_frame, render_layer, render_shots
 
 
 @pytest.fixture
@@ -29,11 +28,3 @@ def test_a_layer_lies_over_a_colour_as_the_renderer_does_it(layer, known, turnin
     colour = (0.2, 0.9, 0.4)
     image = render_frame(known, turning(1)[0], camera, background=colour)
     assert np.abs(over(layer, np.array(colour)).astype(int) - image).max() <= 1
-
-
-def test_rgba_gives_the_same_picture_on_a_background(layer):
-    rgba = to_rgba(layer).astype(float) / 255
-    assert rgba.shape == (48, 48, 4)
-    again = rgba[..., :3] * rgba[..., 3:] + (1 - rgba[..., 3:])
-    assert np.abs(255 * again - over(layer, np.ones(3))).max() < 2.1
-    assert torch.from_numpy(rgba).isfinite().all()

@@ -1,6 +1,5 @@
 """Normals and Laplacian of a surface: laws on a ball, of which both are known."""
 
-import numpy as np
 import pytest
 import torch
 import trimesh
@@ -30,9 +29,3 @@ def test_laplacian_of_a_constant_is_zero_and_of_a_ball_points_outwards(ball):
     L = uniform_laplacian(faces.numpy(), len(vertices))
     assert torch.sparse.mm(L, torch.ones(len(vertices), 3)).abs().max() < 1e-6
     assert (torch.sparse.mm(L, vertices.float()) * vertices.float()).sum(1).min() > 0
-
-
-def test_a_vertex_without_faces_is_left_alone():
-    L = uniform_laplacian(np.array([[0, 1, 2]]), 4).to_dense()
-    expected = [[1, -0.5, -0.5, 0], [-0.5, 1, -0.5, 0], [-0.5, -0.5, 1, 0], [0, 0, 0, 0]]
-    torch.testing.assert_close(L, torch.tensor(expected))

@@ -75,15 +75,6 @@ def test_pixels_count_by_the_part_that_a_coarser_one_covers(times, ratio):
     np.testing.assert_allclose(found, means, atol=1e-12)
 
 
-def test_a_crop_ends_where_the_image_ends():
-    extent = Extent(np.array([80.0, 60]), np.array([120.0, 80]))
-    crop = ScaledCrop.around(extent, CAMERA, 0.33, 0.2)
-    assert (crop.box.right, crop.box.bottom) == (33, 26)  # 33 and 26.4 pixels
-    found = coarser(np.ones((80, 100)), crop)
-    assert found.shape == (crop.box.height, crop.box.width)
-    assert torch.allclose(found, torch.tensor(1.0, dtype=torch.float64))
-
-
 def test_a_shrunken_mask_is_the_mask_of_the_shrunken_camera(body, scene):
     """The mean outlines of the two differ by less than a tenth of a pixel."""
     up = (0.3, 1, 0)  # so that no outline runs along the pixels

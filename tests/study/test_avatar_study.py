@@ -20,7 +20,6 @@ from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING
 from gva_mi.study.engine import run_study
 from gva_mi.study.metrics import load_metrics
-from gva_mi.study.pictures import picture_sections
 from gva_mi.study.variants import FULL, NO_HANDS, VARIANTS, variants_named
 
 OPTIONS = FitOptions(
@@ -135,18 +134,6 @@ def test_a_finished_variant_is_not_fitted_again(runs):
     before = (run.out / "avatar.npz").stat().st_mtime_ns
     assert run.solve() == figures
     assert (run.out / "avatar.npz").stat().st_mtime_ns == before
-
-
-def test_pictures_show_every_variant_beside_the_ground_truth(runs):
-    shown = {name: run.shown() for name, (run, _) in runs.items()}
-    found = {section.title: section for section in picture_sections([("bruno", shown)], 2)}
-    assert list(found) == ["Test frames", "Novel poses", "Novel views", "The Gaussians"]
-    assert "the picture, full, without hand skeleton." in found["Novel poses"].text
-    captions = [picture.caption for picture in found["Test frames"].pictures]
-    assert captions[0] == "bruno, frame 3" and f"{captions[0]}, hands" in captions
-    assert len(found["Novel views"].pictures) == len(found["The Gaussians"].pictures) == 2
-    assert any("hands" in picture.caption for picture in found["Novel poses"].pictures)
-    assert picture_sections([("bruno", {})], 2) == []
 
 
 @pytest.mark.slow

@@ -6,8 +6,7 @@ from dataclasses import asdict
 import pytest
 
 from gva_mi.data.fingerprint import FILM
-from gva_mi.study import cases
-from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, StudyCase, Take, held_out
+from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, held_out
 from gva_mi.synthetic import STUDY
 from gva_mi.synthetic.error_models.models import ERROR_MODELS
 
@@ -34,14 +33,6 @@ def test_cases_are_distinct(some):
     assert all(case.take.subject in (None, *STUDY) and case.noise in known for case in some)
 
 
-@BOTH
-def test_a_subject_has_one_take(some):
-    takes = {case.take.person: set() for case in some}
-    for case in some:
-        takes[case.take.person].add(case.take)
-    assert all(len(several) == 1 for several in takes.values())
-
-
 def test_limits_change_one_thing_of_one_film_at_a_time():
     usual, *others = (asdict(case.take) for case in LIMITS)
     for other in others:
@@ -62,21 +53,6 @@ def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
     assert {take.outfit for take in takes} == {"own", "foreign"}
     assert any(take.bare for take in takes)
     assert all(case.take.scene == "room" for case in HELD_OUT if case.noise == FILM)
-
-
-def test_names_list_what_differs_from_the_default():
-    assert StudyCase(Take("bruno"), "white", 1000).name == "bruno: white 1000"
-    walking = Take(seed=3, motion="walk", figure="stretched", bare=True)
-    case = StudyCase(walking, "bursts", 4, normals=False)
-    assert case.name == "seed 3, walk, stretched, bare: bursts 4, no normals"
-    assert case.family == NO_NORMALS and walking.person == "3"
-
-
-def test_only_a_case_that_needs_a_package_lacks_it(monkeypatch):
-    monkeypatch.setattr(cases, "find_spec", lambda name: None)
-    assert {case.take.figure for case in HELD_OUT if case.lacks} == {"anny"}
-    monkeypatch.setattr(cases, "find_spec", lambda name: object())
-    assert not any(case.lacks for case in HELD_OUT)
 
 
 @BOTH

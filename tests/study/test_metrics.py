@@ -13,7 +13,6 @@ from gva_mi.data.video import load_video, save_cameras
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.run_folder import METRICS
 from gva_mi.study.evaluate import SplitScores
-from gva_mi.study.fitted_poses import _pose_fit_options
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.metrics import (
     Metrics,
@@ -98,16 +97,6 @@ def test_trained_poses_have_a_line_of_their_own(metrics):
     assert not any(line.startswith("trained") for line in metrics.lines())
 
 
-def test_the_lines_say_the_main_figures(metrics):
-    lines = list(metrics.lines())
-    assert lines[0] == "aligned     fingers 8.2 → 9.2 mm"
-    assert lines[1] == "absolute    body 0.2 → 1.2, hands 2.2 → 3.2 mm"
-    assert "depth       ankles -2 → +3 mm, wrists +4 → -5 mm" in lines
-    assert lines[-2] == "test        PSNR 30.12 dB, SSIM 0.9800"
-    assert lines[-1] == "test        PSNR 29.50 dB, SSIM 0.9700 (poses as refined)"
-    assert "ground-truth pose" in next(line for line in lines if line.startswith("silhouette"))
-
-
 @pytest.mark.parametrize(
     "poses, refinement, seen",
     [
@@ -149,12 +138,6 @@ def test_errors_of_given_and_of_trained_poses_are_reported(studio, body, tmp_pat
     assert found["trained"]["body_aligned"] == pytest.approx(0, abs=1e-3)
     assert _pose_errors(video, video, body) == {}  # nothing was trained
     assert _pose_errors(studio, replace(studio, pose=moved), body) == {}  # nothing is known
-
-
-@pytest.mark.parametrize("frames, steps", [(1, 100), (8, 100), (10, 102), (64, 160)])
-def test_a_pose_fit_of_few_frames_takes_as_many_steps_as_one_of_many(frames, steps):
-    options = _pose_fit_options(frames)
-    assert options.passes * -(-frames // options.batch) == steps
 
 
 @pytest.mark.parametrize("text", [None, "{", "[]", '{"rows": []}'])

@@ -27,7 +27,3 @@ def test_new_poses_are_shown_beside_their_ground_truth(known, studio, body):
     target, rendered = row[:, -2 * HEIGHT : -HEIGHT], row[:, -HEIGHT:]
     off = np.abs(target - rendered).mean()  # the same avatar; one of them enlarged
     assert off < 0.6 * np.abs(target - target.mean((0, 1))).mean()
-
-
-def test_without_ground_truth_there_is_one_row(known, video, body):
-    assert overview(ShownAvatar.of(known, video, body), video).shape[0] == HEIGHT

@@ -54,19 +54,6 @@ def test_spacing_is_0_on_a_lattice_and_0_52_for_random_points(square):
     assert spacing(scattered, square)["all"] == pytest.approx(0.523, abs=0.01)
 
 
-def test_spacing_is_measured_along_the_surface(square):
-    """Gaussians that lie at random heights over a lattice are as evenly spread as the lattice."""
-    means = lattice(50)
-    means[:, 2] = np.random.default_rng(1).uniform(-0.02, 0.02, len(means))
-    assert spacing(means, square)["all"] == pytest.approx(0, abs=1e-9)
-
-
-def test_a_clump_in_one_texture_is_found_there(square):
-    clump = np.random.default_rng(2).uniform((0.7, 0.4, 0), (0.75, 0.45, 0), (400, 3))
-    found = spacing(np.vstack([lattice(40), clump]), square)
-    assert found["skin"] == pytest.approx(0) and found["hair"] > 0.5
-
-
 def test_floaters_do_not_count_and_few_gaussians_have_no_figure(square):
     floaters = np.random.default_rng(3).random((300, 3)) + (0, 0, 2 * NEAR)
     assert spacing(np.vstack([lattice(50), floaters]), square)["all"] == pytest.approx(0)

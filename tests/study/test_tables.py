@@ -1,14 +1,12 @@
 """Subjects count once, error models count once, and tuned subjects are never mixed with others."""
 
-from dataclasses import asdict
-
 import pytest
 
 from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase, Take
 from gva_mi.study.engine import Outcome
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.refine_study import columns
-from gva_mi.study.tables import avatar_cells, cell, refine_cells, tables
+from gva_mi.study.tables import avatar_cells, cell, refine_cells
 
 BRUNO = [case for case in HELD_OUT if case.take.person == "bruno"]
 EDGAR = [case for case in HELD_OUT if case.take.person == "edgar"]
@@ -47,15 +45,6 @@ def test_subjects_of_the_tuning_set_are_apart():
     assert found["held-out subjects"]["full"][TEST].mean == 29.5
 
 
-def test_a_table_is_written_for_each_group():
-    cells = avatar_cells(OUTCOMES[:3] + OUTCOMES[4:])["held-out subjects"]
-    psnr, cost, boxes = tables("avatar", cells)
-    assert psnr.head == ("psnr", "test") and boxes.head[1:] == ("test, hands",)
-    assert psnr.rows[0] == ["full", "29.50 ± 1.50, worst 28.00"]
-    assert psnr.rows[1] == ["with residual", "27.50 ± 1.50, worst 26.00 (-1.50)"]
-    assert cost.rows[0] == ["full", "60 ± 0, worst 60"]
-
-
 def refinement(family, draw, after, ankles=0.0, **others):
     """An outcome whose body error was 100 mm at stage 1."""
     figures = {"vertex_mm_stage1": 100.0, "vertex_mm": after, "ankle_depth_mm": ankles, **others}
@@ -81,20 +70,3 @@ def test_the_worst_depth_is_the_farthest_off_and_the_worst_iou_the_lowest():
     rows = refine_cells(some)["error models"]
     assert [row["depth: ankles, mm"].mean for row in rows.values()] == [10, -30, -10, -30]
     assert rows["worst"]["iou: IoU - limit"].mean == pytest.approx(-0.1)
-
-
-def test_unknown_figures_are_left_out():
-    exact = {"foot_vertex_mm_stage1": 0.0, "foot_vertex_mm": 1.0}  # no relative change of zero
-    rows = refine_cells([refinement("white", 1, 1.0, **exact)])["error models"]
-    assert "change: feet" not in rows["white"] and "change: feet" not in rows["mean"]
-
-
-def test_cells_are_readable():
-    aligned = {"aligned_foot_vertex_mm_stage1": 40.0, "aligned_foot_vertex_mm": 20.4}
-    cells = refine_cells([refinement("white", 1, 31.0, ankles=-7.6, **aligned)])["error models"]
-    changes, millimetres = tables("refine", cells)
-    assert changes.head == ("error model", "body", "aligned feet", "ankles, mm")
-    assert changes.rows[0] == ["white", "-69 %", "-49 %", "-8"]
-    assert millimetres.head == ("aligned, mm", "feet, stage 1", "feet")
-    assert millimetres.rows[0] == ["white", "40", "20"]
-    assert asdict(cells["white"]["change: body"])["mean"] == pytest.approx(-0.69)

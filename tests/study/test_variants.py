@@ -28,12 +28,6 @@ def changed(name):
 RANGE = VARIANTS[-1]  # other test frames alone
 
 
-def test_full_and_rows_that_differ_in_their_input_change_no_option():
-    assert FULL.of(FitOptions()) == FitOptions()
-    for name in ("without refinement", "one held-out range"):
-        assert not changed(name)
-
-
 def test_a_variant_changes_what_its_options_name_and_nothing_else():
     assert changed("with residual") == {"avatar.residual.enabled", "loss.residual"}
     assert changed("GART-like") == {
@@ -62,9 +56,3 @@ def test_rows_are_chosen_by_name_and_keep_their_order():
     assert names == ["full", "true poses"]
     with pytest.raises(InputError, match="--rows has no 'best'; there are: as printed, "):
         variants_named(("best",))
-
-
-def test_names_are_names_of_folders_too():
-    from gva_mi.study.avatar_study import file_name
-
-    assert len({file_name(v.name) for v in VARIANTS}) == len(VARIANTS)

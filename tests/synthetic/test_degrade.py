@@ -30,11 +30,6 @@ def test_it_equals_make_subject(degraded, body, bare, files, tmp_path, family):
     assert files(tmp_path / "made") == files(degraded(family))
 
 
-def test_earlier_errors_do_not_matter(degraded, body, files, tmp_path):
-    degrade(degraded("focal"), tmp_path / "again", "lean", 7, body)
-    assert files(tmp_path / "again") == files(degraded("lean"))
-
-
 def test_frames_and_ground_truth_are_linked(noisy, degraded):
     for path in sorted(noisy.rglob("*")):
         name = path.relative_to(noisy)

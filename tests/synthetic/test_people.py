@@ -4,8 +4,7 @@ import itertools
 
 import numpy as np
 
-from gva_mi.synthetic import STUDY, SynthOptions
-from gva_mi.synthetic.people import SyntheticPerson
+from gva_mi.synthetic import STUDY
 
 
 def test_the_seven_subjects_differ_and_cover_the_hard_cases():
@@ -17,13 +16,3 @@ def test_the_seven_subjects_differ_and_cover_the_hard_cases():
     assert {w.hair for w in wardrobes} == {"short", "bob", "long"}
     assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}
     assert sum(w.glasses for w in wardrobes) == 1 and sum(w.cap for w in wardrobes) == 1
-
-
-def test_a_foreign_outfit_differs_from_all_others(body):
-    for seed in range(10):
-        own = SynthOptions(seed=seed).person(body).outfit
-        worn = SynthOptions(seed=seed, outfit="foreign").person(body).outfit
-        assert own.sole == 0 and own.bag == own.hood == "none"
-        assert 0.01 <= worn.sole <= 0.05 and worn.flare <= 0.3
-    again = SynthOptions(seed=9, outfit="foreign").person(body)
-    assert again.outfit == worn and again.betas == SyntheticPerson.draw(9, 10).betas

@@ -86,17 +86,6 @@ def test_expressions_and_the_rest_of_the_panel(server, controls):
     assert controls.state(0.0).expression == ()
 
 
-def test_the_frame_slider_follows_the_motion(server, controls):
-    panel = inputs(server)
-    panel["frames a second"].value, panel["play"].value = 10, True
-    shown = [controls.state(t).frame for t in (0.0, 0.11, 0.5, 0.89, 0.95)]
-    assert shown == [0, 1, 5, 8, 0] and controls.playing
-    panel["frame"].value = 4  # by hand, while it plays
-    assert controls.state(1.0).frame == 4 and controls.state(1.11).frame == 5
-    panel["play"].value = False
-    assert controls.state(9.0).frame == panel["frame"].value == 5 and not controls.playing
-
-
 def test_pressed_buttons_are_queued_with_their_browser(server, controls):
     press(server, "Snapshot")
     press(server, "Add keyframe")

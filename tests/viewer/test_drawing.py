@@ -12,7 +12,6 @@ from gva_mi.fit.renders import over, render_layer
 from gva_mi.mesh.overlay import OUTLINE
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
-from gva_mi.viewer.drawing import Drawing
 from gva_mi.viewer.state import Mode, State
 from gva_mi.viewer.surface import SurfaceRenderer, draw_skeleton, posed_surface
 
@@ -71,11 +70,3 @@ def test_joints_are_projected_and_the_marked_one_is_orange(known, motion, camera
     for x, y in camera.project(joints).astype(int):
         assert layer[y, x, 3] > 0.5
     assert draw_skeleton(-joints - 100, known.rig.parents, camera, 0).shape == layer.shape
-
-
-def test_a_frame_of_the_video_is_centred(known, video):
-    drawing = Drawing(known, video.pose, video)
-    found = drawing.frame(State(frame=4, background=(9, 9, 9)), 200, 48)
-    image = np.round(255 * video[4].image).astype(np.uint8)
-    assert np.array_equal(found[:, 76:124], image)
-    assert (found[:, :76] == 9).all() and (found[:, 124:] == 9).all()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
-from gva_mi.core.lock import folder_lock
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
@@ -141,9 +140,3 @@ def test_beside_the_video_through_its_camera(known, video, panel, page, view, pl
     # The subject's pictures show this avatar in front of a grey of 0.3.
     assert np.abs(left - right).max() <= 2
     assert page.shown[0][0].shape == (48, 96, 3)
-
-
-def test_two_viewers_do_not_take_the_same_name(opened, panel, page, out):
-    with folder_lock(out, "gva-mi view"):
-        messages = press(opened, panel, page, "snapshot")
-    assert "gva-mi view (process" in messages[-1] and not out.exists()

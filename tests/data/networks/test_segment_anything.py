@@ -47,33 +47,6 @@ def prompt(inside, points):
     return Prompt(bounds(inside), np.array(points, float), np.ones(len(points), int))
 
 
-def test_a_point_keeps_its_place_in_the_crop():
-    image = np.zeros((50, 70, 3), np.uint8)
-    image[20:22, 40:42] = 255  # its middle is at (41, 21)
-    crop = CropBox.round_box(np.array([30.0, 10, 60, 28]), 0.1)
-    assert (crop.width, crop.height) == (36, 36) and (crop.left, crop.top) == (27, 1)
-    seen = crop.resized(image, (144, 144), (9, 9, 9)).astype(float).mean(-1)
-    rows, columns = np.mgrid[:144, :144] + 0.5
-    middle = np.array([(seen * columns).sum(), (seen * rows).sum()]) / seen.sum()
-    assert np.abs(middle - crop.to_network(np.array([41.0, 21.0]), (144, 144))).max() < 0.1
-    outside = CropBox.round_box(np.array([-40.0, -40, -20, -20]), 0).resized(
-        image, (8, 8), (9, 8, 7)
-    )
-    assert (outside == (9, 8, 7)).all()
-    high = CropBox.round_box(np.array([0.0, 0, 10, 10]), 0, (30, 60))
-    assert (high.width, high.height) == (10, 20)
-
-
-def test_logits_are_resampled_to_another_crop():
-    logits = torch.linspace(-1, 1, 16)[None].repeat(16, 1)
-    found = MaskGuess(np.zeros((1, 1), bool), CropBox(10, 20, 26, 36), logits)
-    same = found.seen_in(CropBox(10, 20, 26, 36))
-    moved = found.seen_in(CropBox(13, 20, 29, 36))
-    assert torch.allclose(same, logits, atol=1e-5)
-    assert torch.allclose(moved[:, :12], logits[:, 3:15], atol=1e-5)
-    assert (moved[:, 14:] < -30).all()  # nothing is known there
-
-
 def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
     """A crop that is the picture itself: the network's own preparation gives the same guesses."""
     image, inside = ellipse((64, 64), (30, 33), (12, 20))

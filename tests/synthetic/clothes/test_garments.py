@@ -7,7 +7,6 @@ import trimesh
 
 from gva_mi.body.pose import Shape
 from gva_mi.synthetic.clothes import accessories, garments
-from gva_mi.synthetic.clothes.level_sets import surface_of
 from gva_mi.synthetic.rest_body import RestBody
 
 
@@ -18,16 +17,6 @@ def rest(body):
 
 def closed(mesh):
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-
-
-def test_an_opening_is_dark_and_hollow(sampled):
-    grid, d = sampled
-    field = garments._with_opening(d, d, grid.y + 0 * d, wall=0.06, depth=0.1)
-    mesh = surface_of(grid, field, d)
-    assert mesh.vertices[:, 1].max() < 0.03
-    inner = np.linalg.norm(mesh.vertices, axis=1) < 0.35
-    inner &= mesh.vertices[:, 1] > -0.2
-    assert inner.any() and mesh.shade[inner].max() < 0.5 and mesh.shade.max() == 1
 
 
 def test_a_thick_sole_is_lower_and_flat(rest):

@@ -54,8 +54,3 @@ def test_feet_are_lost_in_runs_of_the_given_share(body, camera, rng):
     lost = np.array([len(seen.lost) for seen in found])
     assert 0.15 < lost.mean() / 2 < 0.45
     assert (np.diff(lost) != 0).mean() < 0.25
-
-
-def test_no_foot_is_lost_and_no_bag_hangs_at_level_zero(body, camera, rng):
-    noise = MaskErrors(lost_feet=0.3, bag=0.1)
-    assert set(confusions(body, *standing(20), camera, noise, 0.0, rng)) == {Confusion()}

@@ -4,9 +4,7 @@ from dataclasses import asdict
 
 import pytest
 
-from gva_mi.synthetic import SynthOptions
-from gva_mi.synthetic.error_models.models import ERROR_MODELS, ErrorParameters, Levels, draw_errors
-from gva_mi.synthetic.error_models.poses import PoseErrors
+from gva_mi.synthetic.error_models.models import ERROR_MODELS, ErrorParameters, draw_errors
 
 SEEDS = range(8)
 DRAWN = {  # parameters that only the error model of this name draws, and anything
@@ -31,11 +29,6 @@ def parameters(family):
     return {name: [one[name] for one in drawn] for name in drawn[0]}
 
 
-def test_bursts_are_always_the_same():
-    assert all(draw_errors("bursts", seed) == ErrorParameters() for seed in SEEDS)
-    assert (PoseErrors().memory, PoseErrors().white, PoseErrors().outliers.lost) == (5.0, 0.0, 0.08)
-
-
 @pytest.mark.parametrize("family", sorted(ERROR_MODELS.keys() - {"bursts", "anything"}))
 def test_another_seed_draws_other_parameters_and_those_of_other_models_stay(family):
     usual = flat(asdict(ErrorParameters()))
@@ -54,7 +47,3 @@ def test_error_models_draw_in_their_ranges():
     assert all(0.034 < a < 0.105 for a in parameters("lean")["pose.lean.legs"])  # rad
     assert all(0.04 <= abs(f) <= 0.1 for f in parameters("focal")["pose.focal"])
     assert set(parameters("normals")["normal.convention"]) == {"perspective", "icon"}
-
-
-def test_levels_multiply():
-    assert SynthOptions(noise=0.5, mask_noise=3.0).levels == Levels(0.5, 1.5, 0.5)

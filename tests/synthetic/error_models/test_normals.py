@@ -10,11 +10,6 @@ USUAL = NormalErrors()
 STILL = NormalErrors(blur=0.0, tilt=0.0)
 
 
-def test_level_one_keeps_its_numbers(disc, rng):
-    noisy = noisy_normals(disc[1], disc[0], USUAL, 1.0, rng)
-    assert np.allclose(noisy[20, 20], (-0.590828, -0.530492, -0.607866), rtol=0, atol=2e-6)
-
-
 def test_normals_stay_unit_face_the_camera_and_fill_the_mask(disc, rng):
     mask, normals = disc
     wider = (np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 26).astype(np.float32)

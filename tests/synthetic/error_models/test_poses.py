@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gva_mi.body.pose import BODY, JOINTS, Pose, Shape
+from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.synthetic.error_models.poses import PoseErrors, noisy_poses
 
 USUAL = PoseErrors()
@@ -13,17 +13,6 @@ USUAL = PoseErrors()
 
 def seeded():
     return np.random.default_rng(0)
-
-
-def test_poses_keep_their_numbers(body, turning, camera):
-    """The figures of the demo depend on these numbers."""
-    pose, shape = noisy_poses(body, *turning, camera, USUAL, 1.0, seeded())
-    elbow = pose.rotations[:, JOINTS.index("left_elbow")]
-    close = lambda x, *numbers: np.allclose(x, numbers, rtol=0, atol=2e-6)
-    assert close(elbow[3], -0.081424, 0.023198, 0.470646)
-    assert close(elbow[17], 0.072116, -0.065876, 0.059867)
-    assert close(pose.transl[17], 0.004823, 0.019650, -0.084871)
-    assert close(shape.betas[:3], -0.072166, 0.018831, -0.334528)
 
 
 def error_of(noise, body, camera, frames=400):

@@ -1,13 +1,11 @@
 """A ball in a room: seen as on white, behind it the room, below it a shadow."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.render import Moment, Renderer
-from gva_mi.synthetic.rooms.finishes import ENDLESS, Finish, finish_color
+from gva_mi.synthetic.rooms.finishes import Finish
 from gva_mi.synthetic.rooms.room import Room, draw_room
 
 pytest.importorskip("mitsuba")
@@ -81,28 +79,6 @@ def test_the_person_throws_a_shadow_on_the_floor(ball):
     below = (slice(row - 1, row + 2), slice(column - 2, column + 3))
     assert near[below].mean() < 0.85 * far[below].mean()
     assert np.abs(near - far)[:4].mean() < 0.02  # not far away, on the wall
-
-
-def test_cells_of_a_finish(renderer):
-    import drjit as dr
-    import mitsuba as mi
-
-    tiles = Finish((0.2, 0.3, 0.4), (0.8, 0.7, 0.6), 0.5, (0.5, ENDLESS), joint=0.01, rough=0.0)
-    table = mi.Float(np.ravel([tiles.row(), replace(tiles, share=0.0).row()]))
-    u = np.linspace(0, 50, 4001, dtype=np.float32)
-    seen = lambda number: np.array(
-        finish_color(table, dr.full(mi.UInt32, number, len(u)), mi.Float(u), mi.Float(0 * u + 1))
-    )
-    mixed, plain = seen(0), seen(1)
-    joint = np.abs(u / 0.5 - np.round(u / 0.5)) * 0.5 < 0.004
-    clear = np.abs(u / 0.5 - np.round(u / 0.5)) * 0.5 > 0.006
-    assert np.allclose(plain[:, clear], np.array(tiles.color)[:, None], atol=1e-6)
-    assert (plain[0, joint] < 0.5 * tiles.color[0]).all()
-    of_first = np.abs(mixed[:, clear] - np.array(tiles.color)[:, None]).max(0) < 1e-6
-    of_second = np.abs(mixed[:, clear] - np.array(tiles.other)[:, None]).max(0) < 1e-6
-    assert (of_first | of_second).all() and 0.3 < of_second.mean() < 0.7
-    cell = np.floor(u[clear] / 0.5).astype(int)
-    assert all(np.ptp(of_first[cell == k].astype(int)) == 0 for k in range(100))
 
 
 def test_an_open_shutter_blurs_along_the_motion(renderer, ball):

@@ -48,6 +48,7 @@ NAMES = (  # of errors, in the order of files
 )  # fmt: skip
 _BODY_JOINTS = 22
 _SAMPLES = 500  # vertices of a region that eq. 5 measures
+_TOGETHER = 16  # frames that are measured at a time
 _NEAREST = 12  # triangles tried for each point of eq. 5
 
 
@@ -61,9 +62,9 @@ _FEET = _ANKLES + _pair("foot")
 
 @torch.no_grad()
 def pose_errors(
-    body: BodyModel, found: tuple[Pose, Shape], truth: GroundTruth, batch: int = 16
+    body: BodyModel, found: tuple[Pose, Shape], truth: GroundTruth
 ) -> dict[str, Tensor]:
-    """Measure estimated poses of the fitted body, ``batch`` frames at a time.
+    """Measure estimated poses of the fitted body, some frames at a time.
 
     Returns:
         Errors (T,), millimetres: ``body``, ``hands``, ``feet`` (eq. 1), the same with ``_aligned``
@@ -75,8 +76,8 @@ def pose_errors(
     axes = torch.from_numpy(np.stack([c.T_camera_world[2, :3] for c in truth.cameras]))
     parts: list[dict[str, Tensor]] = []
     with one_torch_thread():
-        for start in range(0, len(truth.pose), batch):
-            some = slice(start, start + batch)
+        for start in range(0, len(truth.pose), _TOGETHER):
+            some = slice(start, start + _TOGETHER)
             x = body(found[0][some], found[1])
             y = truth.body(truth.pose[some], truth.shape)
             part = points.errors(x, y) | _joint_errors(x, y, axes[some].to(x.joints))

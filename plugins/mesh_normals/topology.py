@@ -34,7 +34,6 @@ class Topology:
 
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
-    normal_count: int  # N
     flips: mi.Bool  # (N,) the normal points against the winding of its faces
     flat: np.ndarray  # (n,) faces without area, which are left out of the edges
     vertices: tuple[mi.UInt32, ...]  # three (F,): vertex of each corner
@@ -83,7 +82,6 @@ class Topology:
         return Topology(
             vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
             first_face=_first_faces(meshes),
-            normal_count=N,
             flips=mi.Bool(corners.flips),
             flat=flat,
             vertices=_columns(vertices),

@@ -23,8 +23,8 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.files import write_arrays
 
 
-def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "neutral") -> None:
-    """Write T poses in AMASS's format, atomically; ``gender`` is that of the shape's body model."""
+def save_amass(path: Path, pose: Pose, shape: Shape, fps: float) -> None:
+    """Write T poses in AMASS's format, atomically."""
     array = lambda tensor: tensor.detach().numpy()
     write_arrays(
         path,
@@ -32,7 +32,7 @@ def save_amass(path: Path, pose: Pose, shape: Shape, fps: float, gender: str = "
         trans=array(pose.transl),
         betas=array(shape.betas),
         expression=array(pose.expression),
-        gender=np.array(gender),
+        gender=np.array("neutral"),
         mocap_frame_rate=np.array(float(fps)),
         surface_model_type=np.array("smplx"),
     )

@@ -131,8 +131,7 @@ def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
             if K.shape[-2:] != (3, 3) or K.ndim > 3:
                 raise InputError(f"{where}: '{name}' must be (3, 3) or (T, 3, 3), got {K.shape}")
             return K.reshape(-1, 3, 3)
-    own = "stage" in arrays  # written here, where focal is a factor on the cameras' own
-    names = ("focal_length",) if own else ("focal", "focal_length", "focal_l")
+    names = ("focal", "focal_length", "focal_l")
     focal = next((x for name in names if (x := arrays.get(name)) is not None), info.focal)
     if focal is None:
         raise InputError(f"{where}: says no camera (K, or focal); give --focal, in pixels")

@@ -241,9 +241,6 @@ def columns(metrics: Metrics) -> dict[str, float | None]:
             continue
         for metric in ("psnr", "ssim", "lpips", "rand_vgg"):
             figures[f"{metric}: {where}"] = getattr(row, metric)
-        for metric in ("spill", "holes", "flicker"):
-            share = getattr(row, metric)
-            figures[f"defects, %: {metric}, {where}"] = None if share is None else 100 * share
     for which, errors in metrics.poses_mm.items():
         for name in ("body", "body_aligned", "hands_aligned", "feet_aligned"):
             title = " ".join(reversed(name.split("_")))  # aligned body

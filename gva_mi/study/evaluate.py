@@ -49,7 +49,7 @@ from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
 from gva_mi.study.regions import Detail, Details, person_box
-from gva_mi.study.scores import ImageScores, Scorer, flicker, spill_and_holes
+from gva_mi.study.scores import ImageScores, Scorer
 
 Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -71,9 +71,6 @@ class SplitScores:
     rand_vgg: float
     region: Region = "white"
     count: int = 0  # pictures, or boxes, in the mean; 0: not recorded
-    spill: float | None = None  # see scores.py; only of whole pictures on white
-    holes: float | None = None
-    flicker: float | None = None  # of test frames against the frames before them
 
     @staticmethod
     def mean(
@@ -157,57 +154,33 @@ def evaluate_views(
     rows, done, total = [], 0, sum(len(view.frames) for view in views)
     for view in views:
         scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
-        defects: list[tuple[float, float]] = []
-        flickers: list[float] = []
         for frame in view.video.frames(view.frames):
-            pair = _Compared.of(avatar, frame, view)
-            for region, found in pair.scores(view, scorer):
+            for region, found in _scores(avatar, frame, view, scorer):
                 scores[region].append(found)
-            defects.append(spill_and_holes(*pair.renders, pair.frame.mask))
-            before = frame.index - 1
-            if view.split in OF_VIDEO[1:] and before >= 0 and before not in view.video.absent:
-                flickers.append(pair.flicker(_Compared.of(avatar, view.video[before], view)))
             done += 1
             if progress:
                 progress(done, total, psnr=scores["white"][-1].psnr)
-        whole, *parts = (
-            SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s
-        )
-        spill, holes = (float(np.mean(some)) for some in zip(*defects, strict=True))
-        unsteady = float(np.mean(flickers)) if flickers else None
-        rows += [replace(whole, spill=spill, holes=holes, flicker=unsteady), *parts]
+        rows += [SplitScores.mean(name, view.split, s, region) for region, s in scores.items() if s]
     return rows
 
 
-@dataclass(frozen=True)
-class _Compared:
-    """Renders of one frame and their targets, each on white and on black."""
-
-    frame: Frame  # with the true mask if it is known
-    renders: tuple[np.ndarray, np.ndarray]
-    targets: tuple[np.ndarray, np.ndarray]
-
-    @staticmethod
-    def of(avatar: Avatar, frame: Frame, view: SplitView) -> _Compared:
-        mask = view.video.true_mask(frame.index)
-        frame = frame if mask is None else replace(frame, mask=mask)
-        renders = (render_frame(avatar, frame.pose, frame.camera, on) for on in (WHITE, BLACK))
-        return _Compared(frame, tuple(renders), tuple(cut_out(frame, on) for on in (WHITE, BLACK)))
-
-    def scores(self, view: SplitView, scorer: Scorer) -> Iterator[tuple[Region, ImageScores]]:
-        pairs = tuple(zip(self.renders, self.targets, strict=True))
-        for region, pair in zip(("white", "black"), pairs, strict=True):
-            yield region, scorer(*pair)
-        boxes: list[tuple[Region, Box]] = [("person", person_box(self.frame.mask))]
-        if view.details is not None:
-            boxes += view.details.boxes(self.frame.index)
-        for region, box in boxes:
-            yield region, scorer(*(box.cut(image) for image in pairs[0]))
-
-    def flicker(self, before: _Compared) -> float:
-        renders = before.renders[0], self.renders[0]
-        targets = before.targets[0], self.targets[0]
-        return flicker(renders, targets, self.frame.mask)
+def _scores(
+    avatar: Avatar, frame: Frame, view: SplitView, scorer: Scorer
+) -> Iterator[tuple[Region, ImageScores]]:
+    """Score the render of a frame region by region, cut out by the true mask if it is known."""
+    mask = view.video.true_mask(frame.index)
+    frame = frame if mask is None else replace(frame, mask=mask)
+    on_white, on_black = (
+        (render_frame(avatar, frame.pose, frame.camera, on), cut_out(frame, on))
+        for on in (WHITE, BLACK)
+    )
+    yield "white", scorer(*on_white)
+    yield "black", scorer(*on_black)
+    boxes: list[tuple[Region, Box]] = [("person", person_box(frame.mask))]
+    if view.details is not None:
+        boxes += view.details.boxes(frame.index)
+    for region, box in boxes:
+        yield region, scorer(*map(box.cut, on_white))
 
 
 def source_of(video: Video, split: Split) -> Video | None:

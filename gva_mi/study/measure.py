@@ -41,14 +41,11 @@ ERRORS = {
     "pelvis_depth": "pelvis_depth_mm",
     "ankles_depth": "ankle_depth_mm",
     "wrists_depth": "wrist_depth_mm",
-    "surface": "surface_mm",
-    "hands_surface": "hand_surface_mm",
-    "feet_surface": "foot_surface_mm",
 }
 KEYS = (
     *(name for key in ERRORS.values() for name in (f"{key}_stage1", key)),
     "points", "frames_worse", "frames_worse_aligned", "frames_worse_hands", "iou_stage1", "iou",
-    "iou_truth", "iou_true_masks", "seconds_per_frame",
+    "iou_truth", "seconds_per_frame",
 )  # fmt: skip
 
 
@@ -58,9 +55,7 @@ class PoseFigures:
 
     ``*_mm`` are errors of :mod:`gva_mi.pose.errors`, taken on ``points`` ("vertices" or "joints");
     ``frames_worse`` is the share of frames whose error increased, also pelvis-aligned and of the
-    hands; ``iou`` compares the bare body
-    with the masks, ``iou_truth`` the ground-truth body, ``iou_true_masks`` the refined body with
-    the true masks.
+    hands; ``iou`` compares the bare body with the masks, ``iou_truth`` the ground-truth body.
     """
 
     values: Mapping[str, Any] = field(default_factory=dict)
@@ -145,9 +140,8 @@ class FrameFigures:
             key: float(x.nanmean() if key.startswith("iou") else x.mean())
             for key, x in self.frames.items()
         }
-        known = {key: mean for key, mean in means.items() if mean == mean or "masks" not in key}
-        known |= {"points": self.points, "seconds_per_frame": self.seconds_per_frame}
-        return PoseFigures.from_json(known)
+        about = {"points": self.points, "seconds_per_frame": self.seconds_per_frame}
+        return PoseFigures.from_json(means | about)
 
     def of(self, frames: list[int]) -> FrameFigures:
         """Return the figures of some of the frames."""
@@ -197,7 +191,6 @@ def measure(
     true = truth.pose, truth.shape, truth.cameras
     frames |= {
         "iou_truth": silhouette_iou(video, truth.body, *true),
-        "iou_true_masks": silhouette_iou(video, body, *after, cameras, true_masks=True),
     }
     return FrameFigures(frames, seconds, points="joints" if truth.foreign else "vertices")
 
@@ -209,7 +202,6 @@ def silhouette_iou(
     pose: Pose,
     shape: Shape,
     cameras: Sequence[Camera] | None = None,
-    true_masks: bool = False,
 ) -> Tensor:
     """Return the IoU (T,) of the bare body's silhouette with the mask; NaN without a mask.
 
@@ -217,16 +209,12 @@ def silhouette_iou(
         video: T frames.
         body, pose, shape: the body in T poses.
         cameras: of the poses; None: the video's.
-        true_masks: compare with the ground-truth masks instead of the video's.
     """
     scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
     with one_torch_thread():
         for frame in video.outlines(k for k in range(len(video)) if k not in video.absent):
-            mask = video.true_mask(frame.index) if true_masks else frame.mask
-            if mask is None:
-                continue
-            mask = torch.from_numpy(mask)
+            mask = torch.from_numpy(frame.mask)
             vertices = body(pose[frame.index], shape).vertices[0]
             camera = frame.camera if cameras is None else cameras[frame.index]
             seen = scene.render(vertices, camera)[..., 3]

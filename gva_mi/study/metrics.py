@@ -118,7 +118,6 @@ class Metrics:
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``."""
         refinement = self.refinement.to_json()
-        del refinement["iou_true_masks"]  # a figure of the refinement study
         record = asdict(self) | {"refinement": refinement, "seed": self.options["seed"]}
         fit = record.pop("pose_fit")
         return record | ({"pose_fit": fit} if fit else {})

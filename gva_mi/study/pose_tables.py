@@ -16,9 +16,6 @@ LENGTHS = {  # titles of errors in tables
     "feet": "feet, absolute",
     "fingers": "fingers, wrist-aligned",
     "joints": "joints of the body",
-    "surface": "distance of the surfaces",
-    "hands_surface": "distance of the hands' surfaces",
-    "feet_surface": "distance of the feet's surfaces",
 }
 DEPTHS = {
     "pelvis_depth": "depth of the pelvis",

@@ -88,15 +88,13 @@ _SURFACE = (
     "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
     "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
     "from the true surface to the nearest Gaussian, stray the 99th of that from a Gaussian to the "
-    "surface, elongation the 99th of a Gaussian's length over its breadth."
+    "surface."
 )
 _SCORES = (
     "The whole picture on white, then on black, the person's box, and the boxes of visible hands "
     "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
-    "of a fixed seed, comparable only with itself. Spill is what the avatar covers beside the "
-    "person, holes what it leaves open inside, flicker what changes in it but not in the person "
-    "since the frame before, all as shares of the person. A held-out range is a stretch of frames "
-    "that training left out; neighbours of single test frames were seen. The run's own poses are "
+    "of a fixed seed, comparable only with itself. A held-out range is a stretch of frames that "
+    "training left out; neighbours of single test frames were seen. The run's own poses are "
     "trained on the training frames only; those of a test frame follow from the frames around it, "
     f"‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows neither the scale of the world "
     "nor where the skeleton is inside the surface, so the ground truth is transformed to the "
@@ -208,7 +206,7 @@ def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
 
 def _tables(metrics: Metrics) -> Section:
     """List all scores, a table for each region."""
-    metric = ("psnr", "ssim", "lpips", "rand_vgg", "spill", "holes", "flicker")
+    metric = ("psnr", "ssim", "lpips", "rand_vgg")
     head = ("run", "split", "region", "frames", "PSNR, dB", "SSIM", "LPIPS", *metric[3:])
     order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
     tables = []

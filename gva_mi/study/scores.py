@@ -6,20 +6,6 @@
   The deepest layers would see only the border of a picture below 64 pixels: there each pixel is
   repeated until both sides are long enough. Of one beyond 1024 pixels they see means over squares,
   because they take most of the time.
-
-Defects of an outline, and flicker between frames, as shares of the person's pixels.
-
-An avatar rendered on white and on black, C₁ and C₀, shows its alpha A. S is the person's mask:
-
-    1. A = 1 - mean over the colours of (C₁ - C₀)
-    2. spill = Σ A [S is 0 within EDGE pixels] / Σ S            floaters, spikes, torn cloth
-    3. holes = Σ (1 - A) [S is 1 within EDGE pixels] / Σ S      where the avatar comes apart
-
-The border is left out, because an outline that is half a pixel off would outweigh everything. From
-one frame, of render C and picture I, to the next, C' and I', the avatar may change although the
-person does not; an error that stays in its place does not flicker:
-
-    4. flicker = Σ |(C' - C) - (I' - I)| / Σ S                  on white, mean over the colours
 """
 
 from __future__ import annotations
@@ -44,7 +30,6 @@ from gva_mi.fit.perceptual import (
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
 NETWORK_LONGEST = 1024  # pixels, the largest side that they see
-EDGE = 2  # pixels on either side of the outline
 _SSIM = {
     "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
 }  # fmt: skip
@@ -132,26 +117,3 @@ def ssim_map(render: np.ndarray, target: np.ndarray) -> np.ndarray:
     from skimage.metrics import structural_similarity
 
     return structural_similarity(target, render, full=True, **_SSIM)[1].mean(2)
-
-
-def spill_and_holes(
-    on_white: np.ndarray, on_black: np.ndarray, mask: np.ndarray
-) -> tuple[float, float]:
-    """Evaluate eq. 2 and 3 on 8-bit renders (H, W, 3) and the person's mask (H, W)."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    side = 2 * EDGE + 1
-    alpha = 1 - (on_white.astype(np.float64) - on_black).mean(2) / 255
-    away, inside = maximum_filter(mask, side) == 0, minimum_filter(mask, side) > 0.99
-    person = mask.sum()
-    return float(alpha[away].sum() / person), float((1 - alpha[inside]).sum() / person)
-
-
-def flicker(
-    renders: tuple[np.ndarray, np.ndarray],
-    targets: tuple[np.ndarray, np.ndarray],
-    mask: np.ndarray,
-) -> float:
-    """Evaluate eq. 4 on 8-bit images (H, W, 3) of two frames, and the mask (H, W) of one."""
-    before, after = (c.astype(np.float64) - i for c, i in zip(renders, targets, strict=True))
-    return float(np.abs(after - before).mean(2).sum() / 255 / mask.sum())

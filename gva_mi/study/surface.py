@@ -1,7 +1,7 @@
 """The two effects of the paper's Figure 2 as numbers, before and after each re-initialisation.
 
 *Unbalanced aggregation*: cloning and splitting crowd Gaussians where texture is rich. On the
-surface, over the Gaussians of one texture,
+surface,
 
     1. d_i = min_{j ≠ i} |f_i - f_j|          f: foot of a Gaussian on the true surface
     2. spacing = std(d) / mean(d)             0 on a lattice, 0.52 for random points
@@ -11,12 +11,9 @@ points x spread evenly over a part of the true surface,
 
     3. bias = 95th percentile of min_i |x - μ_i|
 
-Re-initialisation should remove *floaters*. Needles come apart where skin bends, and huge
-Gaussians hide their neighbours. With a Gaussian's standard deviations s_1 >= s_2 >= s_3,
+Re-initialisation should remove *floaters*,
 
     4. stray = 99th percentile of min_x |x - μ_i|          x: on the inner sides of cloth, too
-    5. elongation = 99th percentile of s_1 / s_2           1 for a disc of the surface
-    6. largest = max s_1
 
 Only opaque Gaussians count, and for (2) only those near the surface. (3) and (4) cannot fall below
 half the distance between Gaussians, or between points.
@@ -24,7 +21,7 @@ half the distance between Gaussians, or between points.
 Gaussians live in the rest pose of the avatar's own body, whose betas may be wrong: a subject taken
 for a larger one has a larger avatar, which is not an error. So the true surface x* is transferred,
 
-    7. x = x* + Σ_v b_xv (V_v - V*_v)
+    5. x = x* + Σ_v b_xv (V_v - V*_v)
 
 with V the vertices of the avatar's rest body, V* those of the true body, and b the weights of the
 body vertices that a point of skin, cloth or hair follows.
@@ -50,7 +47,7 @@ from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.synthetic import remake_subject
 from gva_mi.synthetic.provenance import recorded_options
 from gva_mi.synthetic.subject import Subject
-from gva_mi.synthetic.texture import Fabric, Material
+from gva_mi.synthetic.texture import Material
 
 OPAQUE = 0.5  # opacity above which a Gaussian counts
 NEAR = 0.03  # metres from the surface; beyond it are floaters
@@ -62,7 +59,6 @@ DISTANCE = 4.0  # metres from the person's centre to the cameras around
 AROUND = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
 HEM = 0.8  # share of a garment's slack beyond which a face belongs to the hem
 
-TEXTURES = ("skin", "plain cloth", "patterned cloth", "hair")
 PARTS = ("hair", "hem", "accessories", "rest")
 
 
@@ -73,7 +69,7 @@ class SurfaceFigures:
     step: int
     moment: str  # "before" or "after" a re-initialisation, or "end" of the fit
     gaussians: int  # opaque ones
-    figures: dict[str, float]  # eq. 2 by texture and of "all", eq. 3 by part, eq. 4 to 6
+    figures: dict[str, float]  # eq. 2, eq. 3 by part, eq. 4
 
 
 def surface_figures(
@@ -102,19 +98,16 @@ def surface_figures(
         opaque = gaussians.opacities.detach() > OPAQUE
         means = gaussians.means.detach()[opaque].double().numpy()
         if len(means) >= FEWEST:
-            longer, largest = elongation_and_largest(
-                gaussians.scales.detach()[opaque].double().numpy()
-            )
-            figures = {f"spacing of {name}": x for name, x in spacing(means, truth).items()}
+            even = spacing(means, truth)
+            figures = {} if even is None else {"spacing": even}
             figures |= {f"bias of {name}, mm": x for name, x in bias_mm(means, truth).items()}
             figures |= {"stray, mm": stray_mm(means, truth)}
-            figures |= {"elongation": longer, "largest, mm": largest}
             found.append(SurfaceFigures(step, moment, len(means), figures))
     return tuple(found)
 
 
-def spacing(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
-    """Evaluate eq. 2 on Gaussians (N, 3), for each texture that has enough, and for all."""
+def spacing(means: np.ndarray, truth: TrueSurface) -> float | None:
+    """Evaluate eq. 2 on Gaussians (N, 3); None for a few."""
     from scipy.spatial import cKDTree
 
     distance, nearest = cKDTree(truth.points).query(means)
@@ -122,15 +115,11 @@ def spacing(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
     means, nearest = means[near], nearest[near]
     normals = truth.normals[nearest]
     height = ((means - truth.points[nearest]) * normals).sum(1, keepdims=True)
-    feet, texture = means - height * normals, truth.texture[nearest]
+    if len(means) < FEWEST:
+        return None
+    feet = means - height * normals
     apart = cKDTree(feet).query(feet, k=2)[0][:, 1]
-    groups = {"all": np.ones(len(feet), dtype=bool)}
-    groups |= {name: texture == k for k, name in enumerate(TEXTURES)}
-    return {
-        name: float(apart[own].std() / apart[own].mean())
-        for name, own in groups.items()
-        if own.sum() >= FEWEST
-    }
+    return float(apart.std() / apart.mean())
 
 
 def bias_mm(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
@@ -152,19 +141,12 @@ def stray_mm(means: np.ndarray, truth: TrueSurface) -> float:
     return float(1e3 * np.percentile(cKDTree(truth.everywhere).query(means)[0], 99))
 
 
-def elongation_and_largest(scales: np.ndarray) -> tuple[float, float]:
-    """Evaluate eq. 5, and eq. 6 in millimetres, on standard deviations (N, 3)."""
-    _, second, first = np.sort(scales, axis=1).T
-    return float(np.percentile(first / second, 99)), float(1e3 * first.max())
-
-
 @dataclass(frozen=True)
 class TrueSurface:
     """Evenly spread points of the visible true surface, in the rest pose of an avatar."""
 
     points: np.ndarray  # (M, 3) metres
     normals: np.ndarray  # (M, 3)
-    texture: np.ndarray  # (M,) integers, see TEXTURES
     part: np.ndarray  # (M,) integers, see PARTS
     everywhere: np.ndarray  # (M, 3) metres, on the whole surface, visible or not
 
@@ -205,7 +187,6 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
     return TrueSurface(
         points=on_faces(vertices),
         normals=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-        texture=_textures(person)[of_face],
         part=_parts(person)[of_face],
         everywhere=(vertices[faces[anywhere]] * at[..., None]).sum(1).numpy(),
     )
@@ -224,20 +205,6 @@ def _outside(person: Subject) -> np.ndarray:
     eyes = (low + high) / 2 + DISTANCE * away
     seen = seen_vertices(vertices, torch.from_numpy(person.faces), eyes).any(0).numpy()
     return seen[person.faces].all(1)
-
-
-def _textures(person: Subject) -> np.ndarray:
-    """Return the texture of each face (F,)."""
-
-    def cloth(fabric: Fabric) -> int:
-        return 1 if fabric.pattern in ("smooth", "plain") else 2
-
-    of = {
-        Material.SKIN: 0, Material.TOP: cloth(person.look.top),
-        Material.BOTTOM: cloth(person.look.bottom), Material.SHOES: 1, Material.HAIR: 3,
-        Material.ACCESSORY: 1,
-    }  # fmt: skip
-    return np.array([of[material] for material in Material])[person.material]
 
 
 def _parts(person: Subject) -> np.ndarray:

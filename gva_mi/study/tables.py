@@ -64,7 +64,6 @@ STYLES: dict[str, tuple[str, Worst]] = {  # by the group of a figure
     "rand_vgg": ("{:.4f}", max),
     "psnr in boxes": ("{:.2f}", min),
     "pose error, mm": ("{:.1f}", max),
-    "defects, %": ("{:.2f}", max),
     "surface": ("{:.2f}", max),
 }
 

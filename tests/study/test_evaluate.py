@@ -30,7 +30,6 @@ def test_the_avatar_that_made_the_pictures_reaches_the_maximum(known, studio, bo
     for row in whole:
         assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
         assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
-        assert row.flicker == (0 if row.split == "test" else None)
 
 
 def test_a_held_out_range_has_rows_of_its_own(studio):

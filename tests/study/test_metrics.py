@@ -71,8 +71,7 @@ def test_the_keys_of_the_file_do_not_change(metrics):
         "options", "versions", "seed",
     ]  # fmt: skip
     assert list(record["rows"][0]) == [
-        "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count", "spill", "holes",
-        "flicker",
+        "name", "split", "psnr", "ssim", "lpips", "rand_vgg", "region", "count",
     ]  # fmt: skip
     assert set(record["refinement"]) >= {
         "vertex_mm_stage1", "vertex_mm", "hand_vertex_mm_stage1", "hand_vertex_mm",

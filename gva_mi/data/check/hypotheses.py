@@ -107,20 +107,3 @@ MIRRORED = Hypothesis(
     "mirrored video", "the pictures were mirrored, as a selfie camera does, and the poses not",
     "mirror pictures, masks and normals", _masks(lambda m: m[:, :, ::-1]), moves_pictures=True,
 )  # fmt: skip
-
-
-def shifted(offset: int) -> Hypothesis:
-    """Return the hypothesis that the pose of frame k belongs to the masks of ``k + offset``."""
-
-    def apply(frames: CheckedFrames) -> CheckedFrames:
-        places = {number: i for i, number in enumerate(frames.numbers)}
-        both = [(i, places.get(f + offset)) for f, i in places.items()]
-        kept = [(i, j) for i, j in both if j is not None]
-        found = frames.of([i for i, _ in kept])
-        return replace(found, masks=frames.masks[[j for _, j in kept]])
-
-    return Hypothesis(
-        "frame offset", f"pose k belongs to frame k {offset:+d}",
-        "cut the poses or the video so that both begin with the same frame", apply,
-        moves_pictures=True,
-    )  # fmt: skip

@@ -3,7 +3,7 @@
 A hypothesis is compared with the folder as it is by the IoU of silhouette and mask, frame by frame.
 With d its gain in IoU over n frames and I the IoU as it is, it is accepted if
 
-    1. mean d > SURE · std d / √n                 more than chance: some 40 hypotheses are tried
+    1. mean d > SURE · std d / √n                 more than chance
     2. mean d > WORTH · (1 − mean I)              a good part of what is lacking
     3. mean e > LIKELY · std e / √n               not by the place alone
 
@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gva_mi.data.check.frames import CheckedFrames, SilhouetteRenderer
-from gva_mi.data.check.hypotheses import COARSE, MIRRORED, Hypothesis, shifted
+from gva_mi.data.check.hypotheses import COARSE, MIRRORED, Hypothesis
 from gva_mi.data.check.problems import Problem, doubt, error
 from gva_mi.data.video import spread
 
@@ -34,14 +34,13 @@ FITS = 0.5  # IoU: more of both pictures is the person in common than not
 SURE = 4.0  # standard errors: one hypothesis in 30,000 gets there by chance
 LIKELY = 2.0
 # Clothes and the estimator's errors are lacking under every hypothesis, so only a part can be asked
-# for. A heading that is off by 10 degrees all the time looks late if the person turns steadily.
+# for.
 WORTH = 0.2
 # The root mean square radius of a standing person is some 45 cm. Clothes and hair add 5 cm all
 # round, and grown-ups differ by 8 % from the mean person whom zero betas stand for: a sixth in all.
 DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
 ASIDE = 0.5  # radii; an eighth of a person's height is wider than a limb
 OUTSIDE = 0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
-LATEST = 30  # frames; a cut of more than a second is seen without a check
 
 
 @dataclass
@@ -63,7 +62,7 @@ def check_silhouettes(frames: CheckedFrames, renderer: SilhouetteRenderer) -> Si
     iou = overlap(renderer.silhouettes(some), some.masks).mean()
     found = SilhouetteCheck(some, float(iou), float(frames.inside().mean()))
     for _ in range(3):  # faults that come together; nobody would untangle more than three
-        best = _best_hypothesis(frames, some, renderer)
+        best = _best_hypothesis(some, renderer)
         if best is None:
             break
         hypothesis, figure = best
@@ -83,7 +82,7 @@ def check_silhouettes(frames: CheckedFrames, renderer: SilhouetteRenderer) -> Si
 
 
 def _best_hypothesis(
-    frames: CheckedFrames, some: CheckedFrames, renderer: SilhouetteRenderer
+    some: CheckedFrames, renderer: SilhouetteRenderer
 ) -> tuple[Hypothesis, str] | None:
     """Return the accepted hypothesis that fits best, and its figure."""
     silhouettes = renderer.silhouettes(some)
@@ -102,9 +101,6 @@ def _best_hypothesis(
     mirrored = MIRRORED.apply(some).masks
     laid = overlap(laid_over(silhouettes, mirrored), mirrored)
     consider(MIRRORED, overlap(silhouettes, mirrored), laid)
-    for offset in range(-LATEST, LATEST + 1):
-        if offset and (late := _late(frames, some, silhouettes, offset)) is not None:
-            consider(shifted(offset), *late)
     if plain.mean() < FITS:
         tried = spread(range(len(some)), TRIED)
         for hypothesis in _likely(some):
@@ -146,24 +142,6 @@ def _likely(some: CheckedFrames) -> list[Hypothesis]:
         scores.append(float((other.inside() * ((reach > 0.5) & (reach < 2))).mean()))
     order = sorted(range(len(COARSE)), key=lambda i: -scores[i])[:3]
     return [COARSE[i] for i in order if scores[i] >= OUTSIDE]
-
-
-def _late(
-    frames: CheckedFrames, some: CheckedFrames, silhouettes: np.ndarray, offset: int
-) -> np.ndarray | None:
-    """Return the IoU (2, n) with the masks ``offset`` frames later: as is, and after alignment.
-
-    It is NaN for a frame without one.
-    """
-    places = {number: i for i, number in enumerate(frames.numbers)}
-    there = [(i, places[f + offset]) for i, f in enumerate(some.numbers) if f + offset in places]
-    if len(there) < max(2, len(some) // 2):
-        return None
-    mine, theirs = map(list, zip(*there, strict=True))
-    found = np.full((2, len(some)), np.nan)
-    own, masks = silhouettes[mine], frames.masks[theirs]
-    found[:, mine] = overlap(own, masks), overlap(laid_over(own, masks), masks)
-    return found
 
 
 def _size_and_place(

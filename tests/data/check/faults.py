@@ -136,7 +136,6 @@ FAULTS = {
         maps(lambda n: n[:, ::-1] * (-1, 1, 1))),
     "pictures upside down": both(
         pictures(lambda x: x[::-1, ::-1]), masks(lambda x: x[::-1, ::-1])),
-    "frame offset": each_pose(lambda x: np.concatenate([x[2:], x[-1:], x[-1:]])),
     "axes of the normals": maps(lambda n: n * (1, -1, -1)),
     "normals cannot be read": maps(lambda n: n[::2, ::2]),
     "betas": poses(betas=lambda b: b + np.float32(30) * (np.arange(len(b)) == 0)),

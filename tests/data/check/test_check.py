@@ -25,7 +25,7 @@ ALSO = {  # problems that follow from a fault, beside the one that names it
 QUICK = {  # one of each kind
     "T_camera_world is inverted", "poses in millimetres", "K is of another picture size",
     "focal length or distance", "masks beside the poses", "full masks", "mirrored video",
-    "frame offset", "normals cannot be read", "betas", "counts", "picture size", "unreadable",
+    "normals cannot be read", "betas", "counts", "picture size", "unreadable",
 }  # fmt: skip
 
 

@@ -22,7 +22,7 @@ import torch
 
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.rotations import about, to_matrices
+from gva_mi.body.rotations import about, shortest, to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_arrays
 
@@ -246,8 +246,5 @@ def _regressor(surfaces: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the smallest rotation from direction a to b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis = np.cross(a, b)
-    sine = np.linalg.norm(axis)
-    return to_matrices(axis / max(sine, 1e-12) * np.arctan2(sine, a @ b))
+    """Return the smallest rotation (3, 3) from direction a to b."""
+    return to_matrices(shortest(a, b))

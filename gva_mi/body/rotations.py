@@ -40,8 +40,8 @@ def composed(first: np.ndarray, then: np.ndarray) -> np.ndarray:
 
 
 def shortest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the shortest rotations, axis-angle (n, 3), from directions a (n, 3) to b (n, 3)."""
+    """Return the shortest rotations, axis-angle (..., 3), from directions a to b (..., 3)."""
     axis = np.cross(a, b)
-    sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.arctan2(sine, (a * b).sum(1, keepdims=True))
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, (a * b).sum(-1, keepdims=True))
     return axis * (angle / np.maximum(sine, 1e-300))

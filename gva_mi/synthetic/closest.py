@@ -26,7 +26,7 @@ from torch import Tensor
 from gva_mi.body import so3
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
-from gva_mi.body.rotations import nearest_rotations
+from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
@@ -102,20 +102,11 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
         if not children:  # a fingertip keeps the direction of its bone
             C[joint] = C[PARENTS[joint]]
             continue
-        a, b = (x[children] - x[joint] for x in (joints, goal))
-        if len(children) == 1:
-            C[joint] = _between(a[0], b[0])
-        else:
-            C[joint] = torch.from_numpy(nearest_rotations((b.T @ a).numpy()))
+        a, b = ((x[children] - x[joint]).numpy() for x in (joints, goal))
+        several = len(children) > 1
+        turn = nearest_rotations(b.T @ a) if several else to_matrices(shortest(a[0], b[0]))
+        C[joint] = torch.from_numpy(turn)
     return C
-
-
-def _between(a: Tensor, b: Tensor) -> Tensor:
-    """Return the smallest rotation from direction a (3,) to b."""
-    a, b = a / a.norm(), b / b.norm()
-    axis = torch.linalg.cross(a, b)
-    sine = axis.norm()
-    return so3.to_matrix(axis / sine.clamp(min=1e-12) * torch.atan2(sine, a @ b))
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:

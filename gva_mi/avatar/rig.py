@@ -64,7 +64,7 @@ class Rig:
             looseness=(vertices - rest.vertices).norm(dim=1),
             directions=directions.contiguous(),
             pose_features=body.pose_features,
-            expression_joints=expressions.permute(1, 2, 0),
+            expression_joints=expressions.permute(1, 2, 0).contiguous(),
             betas=shape.betas,
             body=digest(body),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -54,7 +55,11 @@ def demo(
     model = load_body(body)
     # All options first: a bad one is refused before anything is written or replaced.
     synth_options = SynthOptions(
-        seed=options.seed, subject=options.subject, frames=options.frames, size=options.size
+        seed=options.seed,
+        subject=options.subject,
+        frames=options.frames,
+        size=options.size,
+        workers=min(4, os.cpu_count() or 1),  # each takes a gigabyte
     )
     poses = PoseOptions(trained=not options.no_refine)
     fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)

@@ -170,17 +170,16 @@ def _scores(
     """Score the render of a frame region by region, cut out by the true mask if it is known."""
     mask = view.video.true_mask(frame.index)
     frame = frame if mask is None else replace(frame, mask=mask)
-    on_white, on_black = (
+    pairs = [
         (render_frame(avatar, frame.pose, frame.camera, on), cut_out(frame, on))
         for on in (WHITE, BLACK)
-    )
-    yield "white", scorer(*on_white)
-    yield "black", scorer(*on_black)
+    ]
     boxes: list[tuple[Region, Box]] = [("person", person_box(frame.mask))]
     if view.details is not None:
         boxes += view.details.boxes(frame.index)
-    for region, box in boxes:
-        yield region, scorer(*map(box.cut, on_white))
+    pairs += [tuple(map(box.cut, pairs[0])) for _, box in boxes]
+    regions: list[Region] = ["white", "black", *(region for region, _ in boxes)]
+    return zip(regions, scorer.of_pairs(pairs), strict=True)
 
 
 def source_of(video: Video, split: Split) -> Video | None:

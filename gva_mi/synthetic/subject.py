@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,6 +83,7 @@ class Subject:
         return np.stack(frames).astype(np.float32)
 
 
+@lru_cache(maxsize=1)  # a program that made a subject often measures it next
 def draw_subject(
     body: BodyModel,
     who: int | SyntheticPerson,

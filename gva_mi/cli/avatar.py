@@ -23,6 +23,7 @@ from gva_mi.core.files import make_room, write_json
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.provenance import hash_files
+from gva_mi.core.workers import usual_workers
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
@@ -185,7 +186,7 @@ class _Work:
     def refine(self, again: bool) -> None:
         """Refine the poses."""
         model, video = load_body(self.body), load_video(self.subject)
-        list(refine_videos([video], model, self.refine_options))
+        list(refine_videos([video], model, self.refine_options, workers=usual_workers()))
 
     def split(self, again: bool) -> None:
         """Choose the frames that are left out of training."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.files import start_folder
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import PictureSide, Seed
+from gva_mi.core.workers import usual_workers
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
@@ -54,12 +54,13 @@ def demo(
     start = time.perf_counter()
     model = load_body(body)
     # All options first: a bad one is refused before anything is written or replaced.
+    workers = usual_workers()
     synth_options = SynthOptions(
         seed=options.seed,
         subject=options.subject,
         frames=options.frames,
         size=options.size,
-        workers=min(4, os.cpu_count() or 1),  # each takes a gigabyte
+        workers=workers,
     )
     poses = PoseOptions(trained=not options.no_refine)
     fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
@@ -69,7 +70,8 @@ def demo(
         with bar("synth") as progress:
             make_subject(subject, synth_options, model, progress)
         if not options.no_refine:
-            list(refine_videos([load_video(subject)], model, SequenceOptions(seed=options.seed)))
+            way = SequenceOptions(seed=options.seed)
+            list(refine_videos([load_video(subject)], model, way, workers=workers))
         poses = poses_of(subject)
         video = load_video(subject, poses)
         avatar = fit_video(video, model, fit_options, out)

@@ -87,7 +87,7 @@ def refine(
             require_room(subject / REFINED_POSES, overwrite)
         executor = held.enter_context(local_workers(workers))
         way = printed if preset == "paper" else options
-        for evaluation in refine_videos(videos, model, way, executor):
+        for evaluation in refine_videos(videos, model, way, executor, workers):
             for line in _summary(evaluation):
                 say(line)
 
@@ -97,6 +97,7 @@ def refine_videos(
     model: BodyModel,
     options: RefineOptions,
     executor: Executor | None = None,
+    workers: int = 1,
 ) -> Iterator[Evaluation]:
     """Refine videos and write each result into its subject's folder as soon as it is ready."""
     truths = [_truth(video, model) for video in videos]
@@ -104,7 +105,8 @@ def refine_videos(
         if not video.has_normals:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
     with bar("refine") as progress:
-        found = refine_all([(video, options) for video in videos], model, progress, executor)
+        tasks = [(video, options) for video in videos]
+        found = refine_all(tasks, model, progress, executor, workers)
         for video, truth, refined in zip(videos, truths, found, strict=True):
             for frame, reason in refined.kept.items():
                 say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")

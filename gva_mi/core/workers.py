@@ -26,6 +26,11 @@ from gva_mi.core.errors import InputError, reason_of
 GRACE = 5.0  # seconds
 
 
+def usual_workers() -> int:
+    """Return how many processes a command uses that nobody told: each takes a gigabyte."""
+    return min(4, os.cpu_count() or 1)
+
+
 @contextmanager
 def worker_processes(
     count: int,

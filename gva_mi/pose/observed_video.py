@@ -66,6 +66,7 @@ class RefineTask:
 
     job: RefineJob
     options: RefineOptions
+    processes: int = 1  # that share its frames
 
     @property
     def steps(self) -> int:
@@ -77,7 +78,7 @@ class RefineTask:
             return Solution(job.pose, job.shape, torch.zeros_like(job.body.v_template))
         in_memory = replace(job, evidence=dict(job.evidence), fine=dict(job.fine))
         if isinstance(self.options, SequenceOptions):
-            return refine_sequence(in_memory, self.options, progress)
+            return refine_sequence(in_memory, self.options, progress, self.processes)
         return refine_single_frames(in_memory, self.options, progress)
 
 

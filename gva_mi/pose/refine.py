@@ -20,14 +20,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import cache, partial
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
-from gva_mi.core.tasks import run
+from gva_mi.core.tasks import Done, run
 from gva_mi.data.video import Video
-from gva_mi.pose.job import RefineOptions
-from gva_mi.pose.observed_video import ObservedVideo, Refined, simplified_body
+from gva_mi.pose.job import RefineOptions, Solution
+from gva_mi.pose.observed_video import ObservedVideo, Refined, RefineTask, simplified_body
 from gva_mi.pose.one_lens import as_filmed, before_one_lens
 
 
@@ -59,6 +60,7 @@ def refine_all(
     body: BodyModel,
     progress: Progress | None = None,
     executor: Executor | None = None,
+    workers: int = 1,
 ) -> Iterator[Refined]:
     """Refine several videos with one body, in parallel if there is an executor.
 
@@ -67,6 +69,8 @@ def refine_all(
         body: the body that all poses move.
         progress: called as ``progress(done, total, **figures)`` with the steps of all of them.
         executor: runs independent jobs; None: this process.
+        workers: processes that may work. If there are fewer jobs, several share the frames of each
+            (:mod:`gva_mi.pose.frame_losses`), and one job alone stays in this process.
 
     Returns:
         The results in the order of the tasks, each as soon as it is done.
@@ -82,16 +86,17 @@ def refine_all(
     later = sum(video.clip_steps for video in videos)
 
     # The first round finds what the clips of a long video share, the second their poses.
-    found = run(
-        [task for task in first if task is not None],
-        executor,
-        within(progress, 0, steps, steps + later),
+    def solved(tasks: Sequence[RefineTask], progress: Progress | None) -> Iterator[Done[Solution]]:
+        shared = [replace(task, processes=max(1, workers // len(tasks))) for task in tasks]
+        return run(shared, executor if len(tasks) > 1 else None, progress)
+
+    found = solved(
+        [task for task in first if task is not None], within(progress, 0, steps, steps + later)
     )
     known = [None if task is None else next(found) for task in first]
     second = [video.clip_tasks(of_video) for video, of_video in zip(videos, known, strict=True)]
-    found = run(
+    found = solved(
         [task for tasks in second for task in tasks],
-        executor,
         within(progress, steps, later, steps + later),
     )
     for video, lenses, of_video, tasks in zip(videos, given, known, second, strict=True):

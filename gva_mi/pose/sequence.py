@@ -30,10 +30,9 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, Rate, Weight, Within, options_of
-from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence.close_ups import close_ups, parts_of
-from gva_mi.pose.evidence.masks_normals import mean_loss
+from gva_mi.pose.evidence.masks_normals import mean_of_losses
+from gva_mi.pose.frame_losses import FrameLosses, shared_losses
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import DescentOptions, Learn, PartFrames, Passes, PriorWeight, descend
 from gva_mi.pose.optimizer import lever_arms
@@ -86,9 +85,15 @@ class SequenceOptions(DescentOptions, RefineOptions):
 
 
 def refine_sequence(
-    job: RefineJob, options: SequenceOptions, progress: Progress | None = None
+    job: RefineJob,
+    options: SequenceOptions,
+    progress: Progress | None = None,
+    processes: int = 1,
 ) -> Solution:
-    """Refine the frames that have evidence; the others keep their pose, and affect no frame."""
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
+
+    ``processes``, this one included, share the frames of a step; any number finds the same bits.
+    """
     person = ClothedPerson(job, options)
     # With few frames a step takes fewer of them, and with very few they are visited more often:
     # otherwise there would be too few steps to converge.
@@ -99,9 +104,11 @@ def refine_sequence(
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    found = descend(
-        person, job.pose, person.arms, options, progress, job.following, errors=job.errors
-    )
+    processes, count = min(processes, options.batch), frames * options.passes
+    with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
+        found = descend(
+            person, job.pose, person.arms, options, progress, job.following, errors=job.errors
+        )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     ground = found.prior.ground
     contact = None if ground is None else ground.contact
@@ -128,9 +135,8 @@ class ClothedPerson:
     def __init__(self, job: RefineJob, options: SequenceOptions) -> None:
         rest = job.body.rest(job.shape)
         self._job, self._options = job, options
-        self._scene = MeshScene(job.body.faces, job.body.v_template)
         weights = {"hand": options.close_hands, "foot": options.close_feet}
-        self._parts = {part: weights[part.name] for part in parts_of(job.body)}
+        self.frame_losses = FrameLosses(job, options.silhouette, weights)
         self._stature = Stature.of(job.body)
         self._close = False
         self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
@@ -177,13 +183,8 @@ class ClothedPerson:
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term in these poses, a mean over their frames."""
-        seen = [self._job.evidence[k] for k in frames]
-        vertices = self._job.body(pose, self.shape, self.offsets).vertices
-        closer, o = [], self._options
-        if self._close and self._job.fine:
-            bodies = zip(frames, vertices.detach(), seen, strict=True)
-            closer = [close_ups(self._job.fine[k], self._parts, *body) for k, *body in bodies]
-        loss = mean_loss(self._scene, vertices, seen, o.silhouette, closer)
+        vertices, o = self._job.body(pose, self.shape, self.offsets).vertices, self._options
+        loss = mean_of_losses(vertices, lambda x: self.frame_losses(frames, x, self._close))
         if (landmarks := self._job.landmarks) is None:
             return loss
         person = self._job.body, pose, self.shape, self.landmark_offsets

@@ -55,6 +55,7 @@ SHOWN = "its stage-1 body"
 
 Read = TypeVar("Read", Frame, Outline)
 Seen = TypeVar("Seen")
+FrameLoss = tuple[float, Tensor | None]  # and its gradient (V, 3) by the body, if it is needed
 
 
 @dataclass(frozen=True)
@@ -193,36 +194,61 @@ def mean_loss(
     """
     closer = closer or [()] * len(seen)
     frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
-    return _MeanLoss.apply(vertices, scene, frames, silhouette)
+
+    def losses(bodies: Tensor) -> list[FrameLoss]:
+        of_frames = zip(bodies.unbind(), frames, strict=True)
+        needed = vertices.requires_grad
+        return [frame_loss(scene, body, views, silhouette, needed) for body, views in of_frames]
+
+    return mean_of_losses(vertices, losses)
+
+
+def mean_of_losses(vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]) -> Tensor:
+    """Return the mean of frames' losses, differentiable in the vertices (B, V, 3).
+
+    ``losses`` computes them, with their gradients if any is needed, from detached vertices.
+    """
+    return _MeanLoss.apply(vertices, losses)
+
+
+def frame_loss(
+    scene: MeshScene,
+    body: Tensor,
+    views: Sequence[tuple[float, MaskAndNormals]],
+    silhouette: float,
+    differentiated: bool,
+) -> FrameLoss:
+    """Return the sum of eq. 1 over a frame's weighted views, and its gradient by the body.
+
+    Args:
+        scene: in which the body is rendered.
+        body: (V, 3) world, metres.
+        views: the whole person and close-ups, with their weights.
+        silhouette: λ1.
+        differentiated: whether the gradient (V, 3) is needed; otherwise it is None.
+    """
+    with torch.set_grad_enabled(differentiated):
+        body = body.detach().contiguous().requires_grad_(differentiated)
+        images = scene.render_together(body, [seen.camera for _, seen in views])
+        loss = sum(
+            weight * seen.loss(image, silhouette)
+            for (weight, seen), image in zip(views, images, strict=True)
+        )
+        gradient = torch.autograd.grad(loss, body)[0] if differentiated else None
+    return float(loss.detach()), gradient
 
 
 class _MeanLoss(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: FunctionCtx,
-        vertices: Tensor,
-        scene: MeshScene,
-        frames: Sequence[Sequence[tuple[float, MaskAndNormals]]],
-        silhouette: float,
+        ctx: FunctionCtx, vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]
     ) -> Tensor:
-        losses, gradients = [], []
-        differentiated = ctx.needs_input_grad[0]
-        for body, views in zip(vertices.detach().unbind(), frames, strict=True):
-            with torch.set_grad_enabled(differentiated):
-                body = body.contiguous().requires_grad_(differentiated)
-                images = scene.render_together(body, [seen.camera for _, seen in views])
-                loss = sum(
-                    weight * seen.loss(image, silhouette)
-                    for (weight, seen), image in zip(views, images, strict=True)
-                )
-                if differentiated:
-                    gradients += torch.autograd.grad(loss, body)
-            losses.append(float(loss.detach()))
-        if differentiated:
-            ctx.save_for_backward(torch.stack(gradients) / len(frames))
-        return vertices.new_tensor(sum(losses) / len(frames))
+        found, gradients = zip(*losses(vertices.detach()), strict=True)
+        if ctx.needs_input_grad[0]:
+            ctx.save_for_backward(torch.stack(gradients) / len(found))
+        return vertices.new_tensor(sum(found) / len(found))
 
     @staticmethod
-    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None]:
         (gradient,) = ctx.saved_tensors
-        return grad_loss * gradient, None, None, None
+        return grad_loss * gradient, None

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.mesh.moving_mesh import MovingMesh, mesh_of
+from gva_mi.mesh.mesh_instance import MeshInstance, mesh_of
 from gva_mi.mesh.sensor import pixel_aspect, sensor_of, tile_of
 from gva_mi.splat import Camera
 
@@ -42,7 +42,7 @@ class MeshScene:
             faces: (F, 3) integers, counter-clockwise seen from outside.
             vertices: (V, 3) any positions; vertices that coincide must be equal here.
         """
-        self._moving = MovingMesh(faces, vertices)
+        self._instance = MeshInstance(faces, vertices)
         self._integrators: dict[float, MeshNormals] = {}
         self._sensors: dict[tuple, mi.Sensor] = {}
         self._shown: Tensor | None = None
@@ -98,7 +98,7 @@ class MeshScene:
             self._integrators[aspect] = mi.load_dict(kind)
         tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
         return self._integrators[aspect].view(
-            self._moving.scene, sensor, tiles=tiles, instanced=self._moving.mesh
+            self._instance.scene, sensor, tiles=tiles, instanced=self._instance.mesh
         )
 
     def show(self, vertices: Tensor) -> None:
@@ -107,7 +107,7 @@ class MeshScene:
         The ray tracer's tree is built again, which takes a good part of a rendering's time.
         """
         if self._shown is not vertices:
-            self._moving.move(vertices)
+            self._instance.move(vertices)
             self._shown = vertices
 
     def _sensor(self, camera: Camera) -> mi.Sensor:

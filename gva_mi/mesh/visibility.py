@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.mesh.moving_mesh import MovingMesh
+from gva_mi.mesh.mesh_instance import MeshInstance
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera
 
@@ -50,7 +50,7 @@ def normals_of_both_sides(
     d = (d / np.linalg.norm(d, axis=-1, keepdims=True) @ R).reshape(-1, 3)
     eye = np.broadcast_to(camera.position, d.shape)
     far = eye + d * (1 + np.linalg.norm(x.numpy() - camera.position, axis=1).max())
-    scene = MovingMesh(faces, x).scene
+    scene = MeshInstance(faces, x).scene
     normals = vertex_normals(x, faces).numpy() @ R.T.astype(np.float32)
     corners = normals[faces.numpy()]  # (F, 3, 3)
 
@@ -73,8 +73,8 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
     """
     vertices = vertices.detach().float()
     normals = vertex_normals(vertices, faces)
-    start, scene = vertices + OFF * normals, MovingMesh(faces, vertices).scene
-    import mitsuba as mi  # its variant is chosen by MovingMesh
+    start, scene = vertices + OFF * normals, MeshInstance(faces, vertices).scene
+    import mitsuba as mi  # its variant is chosen by MeshInstance
 
     found = []
     for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):

@@ -11,7 +11,7 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.core.tasks import run, workers
-from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
+from gva_mi.pose import SequenceOptions, SingleFrameOptions, frame_losses, refine
 from gva_mi.pose.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
@@ -72,6 +72,49 @@ def test_any_number_of_workers_finds_the_same_bits(alone, clip, coarse, count):
         found = list(refine_all(subjects(clip), coarse, lambda *a: calls.append(a), pool))
     assert_same(alone, found)
     assert calls == sorted(calls) and calls[-1][0] == calls[-1][1]
+
+
+@pytest.mark.slow
+def test_processes_that_share_frames_find_the_same_bits(clip, coarse, monkeypatch):
+    """However soon the helper is ready; with close-ups, from the first inference on."""
+    monkeypatch.setattr(frame_losses, "LEAST", 1)
+    options = replace(CLIPS, part=120, passes=40, batch=3)
+    monkeypatch.setattr("gva_mi.pose.sequence.STEPS_A_PASS", 1)
+    one, two = (next(refine_all([(clip, options)], coarse, workers=n)) for n in (1, 2))
+    assert_same([one], [two])
+
+
+class Inline:
+    """An executor that works at once, in this process."""
+
+    def __init__(self):
+        self.given = []
+
+    def submit(self, function, *given):
+        self.given.append(given)
+        future = Future()
+        future.set_result(function(*given))
+        return future
+
+
+@pytest.mark.parametrize("helpers", [1, 3])
+def test_shared_frames_keep_their_order(helpers, monkeypatch):
+    """With fewer frames than processes, as many, and more."""
+
+    def alone(frames, bodies, close):
+        assert close and bodies[:, 0, 0].tolist() == list(frames)
+        return [(float(k), k + body) for k, body in zip(frames, bodies, strict=True)]
+
+    monkeypatch.setattr(frame_losses, "_losses", alone)
+    pool = Inline()
+    shared = frame_losses.SharedFrameLosses(alone, pool, helpers)
+    for count in (1, 2, helpers + 1, 7):
+        frames, pool.given = list(range(5, 5 + count)), []
+        bodies = torch.tensor(frames, dtype=torch.float32)[:, None, None].expand(-1, 4, 3)
+        found, wanted = shared(frames, bodies, True), alone(frames, bodies, True)
+        assert len(pool.given) == min(helpers, count - 1)
+        for (loss, grad), (own, own_grad) in zip(found, wanted, strict=True):
+            assert loss == own and torch.equal(grad, own_grad)
 
 
 class Killed:

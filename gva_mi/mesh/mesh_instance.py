@@ -22,7 +22,7 @@ def load_plugins() -> None:
     gva_mi_plugins.register()
 
 
-class MovingMesh:
+class MeshInstance:
     """A mesh in a scene of its own.
 
     It stands there as an instance: Mitsuba builds the ray tracer's tree of an instance four times

@@ -22,7 +22,6 @@ from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
 from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
-from gva_mi.synthetic.error_models.measure import mask_iou, normal_error, pose_error
 from gva_mi.synthetic.error_models.models import EXACT, ErrorParameters, Levels, draw_errors
 from gva_mi.synthetic.error_models.normals import noisy_normals
 from gva_mi.synthetic.error_models.poses import estimated_camera, noisy_poses
@@ -30,8 +29,6 @@ from gva_mi.synthetic.error_models.processes import runs
 from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
 
 MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
-# Scores of a frame: IoU of the masks; degrees between the normals, None without normals.
-PictureScores = tuple[float, float | None]
 
 
 @dataclass(frozen=True)
@@ -92,11 +89,8 @@ class Pipeline:
             )
         ]
 
-    def write(self, folder: Path, scores: Sequence[PictureScores]) -> None:
-        """Write poses, cameras, the convention of normals, and ``noise.json``.
-
-        ``scores`` are those of all frames, whose masks and normals exist already.
-        """
+    def write(self, folder: Path) -> None:
+        """Write poses, cameras, the convention of normals, and ``noise.json``."""
         options, errors, levels = self.options, self.errors, self.options.levels
         truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
         first = self.cameras[0]
@@ -106,41 +100,23 @@ class Pipeline:
         save_cameras(folder / "cameras.npz", cameras)
         if errors.normal.convention != "perspective" and levels.normal > 0:
             write_json(folder / ABOUT, {"convention": errors.normal.convention})
-        angles = [angle for _, angle in scores if angle is not None]
-        statistics = {
+        about = {
             "family": options.family,
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
             "parameters": asdict(errors),
-            "pose": pose_error(self.body, *found, *truth, first),
-            "mask": {"iou": float(np.mean([iou for iou, _ in scores]))},
-            "normal": {
-                "angle_deg": float(np.mean(angles)) if angles else None,
-                "missing": len(scores) - len(angles),
-            },
             "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
         }
-        write_json(folder / "noise.json", statistics)
+        write_json(folder / "noise.json", about)
 
 
 def describe_errors(folder: Path) -> list[str]:
-    """Describe the errors of a subject's folder in a few lines."""
+    """Describe the errors of a subject's folder in a line or two."""
     path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
     found = read_json(path, expected)
     with expecting(path, expected):
-        pose, levels, normal = found["pose"], found["levels"], found["normal"]
-        angle, missing, iou = normal["angle_deg"], normal["missing"], found["mask"]["iou"]
-        known = "none" if angle is None else f"{angle:.1f} degrees off"
-        known += f"; missing in {missing} frames" if missing else ""
-        lines = [
-            f"noise: family {found['family']}, seed {found['seed']}",
-            f"stage-1 poses (level {levels['pose']:g}): body {pose['vertex_mm']:.0f} mm, hands "
-            f"{pose['hand_vertex_mm']:.0f}, feet {pose['foot_vertex_mm']:.0f}; sideways "
-            f"{pose['sideways']:.1f} times the rotation error; left hand lost in "
-            f"{len(pose['lost_left_hand'])} frames, right in {len(pose['lost_right_hand'])}",
-            f"masks (level {levels['mask']:g}): IoU {iou:.3f} with the ground truth",
-            f"normals (level {levels['normal']:g}): {known}",
-        ]
+        levels = ", ".join(f"{name} {level:g}" for name, level in found["levels"].items())
+        lines = [f"noise: family {found['family']}, seed {found['seed']}, levels: {levels}"]
         if found["floor"]["joint_mm"] > 0:
             near = f"{found['floor']['limb_mm']:.1f} mm"
             lines.append(f"the fitted body comes as near as {near} to the joints of the limbs")
@@ -153,7 +129,7 @@ def write_estimates(
     errors: PictureErrors,
     samples: int,
     rendered: tuple[np.ndarray, np.ndarray] | None = None,
-) -> PictureScores:
+) -> None:
     """Write mask and normals with errors for a frame whose ground truth is in ``truth``.
 
     ``samples`` are the rays per pixel of the ground truth; ``rendered`` are mask (H, W) and normals
@@ -168,8 +144,6 @@ def write_estimates(
     mask, normals = errors.apply(*truth)
     in_file = normals if normals is None or not errors.as_icon else to_icon(normals, errors.camera)
     write_pictures(folder, index, mask, in_file)
-    angle = None if normals is None else normal_error(normals, truth[1])
-    return mask_iou(mask, truth[0]), angle
 
 
 def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:

@@ -18,12 +18,7 @@ import numpy as np
 
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.data.pictures import write_image
-from gva_mi.synthetic.estimates import (
-    PictureErrors,
-    PictureScores,
-    write_estimates,
-    write_pictures,
-)
+from gva_mi.synthetic.estimates import PictureErrors, write_estimates, write_pictures
 from gva_mi.synthetic.render import Moment, Renderer
 from gva_mi.synthetic.rooms.room import Room
 from gva_mi.synthetic.subject import Subject
@@ -42,9 +37,7 @@ class RenderJob:
     errors: PictureErrors | None = None
 
 
-# 8-bit color (H, W, 3), and the scores of mask and normals; None for the ground truth.
-RenderResult = tuple[np.ndarray, PictureScores | None]
-Render = Callable[[Iterable[RenderJob]], Iterator[RenderResult]]
+Render = Callable[[Iterable[RenderJob]], Iterator[np.ndarray]]  # 8-bit pictures (H, W, 3)
 
 
 @contextmanager
@@ -63,9 +56,9 @@ def rendering(subject: Subject, room: Room | None, light: str, workers: int) -> 
         yield partial(_in_order, pool, 2 * workers)
 
 
-def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
+def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
     """Submit at most ``ahead`` jobs at a time, because each holds a surface."""
-    waiting: deque[Future[RenderResult]] = deque()
+    waiting: deque[Future[np.ndarray]] = deque()
     try:
         for job in jobs:
             waiting.append(pool.submit(_render_in_worker, job))
@@ -77,8 +70,8 @@ def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator
         raise worker_died(error) from None
 
 
-def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:
-    """Render one picture and write its files."""
+def render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
+    """Render one picture and write its files; return its colour, 8-bit (H, W, 3)."""
     random, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
     samples, errors = job.samples // len(job.moments), job.errors
     true = renderer.expose(
@@ -88,10 +81,10 @@ def render_job(renderer: Renderer, job: RenderJob) -> RenderResult:
     write_image(job.folder / "frames" / f"{job.index:06d}.png", stored)
     exact = job.folder if errors is None else job.folder / "truth"
     write_pictures(exact, job.index, true.mask, true.normals)
-    if errors is None:
-        return stored, None
-    rendered = (true.mask, true.normals) if errors.as_rendered else None
-    return stored, write_estimates(job.folder, job.index, errors, job.samples, rendered)
+    if errors is not None:
+        rendered = (true.mask, true.normals) if errors.as_rendered else None
+        write_estimates(job.folder, job.index, errors, job.samples, rendered)
+    return stored
 
 
 _renderer: Renderer | None = None  # of a worker process
@@ -102,5 +95,5 @@ def _start_worker(subject: Subject, room: Room | None, light: str) -> None:
     _renderer = Renderer(subject, room, light)
 
 
-def _render_in_worker(job: RenderJob) -> RenderResult:
+def _render_in_worker(job: RenderJob) -> np.ndarray:
     return render_job(_renderer, job)

@@ -117,12 +117,11 @@ def degrade(
                 shutil.copytree(subject / name, folder / name, copy_function=_link)
             elif (subject / name).exists():
                 _link(subject / name, folder / name)
-        scores = []
         for k, errors in enumerate(pipeline.pictures()):
-            scores.append(write_estimates(folder, k, errors, options.samples))
+            write_estimates(folder, k, errors, options.samples)
             if progress is not None:
                 progress(k + 1, len(near.pose))
-        pipeline.write(folder, scores)
+        pipeline.write(folder)
         write_json(folder / "synth.json", about | {"options": options.recorded()})
 
 

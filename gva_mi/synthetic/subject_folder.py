@@ -27,6 +27,8 @@ from importlib import metadata
 from itertools import count
 from pathlib import Path
 
+import numpy as np
+
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
@@ -42,7 +44,7 @@ from gva_mi.synthetic.cameras import camera_around
 from gva_mi.synthetic.closest import Closest, closest
 from gva_mi.synthetic.estimates import PictureErrors, Pipeline
 from gva_mi.synthetic.options import FILM, MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
-from gva_mi.synthetic.pictures import Render, RenderJob, RenderResult, rendering
+from gva_mi.synthetic.pictures import Render, RenderJob, rendering
 from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.render import Moment
 from gva_mi.synthetic.rooms.phone import write_phone_film
@@ -78,7 +80,7 @@ def make_subject(
         rendering(subject, staging.room(), options.light, options.workers) as rendered,
     ):
 
-        def render(jobs: Iterable[RenderJob]) -> Iterator[RenderResult]:
+        def render(jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
             for result in rendered(jobs):
                 if progress is not None:
                     progress(next(done), total)
@@ -134,13 +136,13 @@ class _SubjectWriter:
             write_arrays(folder / "truth" / BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
-        colors, scores = zip(*self.render(jobs), strict=True)
-        write_movie(folder / "video.mp4", list(colors))
+        colors = list(self.render(jobs))
+        write_movie(folder / "video.mp4", colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
             write_json(folder / "truth" / "film.json", staging.about_film())
-        pipeline.write(folder, scores)
+        pipeline.write(folder)
 
     def write_novel_poses(self, folder: Path) -> None:
         """Write poses that the video does not hold, with their pictures."""

@@ -134,11 +134,8 @@ def seeds(subject, avatar):
         shutil.copy(subject / "poses.npz", folder / "truth")
         shutil.copy(subject / "cameras.npz", folder)
         noise = {
-            "pose": {"lost_left_hand": [], "lost_right_hand": [1], "vertex_mm": 1.0, "sideways": 1,
-                     "hand_vertex_mm": 2.0, "foot_vertex_mm": 3.0},
-            "levels": {"pose": 1, "mask": 1, "normal": 1}, "mask": {"iou": 0.9},
-            "family": "white", "seed": 1,
-            "normal": {"angle_deg": 3.0, "missing": 1}, "floor": {"joint_mm": 1.0, "limb_mm": 2.0},
+            "levels": {"pose": 1, "mask": 1, "normal": 1}, "family": "white", "seed": 1,
+            "floor": {"joint_mm": 1.0, "limb_mm": 2.0},
         }  # fmt: skip
         (folder / "noise.json").write_text(json.dumps(noise))
 

@@ -11,7 +11,6 @@ from gva_mi.synthetic.error_models.masks import (
     confusions,
     noisy_mask,
 )
-from gva_mi.synthetic.error_models.measure import mask_iou
 
 USUAL = MaskErrors()
 
@@ -23,7 +22,7 @@ def test_a_mask_is_off_at_its_boundary_only(disc, rng):
     r = np.hypot(x, y)
     assert not np.array_equal(noisy, mask)
     assert (noisy[r < 20] == 1).all() and (noisy[r > 28] == 0).all()
-    assert mask_iou(noisy, mask) > 0.9
+    assert ((noisy > 0.5) & (mask > 0.5)).sum() > 0.9 * ((noisy > 0.5) | (mask > 0.5)).sum()
     numbers = (0.103937, 0.780935, 0.786507, 0.826753)  # published figures depend on them
     assert np.allclose(noisy[8, 26:30], numbers, rtol=0, atol=2e-6)
 

@@ -26,8 +26,8 @@ from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.evidence.masks_normals import (
     MaskAndNormals,
     common_scale,
+    frame_loss,
     gather,
-    mean_loss,
 )
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
 from gva_mi.pose.optimize import with_frames, worse_frames
@@ -262,8 +262,9 @@ def _losses(
     scene = MeshScene(body.faces, body.v_template)
     with one_torch_thread():
         for k, seen in evidence.items():
-            vertices = body(pose[k], person.shape, person.offsets).vertices
-            losses[k] = mean_loss(scene, vertices, [seen], options.silhouette)
+            vertices = body(pose[k], person.shape, person.offsets).vertices[0]
+            views = [(1.0, seen)]
+            losses[k], _ = frame_loss(scene, vertices, views, options.silhouette, False)
         if landmarks is None:
             return losses
         offsets = person.landmark_offsets

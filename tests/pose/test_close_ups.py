@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Outline
 from gva_mi.pose.evidence.close_ups import CLEAR, FinePicture, close_up_scale, close_ups, parts_of
-from gva_mi.pose.evidence.masks_normals import MaskAndNormals, mean_loss
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals, frame_loss, mean_of_losses
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 
@@ -45,8 +45,9 @@ def close_up_loss(scene, seen, body):
 
     def loss(vertices):
         closer = close_ups(picture, parts, vertices.detach(), person)
-        whole = mean_loss(scene, vertices[None], [person], 1.0)
-        return mean_loss(scene, vertices[None], [person], 1.0, [closer]) - whole
+        views = [(0.0, person), *closer]
+        of_parts = lambda bodies: [frame_loss(scene, bodies[0], views, 1.0, True)]
+        return mean_of_losses(vertices[None], of_parts)
 
     return loss
 
@@ -76,7 +77,7 @@ def test_an_error_of_a_wrist_weighs_several_times_more(
     rotations[:, JOINTS.index("left_wrist"), 1] += 0.5
     moved = Pose(rotations, true_pose[1].transl, true_pose[1].expression)
     bent = body(moved, SHAPE).vertices[0].detach()
-    whole = [float(mean_loss(scene, x[None], [seen[0]], 1.0)) for x in (vertices, bent)]
+    whole = [frame_loss(scene, x, [(1.0, seen[0])], 1.0, False)[0] for x in (vertices, bent)]
     closer = [float(close_up_loss(x)) for x in (vertices, bent)]
     assert closer[0] < 0.2 * closer[1]
     assert closer[1] - closer[0] > 4 * (whole[1] - whole[0])

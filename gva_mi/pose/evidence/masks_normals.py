@@ -172,37 +172,6 @@ def gather(
     return reasons
 
 
-def mean_loss(
-    scene: MeshScene,
-    vertices: Tensor,
-    seen: Sequence[MaskAndNormals],
-    silhouette: float,
-    closer: Sequence[Sequence[tuple[float, MaskAndNormals]]] = (),
-) -> Tensor:
-    """Return the mean over frames of eq. 1, close-ups included; differentiable in the vertices.
-
-    The gradient, if one is needed, is computed with the loss, while the scene shows each body:
-    moving the mesh a second time would cost as much as a rendering. For the same reason close-ups
-    are rendered together with the whole person.
-
-    Args:
-        scene: in which the bodies are rendered.
-        vertices: (B, V, 3) world, metres: the body in each frame's pose.
-        seen: the evidence of the same B frames.
-        silhouette: λ1.
-        closer: close-ups of the same B frames with weights relative to the person's; empty: none.
-    """
-    closer = closer or [()] * len(seen)
-    frames = [((1.0, whole), *parts) for whole, parts in zip(seen, closer, strict=True)]
-
-    def losses(bodies: Tensor) -> list[FrameLoss]:
-        of_frames = zip(bodies.unbind(), frames, strict=True)
-        needed = vertices.requires_grad
-        return [frame_loss(scene, body, views, silhouette, needed) for body, views in of_frames]
-
-    return mean_of_losses(vertices, losses)
-
-
 def mean_of_losses(vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]) -> Tensor:
     """Return the mean of frames' losses, differentiable in the vertices (B, V, 3).
 
@@ -219,6 +188,9 @@ def frame_loss(
     differentiated: bool,
 ) -> FrameLoss:
     """Return the sum of eq. 1 over a frame's weighted views, and its gradient by the body.
+
+    The gradient is computed with the loss, while the scene shows the body: moving the mesh a second
+    time would cost as much as a rendering. For the same reason all views are rendered together.
 
     Args:
         scene: in which the body is rendered.

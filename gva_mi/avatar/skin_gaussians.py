@@ -58,7 +58,9 @@ def skin_gaussians(
         Differentiable in all tensors, both ways.
     """
     T, direction = T_world_rest[:, :3].flatten(1), lighting.light_vector(light)
-    coefficients = pad(sh.flatten(1), (0, WIDTHS[3] - 3 * sh.shape[1]))
+    coefficients = sh.flatten(1)
+    if sh.shape[1] == 1:  # pad() copies even where it adds nothing
+        coefficients = pad(coefficients, (0, WIDTHS[3] - 3))
     moved, covars, colors = _Skinned.apply(
         T, means, quats, scales, coefficients, direction, weights
     )

@@ -61,22 +61,20 @@ class FrameLosses:
 class SharedFrameLosses:
     """The same losses, computed by this process and by helpers once these have started."""
 
-    def __init__(self, here: FrameLosses, pool: Executor, helpers: int) -> None:
-        self._here, self._pool = here, pool
+    def __init__(self, here: FrameLosses, pool: Executor, helpers: int, threads: int) -> None:
+        self._here, self._pool, self._threads = here, pool, threads
         self._processes = helpers + 1
         self._starting = [pool.submit(_started) for _ in range(helpers)]
 
     def __call__(self, frames: Sequence[int], bodies: Tensor, close: bool) -> list[FrameLoss]:
         """Return what :class:`FrameLosses` returns."""
+        if self._starting and all(future.done() for future in self._starting):
+            self._starting = []
+            dr.set_thread_count(self._threads)
+        if self._starting or len(frames) == 1:
+            return self._here(frames, bodies, close)
         try:
-            if len(frames) == 1 or not all(future.done() for future in self._starting):
-                return self._here(frames, bodies, close)
-            threads = dr.thread_count()
-            dr.set_thread_count(max(1, threads // self._processes))
-            try:
-                return self._shared(frames, bodies, close)
-            finally:
-                dr.set_thread_count(threads)
+            return self._shared(frames, bodies, close)
         except BrokenExecutor as error:
             raise worker_died(error) from None
 
@@ -108,9 +106,13 @@ def shared_losses(
     if processes == 1 or count < LEAST:
         yield here
         return
-    threads = max(1, dr.thread_count() // processes)
-    with worker_processes(processes - 1, _start_helper, threads, *here.given) as pool:
-        yield SharedFrameLosses(here, pool, processes - 1)
+    threads = dr.thread_count()
+    of_each = max(1, threads // processes)
+    try:
+        with worker_processes(processes - 1, _start_helper, of_each, *here.given) as pool:
+            yield SharedFrameLosses(here, pool, processes - 1, of_each)
+    finally:
+        dr.set_thread_count(threads)
 
 
 _losses: FrameLosses | None = None  # of a helper

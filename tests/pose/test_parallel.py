@@ -5,6 +5,7 @@ import signal
 from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -107,7 +108,7 @@ def test_shared_frames_keep_their_order(helpers, monkeypatch):
 
     monkeypatch.setattr(frame_losses, "_losses", alone)
     pool = Inline()
-    shared = frame_losses.SharedFrameLosses(alone, pool, helpers)
+    shared = frame_losses.SharedFrameLosses(alone, pool, helpers, dr.thread_count())
     for count in (1, 2, helpers + 1, 7):
         frames, pool.given = list(range(5, 5 + count)), []
         bodies = torch.tensor(frames, dtype=torch.float32)[:, None, None].expand(-1, 4, 3)

@@ -18,8 +18,7 @@ import numpy as np
 import torch
 
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
-from gva_mi.mesh.mesh_instance import load_plugins
-from gva_mi.mesh.mesh_scene import scene_of
+from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 
 if TYPE_CHECKING:
     import mitsuba as mi

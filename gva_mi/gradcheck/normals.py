@@ -30,8 +30,7 @@ from gva_mi.gradcheck.engine import Comparison
 from gva_mi.gradcheck.interior import interior
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
 from gva_mi.gradcheck.scanlines import boundary
-from gva_mi.mesh.mesh_instance import load_plugins
-from gva_mi.mesh.mesh_scene import scene_of
+from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 from gva_mi.mesh.sensor import sensor_of
 from gva_mi.splat import Camera, look_at
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.mesh.mesh_instance import MeshInstance
+from gva_mi.mesh.mesh_scene import load_plugins, scene_of
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera
 
@@ -43,6 +43,7 @@ def normals_of_both_sides(
     Returns:
         (H, W, 3) float32 each, camera space (x right, y down, z forward), zero beside the mesh.
     """
+    load_plugins()
     x, R = vertices.detach().float(), camera.T_camera_world[:3, :3]
     column = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     row = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
@@ -50,7 +51,7 @@ def normals_of_both_sides(
     d = (d / np.linalg.norm(d, axis=-1, keepdims=True) @ R).reshape(-1, 3)
     eye = np.broadcast_to(camera.position, d.shape)
     far = eye + d * (1 + np.linalg.norm(x.numpy() - camera.position, axis=1).max())
-    scene = MeshInstance(faces, x).scene
+    scene = scene_of(faces, x)
     normals = vertex_normals(x, faces).numpy() @ R.T.astype(np.float32)
     corners = normals[faces.numpy()]  # (F, 3, 3)
 
@@ -71,11 +72,12 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
 
     Faces are counter-clockwise seen from outside; the edges of pictures are ignored.
     """
+    load_plugins()
+    import mitsuba as mi
+
     vertices = vertices.detach().float()
     normals = vertex_normals(vertices, faces)
-    start, scene = vertices + OFF * normals, MeshInstance(faces, vertices).scene
-    import mitsuba as mi  # its variant is chosen by MeshInstance
-
+    start, scene = vertices + OFF * normals, scene_of(faces, vertices)
     found = []
     for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):
         toward = viewpoint - start

@@ -25,10 +25,8 @@ from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
-import torch
 from drjit import ArrayBase as Array
 
-from gva_mi.mesh.mesh_instance import MeshInstance
 from gva_mi.splat import Camera
 from gva_mi.synthetic.clothes.level_sets import vertex_normals
 from gva_mi.synthetic.look import EARTH, LIGHTS, SKY, AreaLight, Material, encode
@@ -82,12 +80,17 @@ class Renderer:
             emission = np.concatenate([emission, INDIRECT * np.array(colors)])
             self._finishes = mi.Float(np.ravel([f.row() for f in room.finishes]).astype("f4"))
             vertices = np.concatenate([vertices, room.vertices])
-        self._faces = faces
-        self._instance = MeshInstance(torch.from_numpy(faces), torch.from_numpy(vertices))
+        self._faces, mesh = faces, mi.Mesh("subject", len(vertices), len(faces))
+        params = mi.traverse(mesh)
+        params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+        params["vertex_positions"] = mi.Float(vertices.ravel())
+        params.update()
+        self._scene = mi.load_dict({"type": "scene", "mesh": mesh})
+        self._scene_params = mi.traverse(self._scene)
         self._material = mi.UInt32(material)
         self._rest = mi.Float(rest.ravel())
         self._tint = mi.Float(tint.ravel())
-        self._corner = mi.UInt32(faces.astype(np.uint32).ravel())
+        self._corner = params["faces"]
         self._emission = mi.Float(emission.ravel().astype(np.float32))
         dr.eval(self._material, self._rest, self._tint, self._emission)
 
@@ -146,7 +149,9 @@ class Renderer:
         vertices = surface.astype(np.float32)
         if self._room is not None:
             vertices = np.concatenate([vertices, self._room.vertices * np.float32(shown)])
-        self._instance.move(torch.from_numpy(vertices))
+        (key,) = (k for k in self._scene_params.keys() if k.endswith("vertex_positions"))
+        self._scene_params[key] = mi.Float(vertices.ravel())
+        self._scene_params.update()
         normals = vertex_normals(vertices.astype(np.float64), self._faces)
         self._normals = mi.Float(normals.astype(np.float32).ravel())
 
@@ -172,7 +177,7 @@ class Renderer:
         x = mi.Float(column) + (mi.Float(sample % n) + random.next_float32()) / n
         y = mi.Float(row) + (mi.Float(sample // n) + random.next_float32()) / n
         ray, per_depth = primary_rays(camera, x, y)
-        at = self._instance.scene.ray_intersect_preliminary(ray, coherent=True)
+        at = self._scene.ray_intersect_preliminary(ray, coherent=True)
         t, hit = at.t, at.is_valid()
         material, rest, tint, n_shading = self._surface(at.prim_index, at.prim_uv, hit)
         color = albedo(self._look, material, rest) * tint if person else mi.Color3f(0)
@@ -240,7 +245,7 @@ class Renderer:
         to = to / distance
         cosines = dr.maximum(dr.dot(n, to), 0) * dr.abs(dr.dot(facing, to))
         ray = mi.Ray3f(x, to, distance * (1 - 1e-4), 0.0, [])
-        seen = ~self._instance.scene.ray_test(ray, active & (cosines > 0))
+        seen = ~self._scene.ray_test(ray, active & (cosines > 0))
         falloff = area * cosines / dr.square(distance)
         return mi.Color3f(*source.radiance) * dr.select(seen, falloff, 0.0)
 
@@ -250,7 +255,7 @@ class Renderer:
 
         local = mi.warp.square_to_cosine_hemisphere(uv)
         direction = mi.Frame3f(n).to_world(local)
-        pi = self._instance.scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
+        pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
         blocked = pi.is_valid()
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
         emission = dr.gather(mi.Color3f, self._emission, material, active & blocked)

@@ -89,6 +89,6 @@ def test_references_share_nothing_with_the_plugin(name):
             imported |= {alias.name for alias in node.names}
     ours = {x for x in imported if x.startswith("gva_mi") and "gva_mi.gradcheck" not in x}
     assert ours <= {
-        "gva_mi.splat.Camera", "gva_mi.mesh.mesh_instance.load_plugins",
+        "gva_mi.splat.Camera", "gva_mi.mesh.mesh_scene.load_plugins",
         "gva_mi.mesh.mesh_scene.scene_of",
     }  # fmt: skip

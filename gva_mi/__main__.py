@@ -105,8 +105,6 @@ def _run(arguments: list[str]) -> None:
         print(_overview())
     elif verb == "--version":
         print(f"gva-mi {__version__}")
-    elif verb.startswith("--tyro-"):
-        _write_completion(arguments)
     elif arguments == ["doctor"]:  # works without tyro and libLLVM, which may be missing
         load(verb)()
     elif verb in VERBS:
@@ -127,14 +125,6 @@ def _overview() -> str:
         f"{verbs}\n\n"
         "gva-mi COMMAND --help lists all options of a command."
     )
-
-
-def _write_completion(arguments: list[str]) -> None:
-    """Let tyro write a completion script for a shell, which lists every command."""
-    import tyro
-
-    commands = {verb: load(verb) for verb in VERBS}
-    tyro.extras.subcommand_cli_from_dict(commands, prog="gva-mi", args=arguments)
 
 
 if __name__ == "__main__":

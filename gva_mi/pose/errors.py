@@ -34,7 +34,7 @@ from gva_mi.pose.displacement import hand_vertices
 
 NAMES = (  # of errors, in the order of files
     "body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "joints",
-    "joints_aligned", "fingers", "pelvis_depth", "ankles_depth", "wrists_depth",
+    "fingers", "pelvis_depth", "ankles_depth", "wrists_depth",
 )  # fmt: skip
 _BODY_JOINTS = 22
 _TOGETHER = 16  # frames that are measured at a time
@@ -56,7 +56,7 @@ def pose_errors(
 
     Returns:
         Errors (T,), millimetres: ``body``, ``hands``, ``feet`` (eq. 1), the same with ``_aligned``
-        (eq. 2), ``fingers`` (eq. 3), ``joints``, ``joints_aligned`` (eq. 1 and 2 over the 22 joints
+        (eq. 2), ``fingers`` (eq. 3), ``joints`` (eq. 1 over the 22 joints
         of the body), ``pelvis_depth``, ``ankles_depth``, ``wrists_depth`` (eq. 4, mean of both
         sides).
     """
@@ -126,12 +126,11 @@ class _Points:
 
 
 def _joint_errors(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:
-    """Evaluate eq. 1, 2 and 4 on joints, each (T,), metres; ``axes`` (T, 3) are the cameras'."""
+    """Evaluate eq. 1 and 4 on joints, each (T,), metres; ``axes`` (T, 3) are the cameras'."""
     apart = (x.joints - y.joints)[:, :_BODY_JOINTS]
     deep = torch.einsum("tjc,tc->tj", apart, axes)
     return {
         "joints": apart.norm(dim=2).mean(1),
-        "joints_aligned": (apart - apart[:, :1]).norm(dim=2).mean(1),
         "pelvis_depth": deep[:, 0],
         "ankles_depth": deep[:, _ANKLES].mean(1),
         "wrists_depth": deep[:, _WRISTS].mean(1),

@@ -37,7 +37,6 @@ ERRORS = {
     "feet_aligned": "aligned_foot_vertex_mm",
     "fingers": "finger_mm",
     "joints": "joint_mm",
-    "joints_aligned": "aligned_joint_mm",
     "pelvis_depth": "pelvis_depth_mm",
     "ankles_depth": "ankle_depth_mm",
     "wrists_depth": "wrist_depth_mm",

@@ -219,12 +219,6 @@ def test_every_number_outside_its_range_is_refused_under_its_name(verb, words, c
         assert "\n" not in sentence
 
 
-@pytest.mark.slow
-def test_shell_completion_knows_every_command(cli):
-    code, out, err = cli("--tyro-print-completion", "bash")
-    assert not code and not err and all(f"'{verb}'" in out for verb in VERBS)
-
-
 @pytest.mark.parametrize("stream, words, unbuffered, code", [
     ("stdout", "--help", "", 141),
     ("stdout", "--help", "1", 141),

@@ -59,7 +59,7 @@ from gva_mi.mesh.surface import vertex_normals
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
 OPAQUE = 0.5  # only Gaussians above this opacity carry the surface ...
-SHOWN = 0.2  # ... and of those only the ones that are seen to this share; half of what is usual
+SHOWN = 0.2  # ... and of those only the ones of which this share is seen; 0.4 is usual
 FLOATER_NEIGHBOURS = 16  # that a floater is far away from
 CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 1
 NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from

@@ -11,6 +11,8 @@ Each step uses one training frame of the video:
    clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again
+
+In the end, Gaussians that no frame shows go back to the surface: :mod:`gva_mi.fit.shown`.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
-from gva_mi.fit.shown import FRAMES, shown_shares
+from gva_mi.fit.shown import FRAMES, put_back, shown_shares
 from gva_mi.splat import Screen, render
 
 
@@ -100,7 +102,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 checkpoint.save_state(out, run.state())
-        run.clamp_scales()  # also those that the last step split
+        run.finish(out)
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -228,6 +230,17 @@ class Run:
         replace_gaussians(self.avatar, self.optimizer, new.canonical)
         self.avatar.set_skin_weights(new.skin)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
+
+    def finish(self, out: Path) -> None:
+        """Put hidden Gaussians back to where the last re-initialisation made them."""
+        options, snapshots = self.options, list(run_folder.load_snapshots(out))
+        for last in snapshots[-1:] if options.reinit.surface == "offset" else ():
+            since = range(last.step + 1, options.steps + 1)
+            if not any(options.schedule.densifies(step, options.steps) for step in since):
+                shown = shown_shares(self.avatar, self.poses, self._cameras)
+                put_back(self.avatar.canonical, last.after, shown)
+                self.avatar.rebind_weights()
+        self.clamp_scales()  # also those that the last step split
 
     def clamp_scales(self) -> None:
         """Clamp the scales of the Gaussians to the resolution of the pictures."""

@@ -58,8 +58,8 @@ from gva_mi.mesh.surface import vertex_normals
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
-OPAQUE = 0.5  # only Gaussians above this opacity carry the surface ...
-SHOWN = 0.2  # ... and of those only the ones of which this share is seen; 0.4 is usual
+OPAQUE = 0.5  # only Gaussians above this opacity, and not hidden, carry the surface
+HIDDEN = 0.1  # a Gaussian is hidden if less than this share of it is seen; 0.4 is usual
 FLOATER_NEIGHBOURS = 16  # that a floater is far away from
 CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 1
 NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
@@ -143,7 +143,7 @@ def carriers(avatar: Avatar, shown: Tensor | None = None) -> Tensor | None:
     only just begun.
     """
     solid = avatar.canonical.opacities.detach() > OPAQUE
-    solid = torch.nonzero(solid if shown is None else solid & (shown > SHOWN)).flatten()
+    solid = torch.nonzero(solid if shown is None else solid & (shown > HIDDEN)).flatten()
     return solid if len(solid) > max(FLOATER_NEIGHBOURS, FEWEST) else None
 
 

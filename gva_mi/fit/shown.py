@@ -28,12 +28,12 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.reinit import HIDDEN
 from gva_mi.body.pose import Pose
 from gva_mi.fit.renders import DRAWN
 from gva_mi.splat import Camera, Gaussians, Screen, render
 
 FRAMES = 16  # that Gaussians are looked for in
-HIDDEN = 0.1  # a Gaussian less shown than this lies partly where it was made
 
 
 def shown_shares(

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from gva_mi.avatar.canonical import CanonicalGaussians
-from gva_mi.fit.shown import HIDDEN, put_back, shown_shares
+from gva_mi.avatar.reinit import HIDDEN
+from gva_mi.fit.shown import put_back, shown_shares
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.splat.camera import look_at
 

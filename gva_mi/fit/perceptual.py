@@ -17,11 +17,9 @@ with the linear heads w of LPIPS, and w = 1/L for ``rand_vgg``.
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -70,15 +68,10 @@ class FeatureDistance(nn.Module):
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """Return the distance, a scalar, differentiable in ``image`` but not in ``target``."""
-        seen = _beside().submit(torch.no_grad()(self.features), target)
-        pairs = zip(self.features(image), seen.result(), strict=True)
+        with torch.no_grad():
+            seen = self.features(target)
+        pairs = zip(self.features(image), seen, strict=True)
         return torch.stack([(f - g).abs().mean() for f, g in pairs]).mean()
-
-
-@functools.cache
-def _beside() -> ThreadPoolExecutor:
-    """Return a thread that works beside this one: torch lets others run during a convolution."""
-    return ThreadPoolExecutor(1)
 
 
 class FeatureMetric(FeatureDistance):

@@ -63,7 +63,7 @@ def test_hidden_gaussians_go_back_to_where_they_were_made():
     made = Gaussians(
         torch.zeros(3, 3), now.quats.detach(), torch.ones(3, 3), torch.ones(3), sh=now.sh.detach()
     )
-    put_back(now, made, torch.tensor([0.4, HIDDEN / 2, 0]))
+    put_back(now, made, torch.tensor([0.4, HIDDEN / 4, 0]))
     expected = torch.tensor([1, 0.5, 0])[:, None].expand(3, 3)
     assert torch.equal(now.means, expected) and torch.equal(now.log_scales, expected)
     assert torch.equal(now.logit_opacities, torch.ones(3))

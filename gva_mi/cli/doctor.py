@@ -24,7 +24,6 @@ PACKAGES = {
     "PIL": ("reading and writing PNG", "avatar"),
     "jinja2": ("the report", "avatar"),
     "matplotlib": ("the report's plots", "avatar"),
-    "roma": ("rotations", "avatar"),
     "tyro": ("the command line", "avatar"),
 }
 

@@ -207,16 +207,8 @@ class _Film:
         always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
         height = (self.height, HEIGHT_KNOWN) if self.height else HEIGHT
         focal = FOCAL_KNOWN if self.focal else FOCAL
-        shared = SharedPrior(
-            free,
-            rig.names,
-            rig.loose,
-            torch.deg2rad(always),
-            self.mean_shape().betas.double(),
-            Stature.of(self.body),
-            height,
-            focal,
-        )
+        people = self.mean_shape().betas.double(), Stature.of(self.body), height, focal
+        shared = SharedPrior(free, rig.names, rig.loose, torch.deg2rad(always), *people)
         return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
 
     def result(self, state: FilmState, spread: Tensor) -> SolvedFilm:
@@ -238,23 +230,13 @@ class _Film:
         camera = Camera.from_matrices(self.K, T, *self.size).zoomed(float(state.focal.exp()))
         pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), 10))
         found = self.noise.pixels.isfinite()
-        names = self.rig.names
-        of_body = [p for p, name in enumerate(names) if "_hand_" not in name]
+        some = lambda text: [p for p, name in enumerate(self.rig.names) if text in name]
+        of_body = [p for p in some("") if p not in some("_hand_")]
         lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
-        of_hand = lambda side: [p for p, name in enumerate(names) if f"{side}_hand_" in name]
-        seen = tuple(float(found[:, of_hand(side)].any(1).float().mean()) for side in _HANDS)
+        seen = tuple(float(found[:, some(f"{s}_hand_")].any(1).float().mean()) for s in _HANDS)
         tilt = -math.degrees(math.asin(float(up[2])))
-        return SolvedFilm(
-            pose,
-            shape,
-            camera,
-            names,
-            state.offsets.float(),
-            spread.float(),
-            lost,
-            seen,
-            tilt,
-        )
+        found = self.rig.names, state.offsets.float(), spread.float(), lost, seen, tilt
+        return SolvedFilm(pose, shape, camera, *found)
 
 
 def _per_joint(equations: NormalEquations, joints: Sequence[int]) -> Tensor:

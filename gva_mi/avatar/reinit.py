@@ -14,8 +14,6 @@ Differences from the paper (``surface="alpha"`` and ``random`` of the options ar
 * The "spherical shell" around the outermost Gaussians is an offset surface, not an alpha shape:
   always watertight and without inner sheets (:mod:`gva_mi.avatar.offset_surface`). The shrunk rest
   body inside it keeps the surface from entering through holes.
-* Gaussians that no frame shows, as in an armpit, are left out (:mod:`gva_mi.fit.shown`): nothing
-  holds them in place. Where none is left, the surface is the rest body itself.
 * At rest, the surface would join the legs, and arms and trunk. It is made with the limbs spread
   (:mod:`gva_mi.avatar.spread_limbs`).
 * Laplacian smoothing shrinks, arms most. Taubin's filter keeps the volume.
@@ -58,8 +56,7 @@ from gva_mi.mesh.surface import vertex_normals
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 
-OPAQUE = 0.5  # only Gaussians above this opacity, and not hidden, carry the surface
-HIDDEN = 0.1  # a Gaussian is hidden if less than this share of it is seen; 0.4 is usual
+OPAQUE = 0.5  # only Gaussians above this opacity carry the surface
 FLOATER_NEIGHBOURS = 16  # that a floater is far away from
 CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 1
 NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
@@ -105,19 +102,17 @@ def reinitialise(
     avatar: Avatar,
     options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
-    shown: Tensor | None = None,
 ) -> Reinitialised:
-    """Make new Gaussians on the surface of an avatar's :func:`carriers`.
-
-    ``generator`` draws points, angles and sizes; ``shown`` is as in :func:`carriers`.
+    """Make new Gaussians on the surface of an avatar's opaque ones; the generator draws points,
+    angles and sizes.
 
     Raises:
-        ValueError: too few Gaussians carry it.
+        ValueError: too few opaque Gaussians to be a surface.
     """
     # One draw starts a numpy generator: the geometry below lives in numpy and float64.
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
-    solid = carriers(avatar, shown)
+    solid = opaque_gaussians(avatar, options)
     if solid is None:
         raise ValueError("reinitialise(): too few opaque Gaussians to be a surface")
     means = G.means.detach()[solid].double().numpy()
@@ -135,15 +130,12 @@ def reinitialise(
     return Reinitialised(canonical, surface, skin, int(floats.sum()))
 
 
-def carriers(avatar: Avatar, shown: Tensor | None = None) -> Tensor | None:
-    """Return which Gaussians carry the surface, (M,) int64: those that are opaque and not hidden.
+def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
+    """Return which Gaussians carry the surface, (M,) int64; None if they are too few for one.
 
-    ``shown`` (N,) is how much of each is seen (:mod:`gva_mi.fit.shown`); None: all of it. The
-    result is None if they are too few for a surface, as in a fit that has diverged, or that has
-    only just begun.
+    So it is in a fit that has diverged, or that has only just begun.
     """
-    solid = avatar.canonical.opacities.detach() > OPAQUE
-    solid = torch.nonzero(solid if shown is None else solid & (shown > HIDDEN)).flatten()
+    solid = torch.nonzero(avatar.canonical.opacities.detach() > OPAQUE).flatten()
     return solid if len(solid) > max(FLOATER_NEIGHBOURS, FEWEST) else None
 
 
@@ -166,8 +158,7 @@ def mesh_gaussians(
     reach = lambda x: max(options.alpha, np.percentile(mean_distance(x, 6), 95))
     if options.surface == "alpha":
         return alpha_shape(points, reach(points), options.smoothing)
-    bare = cKDTree(points).query(rig.vertices.numpy())[0] > 2 * options.alpha
-    filler, own = _filler(rig, options.filler_depth * ~bare), rig.weights.double().numpy()
+    filler, own = _filler(rig, options.filler_depth), rig.weights.double().numpy()
     if weights is None:
         weights = own[cKDTree(filler.vertices).query(points)[1]]
     both = np.vstack([points, filler.vertices]), np.vstack([weights, own])
@@ -251,9 +242,9 @@ def regaussian(
     )
 
 
-def _filler(rig: Rig, depth: np.ndarray) -> SurfaceMesh:
-    """Return the rest body moved inside by ``depth`` (V,); fingers, which are thinner, by less."""
-    inwards = torch.from_numpy(depth).to(rig.weights) * (1 - 0.75 * _finger_weights(rig.weights))
+def _filler(rig: Rig, depth: float) -> SurfaceMesh:
+    """Return the rest body moved inside by ``depth``; fingers, which are thinner, by less."""
+    inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
     shrunk = rig.vertices - inwards[:, None] * vertex_normals(rig.vertices, rig.faces)
     return SurfaceMesh(shrunk.double().numpy(), rig.faces.numpy())
 

@@ -11,8 +11,6 @@ Each step uses one training frame of the video:
    clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again
-
-In the end, Gaussians that no frame shows go back to the surface: :mod:`gva_mi.fit.shown`.
 """
 
 from __future__ import annotations
@@ -29,13 +27,13 @@ from torch import Tensor
 from gva_mi.avatar.adam import Adam, Group
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
-from gva_mi.avatar.reinit import carriers, reinitialise
+from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, say, within
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.video import Video, spread
+from gva_mi.data.video import Video
 from gva_mi.fit import checkpoint, run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.losses import Distance, render_losses
@@ -44,7 +42,6 @@ from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
-from gva_mi.fit.shown import FRAMES, put_back, shown_shares
 from gva_mi.splat import Screen, render
 
 
@@ -102,7 +99,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 checkpoint.save_state(out, run.state())
-        run.finish(out)
+        run.clamp_scales()  # also those that the last step split
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -155,7 +152,6 @@ class Run:
         )
         self.optimizer = _optimizer(self.avatar, options.rates)
         self._pixel = smallest_pixel(video, rig)
-        self._cameras = {k: video.cameras[k] for k in spread(video.splits.train, FRAMES)}
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
             self.poses.load_state(state["poses"])
@@ -216,31 +212,17 @@ class Run:
             self.avatar.rebind_weights()
 
     def _reinitialise(self, out: Path) -> None:
-        """Put the Gaussians back on the surface, where enough of them can carry one."""
-        options, shown = self.options.reinit, None
-        if options.surface == "offset":  # the paper's alpha shape is made of hidden ones too
-            shown = shown_shares(self.avatar, self.poses, self._cameras)
-        if carriers(self.avatar, shown) is None:
+        """Put the Gaussians back on the surface, where enough of them are opaque to show one."""
+        if opaque_gaussians(self.avatar, self.options.reinit) is None:
             say(f"{out}: step {self.step}: too few opaque Gaussians, no re-initialisation")
             return
         generator = torch_state(self.options.seed, RandomStream.REINIT, self.step)
         before = self.avatar.canonical
-        new = reinitialise(self.avatar, options, generator, shown)
+        new = reinitialise(self.avatar, self.options.reinit, generator)
         run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
         replace_gaussians(self.avatar, self.optimizer, new.canonical)
         self.avatar.set_skin_weights(new.skin)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
-
-    def finish(self, out: Path) -> None:
-        """Put hidden Gaussians back to where the last re-initialisation made them."""
-        options, snapshots = self.options, list(run_folder.load_snapshots(out))
-        for last in snapshots[-1:] if options.reinit.surface == "offset" else ():
-            since = range(last.step + 1, options.steps + 1)
-            if not any(options.schedule.densifies(step, options.steps) for step in since):
-                shown = shown_shares(self.avatar, self.poses, self._cameras)
-                put_back(self.avatar.canonical, last.after, shown)
-                self.avatar.rebind_weights()
-        self.clamp_scales()  # also those that the last step split
 
     def clamp_scales(self) -> None:
         """Clamp the scales of the Gaussians to the resolution of the pictures."""

@@ -159,20 +159,6 @@ def test_clothes_outside_the_body_are_kept(plain_body):
     assert 0.05 < np.median(distance) and np.percentile(distance, 95) < 0.075
 
 
-def test_hidden_gaussians_are_left_out_and_the_body_stands_in(plain_body):
-    """A cloud 6 cm outside the body of which one side is hidden: there the surface is the body."""
-    points, colors = noisy_cloud(plain_body, out=0.06)
-    hidden = points[:, 0] > 0
-    shown = torch.from_numpy(np.where(hidden, 0.05, 0.4))
-    new = reinitialise(avatar_of(plain_body, points, colors), COARSE, shown=shown)
-    means = new.canonical.means.detach().numpy()
-    distance = distance_to(plain_body, means)
-    assert np.median(distance[means[:, 0] < -0.1]) > 0.05
-    assert np.percentile(distance[means[:, 0] > 0.25], 95) < 0.02  # the filler lies at 0.04
-    colors = (new.canonical.sh[:, 0] * C0 + 0.5).detach().numpy()
-    assert colors == pytest.approx(np.tile(RED, (len(colors), 1)), abs=1e-5)  # hidden ones are blue
-
-
 def test_fingers_follow_the_body(plain_body):
     """Where skinning says finger, Gaussians lie on the body, whatever the cloud says."""
     body = copy.deepcopy(plain_body)

@@ -26,7 +26,9 @@ AFTER_STOP = {  # how to continue after Ctrl-C
     "render": "the same command goes on with it",
     "study": "the same command goes on with it",
 }
-OF_COMMANDS = "av jinja2 matplotlib mitsuba PIL pymeshlab scipy skimage tqdm trimesh tyro".split()
+OF_COMMANDS = (
+    "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -19,7 +19,7 @@ Eq. 1 uses quaternions. Its derivative is written out because autograd's graph o
 operations takes three times as long, in every step of a fit and of a refinement.
 
 The package roma has these functions too, but importing it imports torch's compiler, which takes
-longer than importing torch; tests compare with it.
+longer than importing torch.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ PACKAGES = {
     "PIL": ("reading and writing PNG", "avatar"),
     "jinja2": ("the report", "avatar"),
     "matplotlib": ("the report's plots", "avatar"),
+    "roma": ("rotations", "avatar"),
     "tyro": ("the command line", "avatar"),
 }
 

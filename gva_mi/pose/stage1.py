@@ -75,4 +75,6 @@ class Stage1:
 
 def turns_between(before: Tensor, after: Tensor) -> Tensor:
     """Return the turns ``log(Rᵀ R')`` (..., 3) between rotations ``R`` and ``R'``, axis-angle."""
-    return compose(-before, after)
+    import roma  # here: it imports torch's compiler, which takes longer than importing torch
+
+    return roma.rotvec_composition([-before, after])

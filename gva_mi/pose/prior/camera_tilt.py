@@ -30,11 +30,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.rotations import nearest_rotations
-from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
-from gva_mi.pose.stage1 import Stage1, turns_between
+from gva_mi.pose.stage1 import Stage1
 
 LIMBS = slice(1, 22)  # without the pelvis: a tilted camera tilts the whole person
 LEAST = np.radians(0.1)  # σ: 2 mm at a foot
@@ -46,7 +44,7 @@ ROUND = 0.5  # least turn of the person: nearly half round
 class TiltPrior:
     """The chance level of camera-locked tilt of the L joints of the body."""
 
-    means: Tensor  # (L, 3) their mean poses, axis-angle
+    means: Tensor  # (L, 3, 3) their mean poses
     swings: Tensor  # (n, L, 3, 3) ``R_k - mean R``
     across: Tensor  # (3, 3) ``P``
     chance: Tensor  # (L,) ``σ``, radians
@@ -56,9 +54,12 @@ class TiltPrior:
     @torch.no_grad()
     def of(stage1: Stage1, rotations: Tensor) -> TiltPrior:
         """Estimate the chance level from a motion, rotations (n, J, 3)."""
+        import roma  # here, as in stage1.py
+
         R = stage1.R_joint_camera[:, LIMBS]
-        mean = to_matrix(rotations[:, LIMBS]).mean(0).numpy()
-        means = to_rotvec(torch.from_numpy(nearest_rotations(mean)).to(R))
+        means = roma.special_procrustes(
+            roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0), method="svd"
+        )
         none, shown = torch.ones(len(means)), stage1.turned > ROUND
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)
@@ -79,7 +80,9 @@ class TiltPrior:
 
     def _turns(self, rotations: Tensor) -> Tensor:
         """Return ``m`` (n, L, 3), radians."""
-        return turns_between(self.means, rotations[:, LIMBS])
+        import roma
+
+        return roma.rotmat_to_rotvec(self.means.mT @ roma.rotvec_to_rotmat(rotations[:, LIMBS]))
 
     def _locked(self, turns: Tensor) -> Tensor:
         """Return eq. 1 (L, 3), radians."""

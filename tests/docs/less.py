@@ -44,16 +44,19 @@ WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
 SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
+DEMO = "needs the demo's folder: tests/cli/test_cli.py makes a small one"
 NOT_RUN = {
+    "gva-mi view out/demo --subject out/demo/subject": DEMO,
+    "gva-mi refine out/demo/subject --height 1.74 --overwrite": DEMO,
     "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
     "gva-mi prepare film film.mp4 me/subject --height 1.75": FILMED,
     "gva-mi check me/subject": FILMED,
     "gva-mi refine me/subject --height 1.75": FILMED,
-    "gva-mi fit me/subject --out me/run": FILMED,
+    "gva-mi fit me/subject --out me/run --first-steps 1000": FILMED,
     "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
-    "gva-mi study refine --held-out-set 7 --error-models film --out films": (
+    "gva-mi study refine --held-out-set 9 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
     "gva-mi body --sheet puppet.png": SHEET,

@@ -121,6 +121,7 @@ def _stages(
             torch.autograd.backward(leaves, grads)
         with clock("Adam"):
             fit.optimizer.step()
+        fit.optimizer.zero_grad(set_to_none=True)
 
 
 def _mean_step(fit: Run, samples: FrameSampler, repeats: int) -> Timing:

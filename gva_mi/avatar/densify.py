@@ -18,7 +18,6 @@ from typing import Annotated
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.adam import Adam
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians
 from gva_mi.core.options import Within, options_of
@@ -74,7 +73,7 @@ class ScreenGradients:
 
 def densify(
     avatar: Avatar,
-    optimizer: Adam,
+    optimizer: torch.optim.Optimizer,
     gradients: ScreenGradients,
     options: DensifyOptions = DensifyOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
@@ -115,7 +114,7 @@ def densify(
 
 def replace_gaussians(
     avatar: Avatar,
-    optimizer: Adam,
+    optimizer: torch.optim.Optimizer,
     canonical: CanonicalGaussians,
     parents: Tensor | None = None,
     inherited: int = 0,
@@ -130,8 +129,8 @@ def replace_gaussians(
     for name in PARAMETERS:
         before, after = getattr(old, name), getattr(canonical, name)
         after.requires_grad_(before.requires_grad)
-        for group in optimizer.groups:
-            group.params = [after if p is before else p for p in group.params]
+        for group in optimizer.param_groups:
+            group["params"] = [after if p is before else p for p in group["params"]]
         state = optimizer.state.pop(before, None)
         if state is None or parents is None:
             continue

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from gva_mi.avatar.adam import Adam, Group
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
@@ -186,6 +186,7 @@ class Run:
             weights = replace(weights, perceptual=0.0)
         losses = render_losses(image, target, animated.residual, weights, distance)
         total = losses.total(weights, options.perceptual_every)
+        self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
         self.clamp_scales()
@@ -243,18 +244,21 @@ class Run:
         """Lower the learning rate of the means exponentially over the run."""
         rates = self.options.rates
         done = self.step / max(1, self.options.steps - 1)
-        for group in self.optimizer.groups:
-            if group.name == "means":
-                group.lr = rates.means ** (1 - done) * rates.means_end**done
+        for group in self.optimizer.param_groups:
+            if group["name"] == "means":
+                group["lr"] = rates.means ** (1 - done) * rates.means_end**done
 
 
-def _optimizer(avatar: Avatar, rates: Rates) -> Adam:
-    """Make Adam with one group, and one learning rate, per kind of parameter."""
+def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
+    """Make Adam with one named group, and one learning rate, per kind of parameter."""
     # With 3DGS's tiny epsilon, Gaussians that are seldom seen learn their colour as fast as others.
     groups = [
-        Group(name, [x], getattr(rates, name), NOISE if name == "means" else 1e-15)
-        for name, x in avatar.canonical.named_parameters()
+        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE if k == "means" else 1e-15}
+        for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
-        groups.append(Group("residual", list(avatar.residual.parameters()), rates.residual))
-    return Adam([*groups, Group("light", [avatar.light], rates.light)])
+        groups.append(
+            {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
+        )
+    groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
+    return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

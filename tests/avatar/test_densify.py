@@ -3,7 +3,6 @@
 import pytest
 import torch
 
-from gva_mi.avatar.adam import Adam, Group
 from gva_mi.avatar.canonical import PARAMETERS
 from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify
 from gva_mi.body import Pose
@@ -15,11 +14,13 @@ LARGE, SMALL = 0.03, 0.003  # metres, on either side of split_scale
 
 def adam(avatar):
     """One group per parameter, as in the fit, and one step taken so that there are moments."""
-    optimizer = Adam([Group(n, [p], 1e-3) for n, p in avatar.named_parameters()])
+    groups = [{"params": [p], "lr": 1e-3, "name": n} for n, p in avatar.named_parameters()]
+    optimizer = torch.optim.Adam(groups)
     for _, parameter in avatar.named_parameters():
         rows = torch.arange(parameter.numel(), dtype=parameter.dtype).view(parameter.shape)
         parameter.grad = 1 + rows / rows.numel()
     optimizer.step()
+    optimizer.zero_grad()
     return optimizer
 
 
@@ -100,7 +101,7 @@ def test_optimiser_follows(avatar, generator):
         assert (state["exp_avg"][641:] == 0).all() and len(state["exp_avg_sq"]) == 643, name
         assert state["step"] == 1, name
     assert optimizer.state[avatar.residual.offset.weight]["exp_avg"] is residual
-    held = {id(p) for group in optimizer.groups for p in group.params}
+    held = {id(p) for group in optimizer.param_groups for p in group["params"]}
     assert held == {id(p) for p in avatar.parameters()}
     assert set(map(id, optimizer.state)) == held
 

@@ -32,7 +32,7 @@ def subject(tmp_path):
 def onnx_file(path, sides=("h", "w"), channels=3, kind="normals"):
     """Write a network whose x and y are what it is given in red and green; z closes them to one.
 
-    Other kinds write x and y alone, vectors of length 0, or NaN.
+    Other kinds write (n + 1) / 2, x and y alone, vectors of length 0, or NaN.
     """
     nodes = [
         ("Slice", ["seen", "zero", "two", "one"], ["colour"], {}),
@@ -41,13 +41,15 @@ def onnx_file(path, sides=("h", "w"), channels=3, kind="normals"):
         ("Sub", ["unit", "square"], ["rest"], {}),
         ("Sqrt", ["rest"], ["z"], {}),
         ("Concat", ["xy", "z"], ["normals"], {"axis": 1}),
+        ("Add", ["normals", "unit"], ["raised"], {}),
+        ("Mul", ["raised", "half"], ["encoded"], {}),
         ("Sub", ["seen", "seen"], ["nothing"], {}),
         ("Div", ["nothing", "nothing"], ["unknown"], {}),
     ]
     number = np.float32
     constants = {
         "zero": [0], "two": [2], "one": [1], "least": number(-0.6), "most": number(0.6),
-        "unit": number(1),
+        "unit": number(1), "half": number(0.5),
     }  # fmt: skip
     return onnx_graph(path, nodes, {"seen": ("FLOAT", [1, channels, *sides])}, [kind], constants)
 

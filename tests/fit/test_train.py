@@ -110,7 +110,7 @@ def test_gaussians_that_only_noise_pulls_stay_where_they_are(known):
     for _ in range(20):
         avatar.canonical.means.grad = torch.full_like(start, 2e-4)
         avatar.canonical.means.grad[::2] = 2e-6
-        optimizer.groups[0].lr = 1e-3
+        optimizer.param_groups[0]["lr"] = 1e-3
         optimizer.step()
     moved = (avatar.canonical.means - start).detach().abs()
     assert moved[1::2].min() > 0.9 * 20e-3 and moved[::2].max() < 0.2 * 20e-3

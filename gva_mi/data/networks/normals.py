@@ -6,9 +6,12 @@ input                  what it is given
 (1, 3, h, w)           the person cut out, (rgb/255 − mean) / std; its name is free
 ``T_normal_F``, (…)    normals of the posed body where rays meet it first, as ICON's network takes
 ``T_normal_B``         likewise where they leave it, in the same axes and on the same pixels
+(1, 6, h, w)           the picture, then ``T_normal_F``: the half of ICON's that sees the front
+an integer             patches of 14 by 14 pixels in the picture: the ``num_tokens`` of MoGe-2
 =====================  ==========================================================================
 
-Output: normals (1, 3, h', w') of unit length. A network with several outputs needs the name of one.
+Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. A network with
+several outputs needs the name of one.
 
 With the convention ``icon`` the background becomes the mean first, as ICON, ECON and PIFuHD are
 trained. With the other conventions it stays. The body's normals are in the network's convention,
@@ -30,12 +33,13 @@ from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
 FRONT, BACK = "T_normal_F", "T_normal_B"
+PATCH = 14  # pixels
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _ASKED = (
     f"a network that takes a picture (1, 3, h, w), and perhaps ICON's {FRONT} and {BACK}, and "
-    "answers with normals (1, 3, h, w)"
+    "answers with normals (1, 3, h, w) or (1, h, w, 3)"
 )
 # Gives of a part of the frame the normals (h, w, 3) of the posed body, in the network's convention
 # and size: where rays meet the body, and where they leave it.
@@ -66,7 +70,8 @@ class NormalNetwork:
         inputs = self._session.get_inputs()
         pictures = [x for x in inputs if len(x.shape) == 4 and x.type == "tensor(float)"]
         others = [x for x in pictures if x.name not in (FRONT, BACK)]
-        if len(others) != 1 or len(pictures) != len(inputs):
+        numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
+        if len(others) != 1 or len(pictures) + len(numbers) != len(inputs) or len(numbers) > 1:
             found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
             raise InputError(f"{path}: takes {found}; expected {_ASKED}")
         names, self._picture = [x.name for x in self._session.get_outputs()], others[0]
@@ -85,7 +90,8 @@ class NormalNetwork:
     @property
     def needs_body(self) -> bool:
         """Whether it takes normals of the posed body."""
-        return bool({given.name for given in self._session.get_inputs()} & {FRONT, BACK})
+        names = {given.name for given in self._session.get_inputs()}
+        return bool(names & {FRONT, BACK}) or self._picture.shape[1] == 6
 
     def see(
         self,
@@ -116,7 +122,15 @@ class NormalNetwork:
         given = {self._picture.name: planes((shown / 255 - mean) / std)}
         if body is not None:
             given |= dict(zip((FRONT, BACK), map(planes, body(crop)), strict=True))
-        inputs = {x.name: given[x.name] for x in self._session.get_inputs()}
+            if self._picture.shape[1] == 6:
+                both = [given[self._picture.name], given[FRONT]]
+                given[self._picture.name] = np.concatenate(both, axis=1)
+        width, height = self.spec.size
+        inputs = {
+            x.name: given[x.name] if x.name in given
+            else np.array(round(width * height / PATCH**2)).reshape([1] * len(x.shape))
+            for x in self._session.get_inputs()
+        }  # fmt: skip
         try:
             answer = np.asarray(self._session.run([self._output], inputs)[0])
         except Exception as error:  # noqa: BLE001 (each of its errors is a class of its own)
@@ -126,12 +140,16 @@ class NormalNetwork:
 
     def _unit_normals(self, answer: np.ndarray) -> np.ndarray:
         """Convert the network's output to unit normals (h, w, 3)."""
-        if answer.ndim != 4 or answer.shape[:2] != (1, 3) or answer.dtype.kind != "f":
+        planes = answer.ndim == 4 and answer.shape[:2] == (1, 3)
+        rows = answer.ndim == 4 and (answer.shape[0], answer.shape[3]) == (1, 3)
+        if not (planes or rows) or answer.dtype.kind != "f":
             raise InputError(
                 f"{self.path}: answers with {answer.dtype} {answer.shape}; expected {_ASKED}"
             )
-        normals = answer[0].transpose(1, 2, 0).astype(np.float32)
+        normals = (answer[0].transpose(1, 2, 0) if planes else answer[0]).astype(np.float32)
         normals = np.where(np.isfinite(normals).all(-1, keepdims=True), normals, 0)
+        if normals.min() >= 0 and _from_unit(2 * normals - 1) < _from_unit(normals):
+            normals = 2 * normals - 1
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         known = (length > SHORTEST) & (length < LONGEST)
         if not known.any():
@@ -140,6 +158,11 @@ class NormalNetwork:
                 "which are no normals; expected lengths near 1"
             )
         return np.where(known, normals / np.maximum(length, 1e-6), 0)
+
+
+def _from_unit(normals: np.ndarray) -> float:
+    """Return the median deviation of the vectors (h, w, 3) from unit length."""
+    return float(np.median(np.abs(np.linalg.norm(normals, axis=-1) - 1)))
 
 
 def _session(path: Path) -> InferenceSession:

@@ -19,12 +19,13 @@ def person():
     return image, mask, np.array([30.0, 10, 50, 50])
 
 
+@pytest.mark.parametrize("kind", ["normals", "encoded"])
 @pytest.mark.parametrize("sides", [("h", "w"), SIZE[::-1]])
 def test_the_network_s_input_and_output_are_in_its_convention(
-    sides, person, normal_network, tmp_path
+    kind, sides, person, normal_network, tmp_path
 ):
     """Red 170, as in the middle of the person, is (170/255 − 0.5) / 0.5 for the network."""
-    path = normal_network(tmp_path / "normals.onnx", sides)
+    path = normal_network(tmp_path / "normals.onnx", sides, kind=kind)
     asked = SIZE if sides == ("h", "w") else (64, 64)  # the file's own size is what counts
     crop, normals = NormalNetwork(path, NormalsSpec("perspective", asked)).see(*person)
     assert crop.width * SIZE[1] == pytest.approx(crop.height * SIZE[0], rel=0.05)
@@ -49,27 +50,47 @@ def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
 
 
 def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_path):
+    """A file of MoGe-2's form: numbers of patches in, normals (1, h, w, 3) beside other arrays.
+
+    24 by 32 pixels hold 3.9 patches of 14 by 14: its input is 4, and it answers x = 0.4, y = 0.
+    """
+    nodes = [
+        ("Cast", ["num_tokens"], ["tokens"], {"to": 1}),
+        ("Mul", ["tokens", "tenth"], ["x"], {}),
+        ("Mul", ["image", "nothing"], ["zero"], {}),
+        ("Split", ["zero"], ["r", "g", "b"], {"axis": 1, "num_outputs": 3}),
+        ("Add", ["r", "x"], ["x_map"], {}),
+        ("Sub", ["b", "height"], ["z_map"], {}),
+        ("Concat", ["x_map", "g", "z_map"], ["planes"], {"axis": 1}),
+        ("Transpose", ["planes"], ["normal"], {"perm": [0, 2, 3, 1]}),
+        ("Transpose", ["image"], ["points"], {"perm": [0, 2, 3, 1]}),
+    ]
     path = network_file(
-        tmp_path / "both.onnx",
-        [("Identity", ["image"], ["color"], {}), ("Identity", ["constant"], ["normal"], {})],
-        {"image": ("FLOAT", [1, 3, "h", "w"])}, ["color", "normal"],
-        {"constant": np.broadcast_to(np.float32([[[0]], [[0.6]], [[-0.8]]]), (1, 3, 32, 24))},
+        tmp_path / "scene.onnx", nodes,
+        {"image": ("FLOAT", [1, 3, "h", "w"]), "num_tokens": ("INT64", [])}, ["points", "normal"],
+        {"tenth": np.float32(0.1), "nothing": np.float32(0), "height": np.float32(0.84**0.5)},
     )  # fmt: skip
     _, normals = NormalNetwork(path, NormalsSpec("perspective", SIZE, output="normal")).see(*person)
-    assert np.allclose(normals, (0, 0.6, -0.8), atol=1e-6)
+    assert np.allclose(normals, (0.4, 0, -(0.84**0.5)), atol=1e-6)
     for name, words in ((None, "has several outputs"), ("normals", "has no output normals")):
-        with pytest.raises(InputError, match=f"{words}; expected .* one of color, normal$"):
+        with pytest.raises(InputError, match=f"{words}; expected .* one of points, normal$"):
             NormalNetwork(path, NormalsSpec("perspective", SIZE, output=name))
 
 
-@pytest.mark.parametrize("names", [["T_normal_F"], ["T_normal_F", "T_normal_B"]])
-def test_normals_of_the_body_are_given_by_icon_s_names(names, person, network_file, tmp_path):
+@pytest.mark.parametrize("inputs", ["T_normal_F", "T_normal_F T_normal_B", "six channels"])
+def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, network_file, tmp_path):
     """Networks that answer with what they are given of the body's front, or its back."""
     front, back = (np.zeros((SIZE[1], SIZE[0], 3)) for _ in range(2))
     front[..., 2], back[..., 0] = 1, np.linspace(-1, -0.9, SIZE[0])
-    given = {name: ("FLOAT", [1, 3, "h", "w"]) for name in ("image", *names)}
-    nodes = [("Identity", [names[-1]], ["answer"], {})]
-    path = network_file(tmp_path / "icon.onnx", nodes, given, ["answer"])
+    picture = {"image": ("FLOAT", [1, 3, "h", "w"])}
+    names, cut = inputs.split(), []
+    if inputs == "six channels":
+        names, picture = ["front"], {"image": ("FLOAT", [1, 6, "h", "w"])}
+        cut = [("Slice", ["image", "three", "six", "one"], ["front"], {})]
+    given = picture | {name: ("FLOAT", [1, 3, "h", "w"]) for name in names if not cut}
+    nodes = [*cut, ("Identity", [names[-1]], ["answer"], {})]
+    constants = {"three": [3], "six": [6], "one": [1]}
+    path = network_file(tmp_path / "icon.onnx", nodes, given, ["answer"], constants)
     network = NormalNetwork(path, NormalsSpec("icon", SIZE))
     assert network.needs_body
     _, normals = network.see(*person, lambda crop: (front, back))

@@ -10,9 +10,12 @@ import sys
 from pathlib import Path
 
 import drjit as dr
+import numpy as np
 import pytest
+import torch
 
 from gva_mi.core import cpu
+from gva_mi.core.same_bits import sqrt
 
 ROOT = Path(__file__).parents[2]
 OURS = [path for folder in ("gva_mi", "plugins") for path in (ROOT / folder).rglob("*.py")]
@@ -98,6 +101,14 @@ def test_no_tensor_goes_through_the_vector_functions_of_mkl():
             if isinstance(node, ast.Attribute) and node.attr in of_mkl:
                 known = isinstance(node.value, ast.Name) and node.value.id in exact
                 assert known, f"{path}:{node.lineno}: {node.attr}; see gva_mi/core/same_bits.py"
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_square_root_is_within_one_unit_of_the_last_place(dtype):
+    x = torch.rand(10_000, dtype=dtype, generator=torch.Generator().manual_seed(0)) * 3
+    exact = torch.from_numpy(np.sqrt(x.numpy().astype(np.longdouble)).astype(np.float64))
+    assert ((sqrt(x).double() / exact - 1).abs() < 1.5 * torch.finfo(dtype).eps).all()
+    assert sqrt(torch.zeros(1, dtype=dtype)) == 0
 
 
 NARROW = platform.machine() == "x86_64" and cpu.cpu_settings() and CORE.exists()

@@ -86,6 +86,14 @@ def test_beyond_a_limit_the_energy_is_quadratic():
     assert cost(("left_knee", "x", 155 + 20)) == pytest.approx(N / 6 * 4**2 / 2, rel=1e-4)
 
 
+def test_free_turns_cost_nothing():
+    """Toes bend both ways, forearms twist, shoulders turn about all axes."""
+    wave = 60 * torch.sin(TIMES / 3.0)
+    assert cost(("left_foot", "x", wave), ("right_foot", "x", -wave)) < 1e-6
+    assert cost(("left_elbow", "x", wave), ("right_elbow", "x", -wave)) < 1e-6
+    assert cost(*(("left_shoulder", axis, wave) for axis in "xyz")) == 0
+
+
 @pytest.mark.parametrize(
     ("name", "axis"),
     [
@@ -125,6 +133,14 @@ def test_left_and_right_are_symmetric(anatomy, size):
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)
 
 
+def test_the_gradient_reaches_every_held_joint(anatomy):
+    leaf = (noise(0.5).cumsum(0) / 5).requires_grad_()
+    energy(anatomy, leaf).backward()
+    kinds = ("knee", "elbow", "foot", "index", "middle", "ring", "pinky", "thumb2", "thumb3")
+    held = {i for i, name in enumerate(JOINTS) if name.split("_")[-1].startswith(kinds)}
+    assert set(leaf.grad.any(2).any(0).nonzero()[:, 0].tolist()) == held
+
+
 def test_true_motions_cost_little_and_conditioning_reduces_errors(anatomy, body):
     """Only the error of a hinge's bend remains, of three coordinates."""
     for motion in ("turn", "walk"):
@@ -146,6 +162,24 @@ def test_conditioning_removes_tremor_aside_and_keeps_bends():
     found = STRAIGHT.conditioned(before, white(10), TIMES)
     torch.testing.assert_close(found, turned(bend, *free), atol=0.01, rtol=0)
     torch.testing.assert_close(found[..., 0], before[..., 0], atol=1e-6, rtol=0)
+
+
+def test_conditioning_keeps_constant_offsets_and_exact_rotations(anatomy):
+    before = turned(("left_knee", "z", 5))
+    angle = STRAIGHT.conditioned(before, white(5), TIMES)[:, joint("left_knee"), 2].rad2deg()
+    assert angle.min() > 4
+    rotations = noise(0.5)
+    assert torch.equal(anatomy.conditioned(rotations, white(0), TIMES), rotations)
+
+
+def test_of_two_finger_joints_the_less_certain_one_moves():
+    trembles = ("left_index2", "-z", 45 + 15 * (-1.0) ** TIMES)
+    before = turned(trembles, ("left_index3", "-z", 30))
+    covariance = white(20)
+    covariance[joint("left_index2")] /= 100
+    found = STRAIGHT.conditioned(before, covariance, TIMES)
+    expected = turned(trembles, ("left_index3", "-z", 30 + 10 * (-1.0) ** TIMES))
+    torch.testing.assert_close(found, expected, atol=0.01, rtol=0)
 
 
 @pytest.mark.parametrize("at", ["wrist", "middle1"])

@@ -6,7 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import GROUPS
@@ -55,6 +55,14 @@ def matrices(pose):
     return roma.rotvec_to_rotmat(pose.rotations.detach())
 
 
+def test_rest_and_single_frames_are_not_corrected(make, true_pose):
+    found = make(at_rest()).pose([2, 0])
+    torch.testing.assert_close(found.rotations, at_rest(2).rotations, atol=1e-6, rtol=0)
+    torch.testing.assert_close(found.transl, at_rest(2).transl, atol=1e-6, rtol=0)
+    found = make(true_pose, frames=[1]).pose([0])
+    torch.testing.assert_close(matrices(found), matrices(true_pose[[1]]), atol=1e-5, rtol=0)
+
+
 def test_a_step_of_one_frame_moves_its_neighbours_less_and_less(make):
     corrections = make(at_rest())
     with torch.no_grad():
@@ -63,6 +71,14 @@ def test_a_step_of_one_frame_moves_its_neighbours_less_and_less(make):
     assert (angle > 0).all() and angle.argmax() == 3
     torch.testing.assert_close(angle, angle.flip(0), atol=1e-4, rtol=0)
     assert (angle[:4].diff() > 0).all()
+
+
+def test_distant_frames_move_less(make):
+    corrections = make(at_rest(60), frames=[0, 1, 58, 59])
+    with torch.no_grad():
+        corrections.turns[1, ELBOW, 0] = 1.0
+    near, far = corrections.pose([0, 2]).rotations[:, ELBOW].norm(dim=1).detach()
+    assert far < near
 
 
 def test_turns_and_shifts_are_in_the_axes_of_the_camera(make, camera, true_pose):
@@ -82,6 +98,14 @@ def test_turns_and_shifts_are_in_the_axes_of_the_camera(make, camera, true_pose)
     torch.testing.assert_close(turned / turned.norm(), sight.float(), atol=1e-4, rtol=0)
     moved = (after.transl - before.transl).detach()[0]
     torch.testing.assert_close(moved / moved.norm(), sight.float(), atol=1e-5, rtol=0)
+
+
+def test_the_face_stays(make, true_pose):
+    corrections = make(true_pose)
+    with torch.no_grad():
+        corrections.turns += 0.5
+    found = corrections.pose(range(len(true_pose))).rotations[:, JAW_AND_EYES].detach()
+    torch.testing.assert_close(found, true_pose.rotations[:, JAW_AND_EYES])
 
 
 def test_moving_all_frames_costs_unless_the_evidence_shows_the_distance(make, true_pose):

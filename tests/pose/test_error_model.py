@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.body.pose import JAW_AND_EYES, JOINTS
 from gva_mi.pose.prior.error_model import (
+    GROUPS,
     Stage1ErrorModel,
     covariance,
     fit_slow_part,
@@ -27,6 +29,12 @@ def draw(noise, joints=8, seed=0):
 def vectors(noise):
     """Errors (n, J, 3)."""
     return torch.stack([draw(noise, seed=s) for s in range(3)], -1)
+
+
+def test_every_joint_but_those_of_the_face_is_in_one_group():
+    members = sorted(i for group in GROUPS.values() for i in group)
+    face = range(len(JOINTS))[JAW_AND_EYES]
+    assert members == [i for i in range(len(JOINTS)) if i not in face]
 
 
 @pytest.mark.parametrize("white", [0.02, 0.2])
@@ -64,6 +72,12 @@ def test_outliers_get_large_factors():
         factors = outlier_factors(errors, covariance([noise], TIMES, factors), [noise], factors)
     assert factors[0].argmax() == 50 and factors[0, 50] > 20
     assert factors[0].median() < 2
+
+
+def test_the_covariance_is_the_sum_of_its_parts():
+    noise = Stage1ErrorModel(0.1, 0.3, 5.0)
+    K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]))[0].numpy()
+    np.testing.assert_allclose(K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8)
 
 
 def test_a_known_bias_takes_the_place_of_the_slow_part():

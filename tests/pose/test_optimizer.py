@@ -25,6 +25,12 @@ def test_a_quadratic_is_minimised():
     torch.testing.assert_close(end, target, atol=5e-3, rtol=0)
 
 
+def test_the_first_step_points_along_the_gradient():
+    target = torch.tensor([[0.1, 0.01, 0.0]])
+    (first,) = descend(torch.zeros(1, 3), target, torch.ones(3), steps=1)
+    torch.testing.assert_close(first, 0.05 * target / target.norm())
+
+
 def test_rotating_the_problem_rotates_the_path():
     generator = torch.Generator().manual_seed(2)
     R = roma.rotvec_to_rotmat(torch.tensor([0.4, -0.8, 0.3]))

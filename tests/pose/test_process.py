@@ -30,6 +30,11 @@ def rms(x):
     return float(x.square().mean().sqrt())
 
 
+def test_a_joint_at_rest_stays_at_rest():
+    found, _ = estimate(noisy(torch.zeros(N, 4, 3), 0.1), 0.1)
+    assert rms(found.diff(dim=0)) < 0.01
+
+
 def test_a_fast_motion_survives():
     """Up and down by one radian within half a second, in the midst of rest."""
     truth = torch.zeros(N, 1, 3)
@@ -63,6 +68,12 @@ def test_an_outlier_takes_the_value_of_its_neighbours():
     found, process = estimate(y, 0.01)
     assert found[30:32].abs().max() < 0.05
     assert process.factors[0, 30:32].min() > 50 * process.factors[0].median()
+
+
+def test_a_steady_motion_keeps_its_speed():
+    found, _ = estimate(noisy(0.1 * TIMES[:, None, None].expand(N, 1, 3), 0.02), 0.02, steady=True)
+    speed = found.diff(dim=0)
+    assert float(speed.mean()) == pytest.approx(0.1, rel=0.01) and rms(speed - 0.1) < 0.01
 
 
 def test_the_map_estimate_minimises_the_energy():

@@ -1,5 +1,6 @@
 """A lens: J is the derivative of u, and the adjoint is the transpose of the tangent."""
 
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -7,8 +8,9 @@ from drjit.llvm import Float, Float64
 
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels.camera_arrays import camera_arrays, camera_tangent
+from gva_mi.splat.kernels.camera_arrays import camera_adjoint, camera_arrays, camera_tangent
 from gva_mi.splat.kernels.lens import LENSES
+from gva_mi.splat.kernels.records import CameraGradient
 from gva_mi.splat.options import SplatOptions
 
 MODELS = list(LENSES)
@@ -87,3 +89,16 @@ def test_fisheyes_series_meets_its_formulas(F):
     # here e loses a factor 1/q of its digits to cancellation, and k another one
     for found, expected, rtol in zip((lens.s, lens.e, lens.k), (s, e, k), digits, strict=True):
         np.testing.assert_allclose(found.numpy(), expected, rtol=rtol)
+
+
+def test_views_adjoint_is_the_transpose_of_its_tangent():
+    rng = np.random.default_rng(3)
+    dT, dK = np.zeros((4, 4)), np.zeros((3, 3))
+    dT[:3] = rng.normal(size=(3, 4))
+    dK[0, 0], dK[1, 1], dK[:2, 2] = rng.normal(size=2)[0], 0.3, rng.normal(size=2)
+    d = camera_tangent(camera("pinhole"), dT, dK)
+    d = np.concatenate([[dr.slice(x) for x in part] for part in (d.R, d.t, d.f, d.c, d.o)])
+    g = rng.normal(size=CameraGradient.columns())
+    grad_T, grad_K = camera_adjoint(camera("pinhole"), CameraGradient.unpack(g))
+    np.testing.assert_allclose(d @ g, (grad_T * dT).sum() + (grad_K * dK).sum(), rtol=1e-12)
+    assert (grad_T[3] == 0).all() and grad_K[2, 2] == grad_K[0, 1] == 0

@@ -2,7 +2,7 @@
 
 import os
 import signal
-from concurrent.futures import CancelledError, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Future
 from dataclasses import replace
 
 import drjit as dr
@@ -116,6 +116,18 @@ def test_shared_frames_keep_their_order(helpers, monkeypatch):
         assert len(pool.given) == min(helpers, count - 1)
         for (loss, grad), (own, own_grad) in zip(found, wanted, strict=True):
             assert loss == own and torch.equal(grad, own_grad)
+
+
+def test_a_helper_that_died_is_one_sentence():
+    """While frames are shared: the pool is broken, and no loss is made up for the lost frame."""
+    pool = Inline()
+    alone = lambda frames, bodies, close: [(0.0, body) for body in bodies]
+    shared = frame_losses.SharedFrameLosses(alone, pool, 1, dr.thread_count())
+    lost = Future()
+    lost.set_exception(BrokenExecutor("a process ended"))
+    pool.submit = lambda *given: lost
+    with pytest.raises(InputError, match="a worker process is gone"):
+        shared([0, 1], torch.zeros(2, 4, 3), True)
 
 
 class Killed:

@@ -27,7 +27,7 @@ GRACE = 5.0  # seconds
 
 
 def usual_workers() -> int:
-    """Return how many processes a command uses that nobody told: each takes a gigabyte."""
+    """Return how many processes a command uses unless told: few, as each takes a gigabyte."""
     return min(4, os.cpu_count() or 1)
 
 

@@ -48,7 +48,7 @@ def changed(options: T, values: Mapping[str, Any]) -> T:
     return options
 
 
-UNTRAINED = {"poses.trained": False}  # poses stay as they are given
+UNTRAINED = {"first_steps": 0, "poses.trained": False}  # poses stay as they are given
 HANDLESS = {"avatar.hands": False}
 UNSTRETCHED = {"avatar.stretch": False}  # Gaussians do not stretch and shear with the skin
 NAKED = {"naked": True}  # seeded on the naked body instead of the displaced surface

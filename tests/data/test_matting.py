@@ -5,6 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from gva_mi.data.matting.film import film_masks
+from gva_mi.data.matting.odds import log_odds
+from gva_mi.data.matting.plate import Plate
 from gva_mi.data.pictures import read_image
 
 H, W, T = 96, 80, 10
@@ -54,6 +56,17 @@ def test_masks_hold_at_the_outline_and_leave_the_shadow_out(film, tmp_path):
     assert before < 0.87
     assert iou(masks > 0.5, truth > 0.5) > 0.985
     assert np.minimum(masks, truth).sum() / np.maximum(masks, truth).sum() > 0.96
+
+
+def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_background():
+    grey = np.full((4, 4, 3), 0.5, np.float32)
+    plate = Plate(grey, np.full((4, 4), 0.02, np.float32), np.ones((4, 4), bool))
+    blue = np.broadcast_to(np.float32([0, 0, 1]), (4, 4, 3))
+    height, P, person = np.linspace(0, 1, 4), np.full((4, 4), 0.5), np.full((4, 4), 2.0)
+    odds = [log_odds(blue, P, height, plate, person, h * np.ones((4, 4))) for h in (1.0, 8.0)]
+    # Eq. 2 without the plate: p(I | background) = e h, with e = 0.01.
+    assert odds[0] == pytest.approx(np.log(2 / 0.01), abs=0.02)
+    assert odds[1] == pytest.approx(np.log(2 / 0.08), abs=0.02)
 
 
 def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):

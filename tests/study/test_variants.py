@@ -38,6 +38,12 @@ def test_a_variant_changes_what_its_options_name_and_nothing_else():
         assert changed(variant.name) or variant.poses != "refined" or variant in (FULL, RANGE)
 
 
+def test_rows_with_fixed_poses_have_no_first_fit_which_would_train_them():
+    for variant in VARIANTS:
+        options = variant.of(FitOptions(first_steps=5))
+        assert options.first_steps == (5 if options.poses.trained else 0), variant.name
+
+
 def test_the_ladder_leads_from_the_paper_to_the_whole_method():
     """Its first row is the preset; without its residual, the last one is the default."""
     options = FitOptions(steps=700, seed=3)

@@ -7,10 +7,10 @@ A network's probability P, the densities of colours and the plate B decide toget
 
 A shadow on the floor or on a wall multiplies B by some s < 1 and leaves its hue: eq. 2 takes the
 best s, at a price k that grows with its distance from 1. t is Student's density, since backgrounds
-are not quite still. Where the plate was seen, h is 1 and e is small; where it is a guess, h is the
-density of the background's colours at this height. The network errs at outlines and not in the
-middle of the person: b grows with the distance from where P says anything else. Shadows are
-darkest where feet touch the floor, so the price k falls there.
+are not quite still. h is the density of the background's colours at this height, which reflections
+on a floor have, too. e is small where the plate was seen, and large where it is a guess. The
+network errs at outlines and not in the middle of the person: b grows with the distance from where P
+says anything else. Shadows are darkest where feet touch the floor, so the price k falls there.
 """
 
 from __future__ import annotations
@@ -74,4 +74,4 @@ def _of_background(
     t = T3 / plate.spread**3 * (1 + dot(rest, rest) / (NU * variance)) ** (-(NU + 3) / 2)
     known = t * np.exp(np.minimum(s - 1, 0) / shadow - np.maximum(s - 1, 0) / BRIGHT)
     e = np.where(plate.seen, np.float32(SEEN_ELSE), np.float32(GUESS_ELSE))
-    return (1 - e) * known + e * np.where(plate.seen, 1, background)
+    return (1 - e) * known + e * background

@@ -59,6 +59,10 @@ NOT_RUN = {
     "gva-mi study refine --held-out-set 9 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
+    "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --fit.first-steps "
+    '1000 --rows full "true poses" --out film-avatars': (
+        "renders and watches films: tests/study/test_filmed.py"
+    ),
     "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi COMMAND --help": "any: tests/cli",

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -94,6 +95,20 @@ class MaskAndNormals:
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
+    @cached_property
+    def target(self) -> Tensor:
+        """Normals and mask (H, W, 4), as a rendering has them; zero normals where there are none."""
+        normals = self.mask.new_zeros(*self.mask.shape, 3) if self.normals is None else self.normals
+        return torch.cat([normals, self.mask[..., None]], dim=-1)
+
+    @cached_property
+    def known(self) -> Tensor:
+        """(H, W, 4), 1 in a known normal: inside a mask it may be missing, too; 0 in the mask."""
+        known = torch.zeros_like(self.target)
+        if self.normals is not None:
+            known[..., :3] = self.normals.any(-1, keepdim=True)
+        return known
+
     def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
 
@@ -101,21 +116,24 @@ class MaskAndNormals:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
         """
-        if self.normals is None:
-            off = self.silhouette_loss(image)
-            if self.clear is not None:
-                off = self.clear * torch.log1p(off / self.clear)
-            return ALONE * silhouette * off
-        return self.normal_loss(image) + silhouette * self.silhouette_loss(image)
+        of_normals, of_silhouette = self._losses(image)
+        if self.normals is not None:
+            return of_normals + silhouette * of_silhouette
+        if self.clear is not None:
+            of_silhouette = self.clear * torch.log1p(of_silhouette / self.clear)
+        return ALONE * silhouette * of_silhouette
 
     def normal_loss(self, image: Tensor) -> Tensor:
         """Return eq. 2 of a rendering (H, W, 4), for a frame with normals."""
-        known = self.normals.any(-1)  # inside a mask they may be missing, too
-        return ((image[..., :3] - self.normals).abs() * known[..., None]).sum() / (3 * self.area)
+        return self._losses(image)[0]
 
     def silhouette_loss(self, image: Tensor) -> Tensor:
         """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
-        return (image[..., 3] - self.mask).abs().sum() / self.area
+        return self._losses(image)[1]
+
+    def _losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        normals, mask = _Differences.apply(image, self.target, self.known)
+        return normals / (3 * self.area), mask / self.area
 
 
 def common_scale(
@@ -208,6 +226,28 @@ def frame_loss(
         )
         gradient = torch.autograd.grad(loss, body)[0] if differentiated else None
     return float(loss.detach()), gradient
+
+
+class _Differences(torch.autograd.Function):
+    """``Σ |x - y|`` of known normals and of the mask, by the rendering ``x`` (H, W, 4).
+
+    All four channels are compared in one go, because torch is slow at three of four.
+    """
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, x: Tensor, y: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+        difference = x - y
+        ctx.save_for_backward(difference, known)
+        size = difference.abs()
+        return (size * known).sum(), size[..., 3].sum()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, normals: Tensor, mask: Tensor) -> tuple[Tensor, None, None]:
+        difference, known = ctx.saved_tensors
+        slope = known * normals
+        slope[..., 3] = mask
+        return slope.mul_(difference.sign()), None, None
 
 
 class _MeanLoss(torch.autograd.Function):

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -83,7 +84,7 @@ class Anatomy:
     freedoms: Sequence[Freedom]  # Q of them
     bends: Tensor  # (H, J, 3) of hinges that have limits
     limits: Tensor  # (H, 2) low and high, radians
-    _precisions: dict[tuple[float, ...], Tensor] = field(default_factory=dict, repr=False)
+    _precisions: dict[tuple[Freedom, bytes], Tensor] = field(default_factory=dict, repr=False)
 
     @staticmethod
     def of(joints: Tensor) -> Anatomy:
@@ -121,8 +122,8 @@ class Anatomy:
         """Return eq. 4; see :class:`gva_mi.pose.prior.inference.PriorTerm`."""
         angles = torch.einsum("qjc,njc->qn", self.A, rotations)
         total = rotations.new_zeros(())
-        for freedom in dict.fromkeys(self.freedoms):
-            a = angles[[q for q, other in enumerate(self.freedoms) if other == freedom]]
+        for freedom, which in self._alike.items():
+            a = angles[which]
             total = total + (a * (a @ self._precision(freedom, times))).sum() / 2
         bend = torch.einsum("hjc,njc->nh", self.bends, rotations)
         past = (self.limits[:, 0] - bend).clamp_min(0) + (bend - self.limits[:, 1]).clamp_min(0)
@@ -147,8 +148,14 @@ class Anatomy:
                 found[:, joint] -= (covariance[joint] @ pull)[:, None] * row[joint]
         return found.to(rotations.dtype)
 
+    @cached_property
+    def _alike(self) -> dict[Freedom, Tensor]:
+        """The angles of each freedom."""
+        numbers = lambda freedom: [q for q, own in enumerate(self.freedoms) if own == freedom]
+        return {f: torch.tensor(numbers(f)) for f in dict.fromkeys(self.freedoms)}
+
     def _precision(self, freedom: Freedom, times: Tensor) -> Tensor:
-        key = (freedom.always, freedom.varying, *times.tolist())
+        key = freedom, times.numpy().tobytes()
         if key not in self._precisions:
             factor = torch.linalg.cholesky(_covariance(freedom, times))
             self._precisions[key] = torch.cholesky_inverse(factor).float()

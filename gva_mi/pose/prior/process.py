@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -95,7 +96,7 @@ class ProcessPrior:
 
     def map_estimate(self) -> tuple[Tensor, ProcessPrior]:
         """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
-        process, D = self, self._difference().double()
+        process, D = self, self._difference.double()
         corrections = torch.zeros(len(self.times), *self.steps.shape[1:])
         for round in range(ROUNDS):
             # No step counts as a jump at first, however large: otherwise nothing would move.
@@ -118,9 +119,14 @@ class ProcessPrior:
 
     def variance_of_mean(self, bias: bool) -> Tensor:
         """Return the variance (C,) of stage 1's mean error, with or without its bias."""
+        return self._variances_of_mean[0 if bias else 1]
+
+    @cached_property
+    def _variances_of_mean(self) -> tuple[Tensor, Tensor]:
+        """With and without its bias (C,); every step asks for them."""
         K = self._error_covariance().mean((1, 2))
         without = torch.tensor([noise.constant**2 for noise in self.error_models])
-        return (K if bias else K - without).float()
+        return K.float(), (K - without).float()
 
     def precision(self) -> Tensor:
         """Return ``P`` (C, n, n)."""
@@ -138,7 +144,7 @@ class ProcessPrior:
 
     def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:
         """Return ``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""
-        D, changes = self._difference(), self._changed(corrections)
+        D, changes = self._difference, self._changed(corrections)
         W = motion.stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
         D = D.double()
         return self._precision() + D.T @ (W[..., None] * D), W
@@ -154,8 +160,9 @@ class ProcessPrior:
     def _changed(self, corrections: Tensor) -> Tensor:
         """Return ``Δ`` (n - 1 or n - 2, C, d) under corrections (n, C, d)."""
         n, C, d = corrections.shape
-        return self.steps + (self._difference() @ corrections.flatten(1)).view(-1, C, d)
+        return self.steps + (self._difference @ corrections.flatten(1)).view(-1, C, d)
 
+    @cached_property
     def _difference(self) -> Tensor:
-        """Return ``D`` (n - 1 or n - 2, n)."""
+        """``D`` (n - 1 or n - 2, n)."""
         return self.changes(torch.eye(len(self.times)).diff(dim=0))

@@ -82,8 +82,7 @@ class Contours:
         by_end = (grad_x * (1 - self.s), grad_x * self.s)
         dr.eval(by_end)
         at_ends = dr.zeros(mi.Vector3f, 2 * dr.width(self.topology.crease))
-        for k, value in enumerate(by_end):
-            sums = sum_runs(value, self.start, dr.width(self.edge))
+        for k, sums in enumerate(sum_runs(list(by_end), self.start, dr.width(self.edge))):
             dr.scatter(at_ends, sums, 2 * self.edges + k)
         dr.eval(at_ends)
         return self.topology.ends_of_vertex.sum(at_ends)

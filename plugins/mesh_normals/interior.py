@@ -47,14 +47,14 @@ class Interior:
     def of(caster: RayCaster, filter: PixelFilter, seen: RayHits) -> Interior | None:
         """Gather the samples; None where nothing is seen. ``seen`` are hits of the image's rays."""
         surface, projection = caster.surface, caster.projection
-        slanted = _is_slanted(surface, projection.ray(filter.positions()), seen.face)
+        slanted = _is_slanted(surface, seen.ray, seen.face)
         rays = dr.compress(seen.hit & slanted)
         if dr.width(rays) == 0:
             return None
         face, q = _points_on_triangles(caster)
         at, faces = filter.positions(rays), dr.gather(mi.UInt32, seen.face, rays)
         if dr.width(face) > 0:
-            at, faces = concat(at, q), concat(faces, face)
+            at, faces = concat([at, faces], [q, face])
         dr.eval(at, faces)
         ray = projection.ray(at)
         c = dr.gather(mi.Vector3f, surface.face_normals, faces)
@@ -95,7 +95,7 @@ class Interior:
         by_sample = self.filter.spread(grads, self.rays)
         if dr.width(self.q) > 0:
             on_faces = self.filter.spread_to(grads, self.q, self.crowd)
-            by_sample = [concat(x, y) for x, y in zip(by_sample, on_faces, strict=True)]
+            by_sample = concat(by_sample, on_faces)
         by_sample = [self.weight * x for x in by_sample]
         surface, camera_world = self.caster.surface, self.caster.projection.camera_world
         grad_n, grad_w = self.caster.channels.adjoint(by_sample, camera_world)

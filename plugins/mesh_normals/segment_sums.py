@@ -8,11 +8,15 @@ threads.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+
+ONE_PASS = 1 << 16  # keys that are sorted by counting in one pass; more take argsort's three
 
 
 @dataclass(frozen=True)
@@ -36,14 +40,20 @@ class Segments:
         return _sum([values], self.items, first, end)[0]
 
 
-def sum_runs(values: mi.Vector3f, start: mi.UInt32, total: int) -> mi.Vector3f:
+def sum_runs(values: list[mi.Vector3f], start: mi.UInt32, total: int) -> list[mi.Vector3f]:
     """Sum runs of neighbouring entries: run ``i`` starts at ``start[i]`` and ends at the next."""
-    return _sum([values], None, start, _ends(start, total))[0]
+    return _sum(values, None, start, _ends(start, total))
 
 
-def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
-    """Sum the entries that share a key; return sums and keys, each once, in rising order."""
-    order = dr.argsort(key)
+def sum_by_key(
+    values: list[mi.Vector3f], key: mi.UInt32, keys: int
+) -> tuple[list[mi.Vector3f], mi.UInt32]:
+    """Sum the entries that share a key below ``keys``; return sums and keys, each once, in rising
+    order."""
+    if dr.width(key) > 1 and keys <= ONE_PASS:
+        order = dr.detail.block_mkperm(key, dr.width(key), 1 << (keys - 1).bit_length())
+    else:
+        order = dr.argsort(key)
     key = dr.gather(mi.UInt32, key, order)
     i = dr.arange(mi.UInt32, dr.width(key))
     begins = (i == 0) | (key != dr.gather(mi.UInt32, key, i - 1, i > 0))
@@ -52,14 +62,20 @@ def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vecto
     return sums, dr.gather(mi.UInt32, key, start)
 
 
-def concat(a: mi.Point2f, b: mi.Point2f) -> mi.Point2f:
-    """Concatenate two arrays; for arrays whose lengths vary, because
-    ``dr.concat`` compiles a kernel for each length."""
-    dr.eval(a, b)
-    count, shift = dr.width(a), dr.opaque(mi.UInt32, dr.width(a))
-    result = dr.empty(type(a), count + dr.width(b))
-    dr.scatter(result, a, dr.arange(mi.UInt32, count))
-    dr.scatter(result, b, dr.arange(mi.UInt32, dr.width(b)) + shift)
+def concat(first: Sequence[dr.ArrayBase], then: Sequence[dr.ArrayBase]) -> list[dr.ArrayBase]:
+    """Concatenate arrays (A,) with arrays (B,) of the same kinds, each to one (A + B,).
+
+    For arrays whose lengths vary, because ``dr.concat`` compiles a kernel for each length.
+    """
+    a, b = dr.width(first), dr.width(then)
+    result = [dr.empty(type(x), a + b) for x in first]
+    for values, index in (
+        (first, dr.arange(mi.UInt32, a)),
+        (then, dr.arange(mi.UInt32, b) + dr.opaque(mi.UInt32, a)),
+    ):
+        for target, value in zip(result, values, strict=True):
+            dr.scatter(target, value, index, mode=dr.ReduceMode.NoConflicts)
+        dr.eval(result)
     return result
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
     from gva_mi_plugins.mesh_normals.integrator import MeshNormals
     from gva_mi_plugins.mesh_normals.mesh_view import MeshView
+    from gva_mi_plugins.mesh_normals.projection import SensorProjection
 
 
 MOST_SENSORS = 1000  # in the cache of a scene
@@ -58,7 +59,7 @@ class MeshScene:
         )
         self._parameters = mi.traverse(self._scene)
         self._integrators: dict[float, MeshNormals] = {}
-        self._sensors: dict[tuple, mi.Sensor] = {}
+        self._sensors: dict[tuple, tuple[mi.Sensor, SensorProjection]] = {}
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
@@ -72,47 +73,55 @@ class MeshScene:
         Returns:
             (H, W, 4), zero where the mesh is not seen; differentiable in the vertices.
         """
-        return self.render_together(vertices, [camera])[0]
+        pixels = self._pixels(vertices, camera, ())
+        return pixels.view(camera.height, camera.width, pixels.shape[-1])
 
-    def render_together(self, vertices: Tensor, cameras: Sequence[Camera]) -> list[Tensor]:
+    def render_crops(
+        self, vertices: Tensor, picture: Camera, crops: Sequence[Camera]
+    ) -> list[Tensor]:
         """Render several crops of one picture, for little more than the cost of one.
 
         Args:
             vertices: (V, 3) float32, world, metres.
-            cameras: the first sees the whole picture, the others parts of it, each at a resolution
-                of its own; what they see beyond the first's picture has no gradient.
+            picture: the camera that sees the whole picture.
+            crops: cameras that see parts of it, each at a resolution of its own; what they see
+                beyond the picture has no gradient.
 
         Returns:
-            (H, W, 4) of each camera.
+            (H, W, 4) of each crop.
 
         Raises:
-            ValueError: the cameras are not crops of one picture.
+            ValueError: the cameras are not crops of the picture.
         """
+        pixels = self._pixels(vertices, picture, tuple(crops))
+        counts = [camera.width * camera.height for camera in crops]
+        shapes = [(camera.height, camera.width, pixels.shape[-1]) for camera in crops]
+        return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
+
+    def _pixels(self, vertices: Tensor, picture: Camera, crops: tuple[Camera, ...]) -> Tensor:
+        """Return the pixels (N, 4) of one crop after the other, or of the picture without any."""
         if vertices.shape != (self.vertex_count, 3) or vertices.dtype != torch.float32:
             raise ValueError(
                 f"MeshScene.render(): vertices must be ({self.vertex_count}, 3) float32, "
                 f"got {tuple(vertices.shape)} {vertices.dtype}"
             )
-        pixels = _RenderNormals.apply(vertices, self, tuple(cameras))
-        counts = [camera.width * camera.height for camera in cameras]
-        shapes = [(camera.height, camera.width, pixels.shape[-1]) for camera in cameras]
-        return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
+        return _RenderNormals.apply(vertices, self, picture, crops)
 
-    def view(self, vertices: Tensor, camera: Camera, *others: Camera) -> MeshView:
-        """Return the plugin's view of the mesh, in tiles if there are other cameras."""
+    def view(self, vertices: Tensor, picture: Camera, crops: Sequence[Camera] = ()) -> MeshView:
+        """Return the plugin's view of the mesh, in tiles if there are crops."""
         import mitsuba as mi
 
         self.show(vertices)
-        sensor, aspect = self._sensor(camera), pixel_aspect(camera)
+        (sensor, projection), aspect = self._sensor(picture), pixel_aspect(picture)
         if aspect not in self._integrators:  # each keeps the mesh's topology
             # Searching for where a body intersects itself costs a fifth of a step, for few pixels.
             # Its thinnest faces are so by design; the edges stay the same in all frames.
             kind = {"type": "mesh_normals", "pixel_aspect": aspect}
             kind |= {"intersections": False, "flat_faces": False}
             self._integrators[aspect] = mi.load_dict(kind)
-        tiles = [tile_of(other, camera) for other in (camera, *others)] if others else ()
+        tiles = [tile_of(crop, picture) for crop in crops]
         return self._integrators[aspect].view(
-            self._scene, sensor, tiles=tiles, instanced=self._mesh
+            self._scene, sensor, tiles=tiles, instanced=self._mesh, projection=projection
         )
 
     def show(self, vertices: Tensor) -> None:
@@ -125,19 +134,21 @@ class MeshScene:
             self._parameters.update()
             self._shown = vertices
 
-    def _sensor(self, camera: Camera) -> mi.Sensor:
-        """Return the sensor of a camera, from a cache that drops the oldest.
+    def _sensor(self, camera: Camera) -> tuple[mi.Sensor, SensorProjection]:
+        """Return the sensor of a camera and its projection, from a cache that drops the oldest.
 
         A video has few cameras, a browser has many.
         """
         import mitsuba as mi
+        from gva_mi_plugins.mesh_normals.projection import SensorProjection
 
         key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
         key += (camera.model, camera.T_camera_world.tobytes())
         if key not in self._sensors:
             if len(self._sensors) == MOST_SENSORS:
                 del self._sensors[next(iter(self._sensors))]
-            self._sensors[key] = mi.load_dict(sensor_of(camera))
+            sensor = mi.load_dict(sensor_of(camera))
+            self._sensors[key] = sensor, SensorProjection.of(sensor, pixel_aspect(camera))
         return self._sensors[key]
 
 
@@ -171,27 +182,31 @@ def _mesh_of(faces: Tensor, vertices: Tensor) -> mi.Mesh:
 
 
 class _RenderNormals(torch.autograd.Function):
-    """Autograd function that renders the pixels (N, 4) of all cameras."""
+    """Autograd function that renders the pixels (N, 4) of :meth:`MeshScene._pixels`."""
 
     @staticmethod
     def forward(
-        ctx: FunctionCtx, vertices: Tensor, scene: MeshScene, cameras: tuple[Camera, ...]
+        ctx: FunctionCtx,
+        vertices: Tensor,
+        scene: MeshScene,
+        picture: Camera,
+        crops: tuple[Camera, ...],
     ) -> Tensor:
         shown = vertices.detach().contiguous()
         ctx.scene, ctx.shown = scene, shown
-        ctx.view = scene.view(shown, *cameras)
+        ctx.view = scene.view(shown, picture, crops)
         image = ctx.view.image()
         ctx.shape = image.shape
         return _to_torch(image).flatten(0, 1)
 
     @staticmethod
-    def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor, None, None]:
+    def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor, None, None, None]:
         import drjit as dr
         import mitsuba as mi
 
         ctx.scene.show(ctx.shown)  # another pose may have been rendered in between
         grad = ctx.view.adjoint(mi.TensorXf(grad_pixels.contiguous().view(ctx.shape)))
-        return _to_torch(dr.ravel(grad)).view(-1, 3), None, None
+        return _to_torch(dr.ravel(grad)).view(-1, 3), None, None, None
 
 
 def _to_mitsuba(vertices: Tensor) -> mi.Float:

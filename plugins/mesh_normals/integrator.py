@@ -80,6 +80,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         spp: int = 1,
         tiles: Sequence[Tile] = (),
         instanced: mi.Mesh | None = None,
+        projection: SensorProjection | None = None,
     ) -> MeshView:
         """Return a sensor's image and its derivatives, without automatic differentiation.
 
@@ -91,6 +92,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
                 image then has one row, with the pixels of one tile after the other, and edges have
                 as many samples as in a picture of the finest.
             instanced: the only mesh, where the scene holds it as an instance, at its own place.
+            projection: of the sensor, where it is known already.
 
         Raises:
             ValueError: a shape that is no mesh, or a sensor or a film that cannot be used.
@@ -102,7 +104,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
             surface = self._surface(meshes, positions)
-            projection = SensorProjection.of(sensor, self.pixel_aspect)
+            projection = projection or SensorProjection.of(sensor, self.pixel_aspect)
             film = sensor.film()
             filter = MultiCrop.of(tiles, film) if tiles else PixelFilter.of(film, spp)
             traced = without_ellipsoids(scene) if instanced is None else scene

@@ -15,7 +15,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-
 ONE_PASS = 1 << 16  # keys that are sorted by counting in one pass; more take argsort's three
 
 

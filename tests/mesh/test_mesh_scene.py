@@ -122,7 +122,7 @@ def closer(camera):
 
 def test_crops_seen_together_are_what_each_camera_sees(scene, body, whole, closer):
     with torch.no_grad():
-        together = scene.render_together(body.v_template, [whole, closer])
+        together = scene.render_crops(body.v_template, whole, [whole, closer])
         alone = [scene.render(body.v_template, view) for view in (whole, closer)]
     assert torch.equal(together[0], alone[0])
     assert together[1].shape == alone[1].shape and bool(alone[1].any())
@@ -148,11 +148,11 @@ def test_the_gradient_of_a_crop_is_the_same_alone_and_together(scene, body, whol
         return torch.cat([grad.sum(0), (turned * grad).sum((1, 2))])
 
     alone = slopes(lambda x: scene.render(x, closer))
-    together = slopes(lambda x: scene.render_together(x, [whole, closer])[1])
+    together = slopes(lambda x: scene.render_crops(x, whole, [closer])[0])
     assert float((together - alone).norm()) < 0.03 * float(alone.norm())
 
 
 def test_cameras_of_different_pictures_are_not_seen_together(scene, body, whole, closer):
     other = replace(closer, fy=1.01 * closer.fy)
     with pytest.raises(ValueError, match="crops of one picture"):
-        scene.render_together(body.v_template, [whole, other])
+        scene.render_crops(body.v_template, whole, [other])

@@ -106,7 +106,7 @@ def test_a_hand_that_a_films_mask_misses_hardly_pulls(body, scene, seen, vertice
             ((_, view),) = close_ups(given, {hand: 1.0}, vertices, person)
             x = (vertices + torch.tensor([0.004, 0, 0])).requires_grad_()
             image = scene.render(x, view.camera)
-            off = float(view.silhouette_loss(image).detach())
+            off = float(view.losses(image)[1].detach())
             slope[off > 0.5, of_film] = torch.autograd.grad(view.loss(image, 1.0), x)[0]
             if of_film:
                 plain = slope[off > 0.5, False]
@@ -141,3 +141,16 @@ def test_a_refinement_uses_close_ups_if_asked(clip, coarse):
         for weight in (0.0, 1.0)
     ]
     assert not torch.equal(*poses)
+
+
+def test_a_frame_is_compared_only_where_mask_or_body_are(scene, seen, vertices):
+    """Cutting off the rest of the picture changes neither the loss nor the gradient."""
+    person = seen[0]
+    moved = vertices + torch.tensor([0.05, 0.02, 0.0])
+    part = person.around(moved)
+    assert part.mask.numel() < 0.8 * person.mask.numel()
+    found, gradient = frame_loss(scene, moved, [(1.0, person)], 1.0, True)
+    x = moved.clone().requires_grad_()
+    loss = person.loss(scene.render(x, person.camera), 1.0)
+    assert found == pytest.approx(float(loss), rel=1e-6)
+    assert torch.equal(gradient, torch.autograd.grad(loss, x)[0])

@@ -28,7 +28,7 @@ eq. 2.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -36,12 +36,14 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
+from torch.nn.functional import normalize, pad
 
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data.crop import (
     Extent,
     NoEvidence,
     ScaledCrop,
+    bounds,
     mask_extent,
     person_extent,
     points_extent,
@@ -91,23 +93,41 @@ class MaskAndNormals:
         if normals is not None:
             # Means of unit vectors are shorter than 1. They are normalised, and dropped where the
             # mask covers less than half of the pixel.
-            normals = torch.nn.functional.normalize(crop.shrink(normals, part), dim=-1)
+            normals = normalize(crop.shrink(normals, part), dim=-1)
             normals = normals * (mask > 0.5)[..., None]
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
     @cached_property
-    def target(self) -> Tensor:
-        """Normals and mask (H, W, 4), as a rendering has them; zero normals where there are none."""
+    def compared(self) -> tuple[Tensor, Tensor]:
+        """Normals and mask (H, W, 4), and which normals are known: 1 or 0, and 0 for the mask.
+
+        Inside a mask a normal may be missing, too.
+        """
         normals = self.mask.new_zeros(*self.mask.shape, 3) if self.normals is None else self.normals
-        return torch.cat([normals, self.mask[..., None]], dim=-1)
+        known = pad(normals.any(-1, keepdim=True).expand_as(normals).to(normals), (0, 1))
+        return torch.cat([normals, self.mask[..., None]], dim=-1), known
 
     @cached_property
-    def known(self) -> Tensor:
-        """(H, W, 4), 1 in a known normal: inside a mask it may be missing, too; 0 in the mask."""
-        known = torch.zeros_like(self.target)
-        if self.normals is not None:
-            known[..., :3] = self.normals.any(-1, keepdim=True)
-        return known
+    def _extent(self) -> Extent:
+        """Of the mask, however faint."""
+        return Extent(*bounds(self.mask.numpy() > 0).reshape(2, 2))
+
+    def around(self, body: Tensor) -> MaskAndNormals:
+        """Return the part that shows the mask or a body (V, 3), world: beyond, nothing differs."""
+        size = np.array([self.camera.width, self.camera.height])
+        try:
+            extent = points_extent(body.numpy().astype(np.float64), self.camera, SHOWN)
+        except NoEvidence:
+            return self
+        box = self._extent.joined(Extent(extent.low - 1, extent.high + 1)).box(0, size)
+        found = replace(
+            self,
+            camera=box.cut_camera(self.camera),
+            mask=box.cut(self.mask),
+            normals=None if self.normals is None else box.cut(self.normals),
+        )
+        vars(found)["compared"] = tuple(box.cut(x) for x in self.compared)
+        return found
 
     def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
@@ -116,23 +136,19 @@ class MaskAndNormals:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
         """
-        of_normals, of_silhouette = self._losses(image)
+        of_normals, of_silhouette = self.losses(image)
         if self.normals is not None:
             return of_normals + silhouette * of_silhouette
         if self.clear is not None:
             of_silhouette = self.clear * torch.log1p(of_silhouette / self.clear)
         return ALONE * silhouette * of_silhouette
 
-    def normal_loss(self, image: Tensor) -> Tensor:
-        """Return eq. 2 of a rendering (H, W, 4), for a frame with normals."""
-        return self._losses(image)[0]
+    def losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Return eq. 2, zero for a frame without normals, and eq. 3 of a rendering (H, W, 4).
 
-    def silhouette_loss(self, image: Tensor) -> Tensor:
-        """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
-        return self._losses(image)[1]
-
-    def _losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        normals, mask = _Differences.apply(image, self.target, self.known)
+        The derivative of eq. 3 is half of the true one.
+        """
+        normals, mask = _Differences.apply(image, *self.compared)
         return normals / (3 * self.area), mask / self.area
 
 
@@ -217,9 +233,11 @@ def frame_loss(
         silhouette: λ1.
         differentiated: whether the gradient (V, 3) is needed; otherwise it is None.
     """
+    (weight, person), *close_ups = views
+    picture, views = person.camera, [(weight, person.around(body.detach())), *close_ups]
     with torch.set_grad_enabled(differentiated):
         body = body.detach().contiguous().requires_grad_(differentiated)
-        images = scene.render_together(body, [seen.camera for _, seen in views])
+        images = scene.render_crops(body, picture, [seen.camera for _, seen in views])
         loss = sum(
             weight * seen.loss(image, silhouette)
             for (weight, seen), image in zip(views, images, strict=True)

@@ -152,5 +152,5 @@ def test_a_frame_is_compared_only_where_mask_or_body_are(scene, seen, vertices):
     found, gradient = frame_loss(scene, moved, [(1.0, person)], 1.0, True)
     x = moved.clone().requires_grad_()
     loss = person.loss(scene.render(x, person.camera), 1.0)
-    assert found == pytest.approx(float(loss), rel=1e-6)
+    assert found == pytest.approx(float(loss.detach()), rel=1e-6)
     assert torch.equal(gradient, torch.autograd.grad(loss, x)[0])

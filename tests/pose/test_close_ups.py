@@ -106,7 +106,7 @@ def test_a_hand_that_a_films_mask_misses_hardly_pulls(body, scene, seen, vertice
             ((_, view),) = close_ups(given, {hand: 1.0}, vertices, person)
             x = (vertices + torch.tensor([0.004, 0, 0])).requires_grad_()
             image = scene.render(x, view.camera)
-            off = float(view.losses(image)[1].detach())
+            off = float(view.silhouette_loss(image).detach())
             slope[off > 0.5, of_film] = torch.autograd.grad(view.loss(image, 1.0), x)[0]
             if of_film:
                 plain = slope[off > 0.5, False]

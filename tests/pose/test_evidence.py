@@ -49,10 +49,10 @@ def test_the_crop_contains_the_person_and_its_camera_agrees(cut, frame, points):
 def test_losses_vanish_at_the_target_and_do_not_depend_on_its_size(cut, frame, points):
     for scale in (1, 0.5, 0.37):
         seen = cut(frame, scale, points)
-        assert float(seen.losses(shown(seen))[1]) == 0
-        assert float(seen.losses(shown(seen))[0]) == 0
+        assert float(seen.silhouette_loss(shown(seen))) == 0
+        assert float(seen.normal_loss(shown(seen))) == 0
         nothing = torch.zeros_like(shown(seen))
-        assert float(seen.losses(nothing)[1]) == pytest.approx(1, abs=1e-5)
+        assert float(seen.silhouette_loss(nothing)) == pytest.approx(1, abs=1e-5)
 
 
 def test_normals_are_compared_where_they_are_known(cut, frame, points):
@@ -60,25 +60,25 @@ def test_normals_are_compared_where_they_are_known(cut, frame, points):
     half = frame.normals.copy()
     half[: len(half) // 2] = 0
     seen, whole = cut(replace(frame, normals=half), 1, points), cut(frame, 1, points)
-    assert float(seen.losses(shown(whole))[0]) == 0
+    assert float(seen.normal_loss(shown(whole))) == 0
     hidden = shown(whole) * (torch.arange(len(whole.mask)) >= len(whole.mask) // 2)[:, None, None]
-    assert float(seen.losses(hidden)[0]) == 0 < float(whole.losses(hidden)[0])
+    assert float(seen.normal_loss(hidden)) == 0 < float(whole.normal_loss(hidden))
 
 
 def test_beyond_the_mask_only_the_silhouette_is_compared(cut, frame, points):
     """So a part that a mask misses counts once."""
     seen = cut(frame, 1, points)
     beyond = shown(seen) + (seen.mask == 0)[..., None]
-    assert float(seen.losses(beyond)[0]) == 0
-    assert float(seen.loss(beyond, 2.0)) == 2 * float(seen.losses(beyond)[1]) > 0
+    assert float(seen.normal_loss(beyond)) == 0
+    assert float(seen.loss(beyond, 2.0)) == 2 * float(seen.silhouette_loss(beyond)) > 0
 
 
 def test_without_normals_the_silhouette_weighs_more(cut, frame, points):
     seen, blind = cut(frame, 1, points), cut(replace(frame, normals=None), 1, points)
     moved = shown(seen).roll(3, dims=1)
     alone = float(blind.loss(moved, 2.0))
-    assert alone == pytest.approx(2 * ALONE * float(seen.losses(moved)[1]))
-    assert float(seen.losses(moved)[1]) < alone
+    assert alone == pytest.approx(2 * ALONE * float(seen.silhouette_loss(moved)))
+    assert float(seen.silhouette_loss(moved)) < alone
 
 
 def test_frames_without_evidence_say_why(cut, frame, points):
@@ -161,7 +161,7 @@ def fractions_of_the_slope(soften, between):
     for shift in shifts:
         moved = (vertices + shift * pixel * right).requires_grad_()
         image = scene.render(moved, camera)
-        losses = [loss_of(image) for loss_of in (lambda x: seen.losses(x)[1], square_loss)]
+        losses = [loss_of(image) for loss_of in (seen.silhouette_loss, square_loss)]
         pulls = [torch.autograd.grad(loss, moved, retain_graph=True)[0] for loss in losses]
         slopes = [pull.sum(0) @ right * pixel for pull in pulls]
         found.append([torch.stack(losses).detach(), torch.stack(slopes)])

@@ -136,18 +136,22 @@ class MaskAndNormals:
             image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
             silhouette: λ1.
         """
-        of_normals, of_silhouette = self.losses(image)
+        of_normals, of_silhouette = self._losses(image)
         if self.normals is not None:
             return of_normals + silhouette * of_silhouette
         if self.clear is not None:
             of_silhouette = self.clear * torch.log1p(of_silhouette / self.clear)
         return ALONE * silhouette * of_silhouette
 
-    def losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Return eq. 2, zero for a frame without normals, and eq. 3 of a rendering (H, W, 4).
+    def normal_loss(self, image: Tensor) -> Tensor:
+        """Return eq. 2 of a rendering (H, W, 4); zero for a frame without normals."""
+        return self._losses(image)[0]
 
-        The derivative of eq. 3 is half of the true one.
-        """
+    def silhouette_loss(self, image: Tensor) -> Tensor:
+        """Return eq. 3 of a rendering (H, W, 4); its derivative is half of the true one."""
+        return self._losses(image)[1]
+
+    def _losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
         normals, mask = _Differences.apply(image, *self.compared)
         return normals / (3 * self.area), mask / self.area
 

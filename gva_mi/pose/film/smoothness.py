@@ -17,15 +17,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import LEFT_HAND
+from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.landmark_noise import FREEDOM
 from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.stage1 import turns_between
 
 PLACE = (8.0, 1.5)  # a, v of the person: m/s², m/s
-JOINT = (120.0, 10.0)  # rad/s², rad/s
+TRUNK = (15.0, 10.0)  # rad/s², rad/s: what is heavy turns evenly
+LIMB = (120.0, 10.0)
 FINGER = (40.0, 6.0)
+_TRUNK = [
+    k for k, name in enumerate(JOINTS) if name.startswith(("pelvis", "spine", "neck", "head"))
+]
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,10 @@ class Smoothness:
         for joint in self.free.joints:
             r = state.rotations[:, joint]
             steps = r.diff(dim=0) if joint else turns_between(r[:-1], r[1:])
-            yield steps, FINGER if joint >= LEFT_HAND.start else JOINT
+            if joint >= LEFT_HAND.start:
+                yield steps, FINGER
+            else:
+                yield steps, TRUNK if joint in _TRUNK else LIMB
 
     def _add_slopes(
         self, steps: Tensor, v: float, equations: NormalEquations, columns: slice

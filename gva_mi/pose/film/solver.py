@@ -30,6 +30,7 @@ from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.importers.lens import in_pixels
 from gva_mi.data.landmarks import Landmarks
+from gva_mi.pose.film.arm_depths import with_arm_depths
 from gva_mi.pose.film.body_prior import FOCAL, HEIGHT, HEIGHT_KNOWN, BodyPrior, SharedPrior
 from gva_mi.pose.film.film_evidence import film_evidence
 from gva_mi.pose.film.film_problem import FilmProblem
@@ -105,7 +106,10 @@ def solve_film(
         state = film.first()
         state, _ = film.body_problem(state, starting=True).minimised(state, START)
         report(1, 4)
-        state, equations = film.body_problem(state).minimised(state, BODY)
+        problem = film.body_problem(state)
+        state, _ = problem.minimised(state, BODY)
+        problem = film.with_arm_depths(problem, state)
+        state, equations = problem.minimised(state, BODY)
         spread = _per_joint(equations, _BODY)
         report(2, 4)
         for k, (side, fingers) in enumerate(_HANDS.items()):
@@ -183,6 +187,13 @@ class _Film:
         offsets = list(range(len(which)))
         free = Free(_BODY, len(state.betas), True, offsets, prior.habits(_BODY))
         return self._problem(free, which, state)
+
+    def with_arm_depths(self, problem: FilmProblem, state: FilmState) -> FilmProblem:
+        """Return the problem with the arms' depths as all frames see them, around a solution."""
+        which = list(problem.which)
+        names = [self.rig.names[p] for p in which]
+        state = replace(state, offsets=state.offsets[which])
+        return replace(problem, evidence=with_arm_depths(problem.evidence, names, state, self.dt))
 
     def hand_problem(self, state: FilmState, side: str) -> FilmProblem:
         """Return the problem of one hand's fingers."""

@@ -1,4 +1,4 @@
-"""Motion between frames: joints and the person accelerate little, and not too fast.
+"""Motion between frames: joints and the person accelerate little, and do not turn too fast.
 
 Of values ``x_t`` of a joint, ``dt`` seconds apart,
 

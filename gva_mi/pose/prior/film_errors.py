@@ -25,15 +25,15 @@ MEMORY_OF_PLACE = 0.4  # the same of the position
 # Standard deviations of the slow part and of the constant one, and seconds of lag: what the slow
 # one grows by, relative to the speed.
 _DEGREES = {
-    "pelvis": (2.4, 0.0, 0.046),
-    "spine": (1.5, 0.4, 0.068),
-    "head": (1.8, 1.0, 0.134),
-    "shoulders": (4.1, 1.9, 0.126),
-    "elbows": (3.3, 0.0, 0.160),
-    "wrists": (3.8, 0.9, 0.105),
-    "hips": (3.4, 0.0, 0.109),
-    "knees": (1.6, 0.0, 0.183),
-    "feet": (0.8, 0.0, 0.309),
+    "pelvis": (2.5, 0.3, 0.035),
+    "spine": (1.3, 0.3, 0.175),
+    "head": (2.8, 1.2, 0.174),
+    "shoulders": (5.5, 2.2, 0.090),
+    "elbows": (7.0, 1.6, 0.108),
+    "wrists": (4.1, 1.5, 0.129),
+    "hips": (3.4, 0.0, 0.092),
+    "knees": (1.5, 0.0, 0.184),
+    "feet": (0.8, 0.0, 0.317),
 }
 _METRES = {"aside": (0.026, 0.008), "depth": (0.065, 0.028)}
 

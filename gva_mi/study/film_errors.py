@@ -96,10 +96,11 @@ def _weights(rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], films:
     sizes = np.stack([np.ones(len(terms)), terms[:, 1] / terms[:, 0]], axis=1)
     now, of_film = lags == 0, np.ones(films)
     square = np.full(len(products), products[now].mean())
+    least = LEAST_SLOW**2 * square[0]
     for _ in range(ROUNDS):
         weights = of_film[film] / square
         found, _ = nnls(sizes[now] * weights[now, None], products[now] * weights[now])
-        square = sizes @ found
+        square = np.maximum(sizes @ found, least)
         ratio = np.bincount(film[now], products[now] / square[now]) / np.bincount(film[now])
         of_film = (FREEDOM + 1) / (FREEDOM + ratio)
     return of_film[film] / square

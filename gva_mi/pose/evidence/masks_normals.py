@@ -36,7 +36,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
-from torch.nn.functional import normalize, pad
+from torch.nn.functional import normalize
 
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data.crop import (
@@ -55,6 +55,7 @@ from gva_mi.splat import Camera
 ALONE = 3.0  # weight of a silhouette without normals
 MARGIN = 0.15  # of the box around the person, added on each side
 SHOWN = "its stage-1 body"
+_NORMALS = torch.tensor([1.0, 1.0, 1.0, 0.0])  # which channels of a rendering are normals
 
 Read = TypeVar("Read", Frame, Outline)
 Seen = TypeVar("Seen")
@@ -98,16 +99,6 @@ class MaskAndNormals:
         return MaskAndNormals(crop.cut_camera(camera), mask, normals, float(mask.sum()))
 
     @cached_property
-    def compared(self) -> tuple[Tensor, Tensor]:
-        """Normals and mask (H, W, 4), and which normals are known: 1 or 0, and 0 for the mask.
-
-        Inside a mask a normal may be missing, too.
-        """
-        normals = self.mask.new_zeros(*self.mask.shape, 3) if self.normals is None else self.normals
-        known = pad(normals.any(-1, keepdim=True).expand_as(normals).to(normals), (0, 1))
-        return torch.cat([normals, self.mask[..., None]], dim=-1), known
-
-    @cached_property
     def _extent(self) -> Extent:
         """Of the mask, however faint."""
         return Extent(*bounds(self.mask.numpy() > 0).reshape(2, 2))
@@ -120,14 +111,12 @@ class MaskAndNormals:
         except NoEvidence:
             return self
         box = self._extent.joined(Extent(extent.low - 1, extent.high + 1)).box(0, size)
-        found = replace(
+        return replace(
             self,
             camera=box.cut_camera(self.camera),
             mask=box.cut(self.mask),
             normals=None if self.normals is None else box.cut(self.normals),
         )
-        vars(found)["compared"] = tuple(box.cut(x) for x in self.compared)
-        return found
 
     def loss(self, image: Tensor, silhouette: float) -> Tensor:
         """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
@@ -152,8 +141,11 @@ class MaskAndNormals:
         return self._losses(image)[1]
 
     def _losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        normals, mask = _Differences.apply(image, *self.compared)
-        return normals / (3 * self.area), mask / self.area
+        normals = self.mask.new_zeros(*self.mask.shape, 3) if self.normals is None else self.normals
+        target = torch.cat([normals, self.mask[..., None]], dim=-1)
+        known = normals.any(-1, keepdim=True)  # inside a mask they may be missing, too
+        of_normals, of_mask = _Differences.apply(image, target, known.to(target) * _NORMALS)
+        return of_normals / (3 * self.area), of_mask / self.area
 
 
 def common_scale(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -156,8 +156,8 @@ class _Work:
     def fit_options(self) -> FitOptions:
         """The options of the fit."""
         steps = self.choice.steps or QUALITY[self.choice.quality][-1]
-        first = 0 if self.choice.quality == "draft" else steps // 2
-        return FitOptions(seed=self.choice.seed, steps=steps, first_steps=first)
+        options = FitOptions(seed=self.choice.seed, steps=steps).of_film()
+        return replace(options, first_steps=0) if self.choice.quality == "draft" else options
 
     def prepare(self, again: bool) -> None:
         """Make the subject's folder."""

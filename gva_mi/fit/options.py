@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +23,10 @@ REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 # are hidden in all frames, as in an armpit, have a hundredth of it, all noise. With the 1e-15 of
 # 3DGS they move as far as others, and burst out of the surface once an arm is raised.
 NOISE = 1e-5
+
+# Weight of the alpha term for films: where a mask may be wrong, the picture outvotes it only if
+# person and background differ by more than this, the mean over channels in [0, 1].
+OF_FILM = 0.05
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -113,6 +117,16 @@ class FitOptions:
     def __post_init__(self) -> None:
         if self.first_steps and not self.poses.trained:
             raise InputError("fit: --first-steps are for trained poses; got --no-poses.trained")
+
+    def of_film(self) -> FitOptions:
+        """Return the options for a film, whose masks and poses err more than other subjects'.
+
+        A first fit improves the poses. In the band where masks are uncertain, a Gaussian in the
+        colours of the background before it costs nothing (:mod:`gva_mi.fit.samples`); the alpha
+        term removes it there unless the picture wants it.
+        """
+        loss = replace(self.loss, alpha=OF_FILM)
+        return replace(self, first_steps=self.steps // 2, loss=loss)
 
     @property
     def all_steps(self) -> int:

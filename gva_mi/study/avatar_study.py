@@ -26,6 +26,7 @@ from gva_mi.core.files import json_equals, write_json
 from gva_mi.core.options import PictureSide, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import Task
+from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
 from gva_mi.fit import run_folder
@@ -98,6 +99,7 @@ class AvatarStudy(Study):
         (row,) = (row for row in self.rows if row.name == variant)
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw)
+        options = options.of_film() if case.noise == FILM else options
         return VariantRun(self._filming.subject(case), out, row, self.body, options, self.made_with)
 
 

@@ -52,15 +52,15 @@ NOT_RUN = {
     "gva-mi prepare film film.mp4 me/subject --height 1.75": FILMED,
     "gva-mi check me/subject": FILMED,
     "gva-mi refine me/subject --height 1.75": FILMED,
-    "gva-mi fit me/subject --out me/run --first-steps 1000": FILMED,
+    "gva-mi fit me/subject --out me/run --first-steps 1000 --loss.alpha 0.05": FILMED,
     "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
     "gva-mi study refine --held-out-set 9 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
-    "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --fit.first-steps "
-    '1000 --rows full "true poses" --out film-avatars': (
+    "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --rows "
+    'full "true poses" --out film-avatars': (
         "renders and watches films: tests/study/test_filmed.py"
     ),
     "gva-mi body --sheet puppet.png": SHEET,

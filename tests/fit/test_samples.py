@@ -9,6 +9,7 @@ import torch
 from gva_mi.data.backdrop import behind, unsure
 from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
+from gva_mi.fit.options import FitOptions
 from gva_mi.fit.samples import FrameSampler, RandomStream, drawn, random_state, torch_state
 from gva_mi.splat import Gaussians, Image, render
 
@@ -68,6 +69,30 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
         target = samples(video, mask_error=error)[0].target(everywhere(frame.camera))
         costs.append(float(target.error(truth)) * target.area / 48**2)
     assert costs[0] < 0.002 < 0.01 < costs[1]
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_in_a_film_a_picture_outvotes_its_mask_only_by_a_clear_colour(shown, video, monkeypatch):
+    """The mask ends 2 pixels inside of a render in the wall's colour, or of a person."""
+    y, x = np.mgrid[:48, :48] + 0.5
+    disk = lambda radius: (radius - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
+    wall, wide, mask = np.float32([0.2, 0.4, 0.6]), disk(16.5), disk(14.5)
+    color = wall + np.float32(0.1 if shown else 0)
+    picture = wall + wide[..., None] * (color - wall)
+    frame = dataclasses.replace(video[0], image=picture, mask=mask)
+    monkeypatch.setattr(type(video), "frames", lambda self, indices: (frame for _ in indices))
+    target = samples(video, mask_error=0.12)[0].target(everywhere(frame.camera))
+    options = FitOptions().of_film().loss
+    options = dataclasses.replace(options, perceptual=0.0)
+    loss = []
+    for alpha in (wide, mask):
+        image = Image(torch.from_numpy(alpha[..., None] * color), torch.from_numpy(alpha))
+        found = render_losses(image, target, torch.zeros(0, 3), options, None)
+        loss.append(float(found.total(options)))
+    # Pixels of the ring, times what each costs: 0.05 by alpha, 0.1 where its colour is missing.
+    ring = float((wide - mask).sum()) / target.area
+    gain = ring * (0.05 - (0.1 if shown else 0.0))
+    assert loss[0] - loss[1] == pytest.approx(gain, rel=0.1)
 
 
 def everywhere(camera):

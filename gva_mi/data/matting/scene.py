@@ -22,7 +22,6 @@ PRICE, FLAT_PRICE, EDGE = 1.5, 4.0, 0.1  # of an outline: anywhere; more where c
 # than EDGE
 STEPS = 50  # of the cut
 ISLAND = 0.002  # share of the largest piece's area: smaller ones are dropped
-HOLE = 0.01  # share of the person's area: smaller holes are filled where the plate is a guess
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class FilmScene:
         ]
         cut = smoothest_cut(odds, (prices[0], prices[1]), odds > 0, STEPS) > 0.5
         whole = np.zeros(view.probability.shape, bool)
-        whole[part] = _filled(_person_alone(cut, P), P, plate)
+        whole[part] = _person_alone(cut, P)
         return whole
 
     def _plate_in(self, view: GridPicture) -> Plate:
@@ -138,20 +137,3 @@ def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
     likely = np.bincount(pieces.ravel(), probability.ravel())[1:] / area
     kept = (area >= ISLAND * area.max()) & ((likely > 0.3) | (area == area.max()))
     return np.concatenate([[False], kept])[pieces]
-
-
-def _filled(inside: np.ndarray, probability: np.ndarray, plate: Plate) -> np.ndarray:
-    """Fill small holes (h, w) bool that the network does not see, where the plate is a guess.
-
-    There a hole may be skin before a wall of its colour. Where the plate was seen, it is a hole.
-    """
-    from scipy.ndimage import label
-
-    pieces, count = label(~inside)
-    if not count:
-        return inside
-    mean = lambda x: np.bincount(pieces.ravel(), x.ravel(), count + 1) / area
-    area = np.maximum(np.bincount(pieces.ravel(), minlength=count + 1), 1)
-    fill = (area < HOLE * inside.sum()) & (mean(probability) > 0.9) & (mean(plate.seen) < 0.5)
-    fill[0] = True
-    return fill[pieces]

@@ -56,11 +56,11 @@ NOT_RUN = {
     "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
-    "gva-mi study refine --held-out-set 9 --error-models film --out films": (
+    "gva-mi study refine --held-out-set 10 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
-    "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --rows "
-    'full "true poses" --out film-avatars': (
+    "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --rows full "
+    "--out film-avatars": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
     "gva-mi body --sheet puppet.png": SHEET,

@@ -60,9 +60,7 @@ NOT_RUN = {
         "renders and watches films: tests/study/test_filmed.py"
     ),
     "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --rows full "
-    "--out film-avatars": (
-        "renders and watches films: tests/study/test_filmed.py"
-    ),
+    "--out film-avatars": ("renders and watches films: tests/study/test_filmed.py"),
     "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi COMMAND --help": "any: tests/cli",

@@ -121,12 +121,14 @@ class FitOptions:
     def of_film(self) -> FitOptions:
         """Return the options for a film, whose masks and poses err more than other subjects'.
 
-        A first fit improves the poses. In the band where masks are uncertain, a Gaussian in the
-        colours of the background before it costs nothing (:mod:`gva_mi.fit.samples`); the alpha
-        term removes it there unless the picture wants it.
+        A first fit improves the poses, if poses are trained. In the band where masks are uncertain,
+        a Gaussian in the colours of the background before it costs nothing
+        (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
+        Options that differ from the usual ones stay.
         """
-        loss = replace(self.loss, alpha=OF_FILM)
-        return replace(self, first_steps=self.steps // 2, loss=loss)
+        loss = replace(self.loss, alpha=self.loss.alpha or OF_FILM)
+        first = self.first_steps or self.steps // 2 * self.poses.trained
+        return replace(self, first_steps=first, loss=loss)
 
     @property
     def all_steps(self) -> int:

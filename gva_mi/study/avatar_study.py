@@ -12,7 +12,7 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.files import json_equals, write_json
 from gva_mi.core.options import PictureSide, options_of
-from gva_mi.core.provenance import versions
+from gva_mi.core.provenance import RESULTS_VERSIONS, versions
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
@@ -77,6 +77,11 @@ class AvatarStudy(Study):
     def variants(self) -> tuple[str, ...]:
         """Their names."""
         return tuple(variant.name for variant in self.rows)
+
+    @cached_property
+    def made_with(self) -> dict[str, Any]:
+        """As of any study, and the version of the refinement: avatars begin with its poses."""
+        return super().made_with | {"refine_version": RESULTS_VERSIONS["refine"]}
 
     @property
     def _filming(self) -> Filming:

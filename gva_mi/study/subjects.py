@@ -12,6 +12,7 @@ from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.core.provenance import RESULTS_VERSIONS
 from gva_mi.data.fingerprint import FILM, require_same_body
 from gva_mi.study.cases import StudyCase, Take
 from gva_mi.study.engine import Work
@@ -29,8 +30,12 @@ class Filming:
     novel: int = 0  # pictures of novel poses, and as many of novel views
 
     def subject(self, case: StudyCase) -> Path:
-        """Return the folder of a case's video, existing or not."""
-        return self.folder / "videos" / f"{self._name(case.take)}-{case.noise}-{case.draw}"
+        """Return the folder of a case's video, existing or not.
+
+        A film's masks and poses are results of this program, so its folder names their version.
+        """
+        made = f"{FILM}{RESULTS_VERSIONS['refine']}" if case.noise == FILM else case.noise
+        return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
     def film(self, case: StudyCase, body: BodyModel) -> Path:
         """Make a case's video if it is missing."""

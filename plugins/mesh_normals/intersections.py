@@ -92,7 +92,7 @@ class Intersections:
             dr.scatter(by_corner, sweep * grad, index)
             dr.scatter(vertex, corner, index)
         dr.eval(by_corner, vertex)
-        (sums,), vertices = sum_by_key([by_corner], vertex, self.vertex_count)
+        (sums,), vertices = sum_by_key([by_corner], vertex)
         result = dr.zeros(mi.Vector3f, self.vertex_count)
         dr.scatter(result, sums, vertices)
         return result

@@ -141,7 +141,7 @@ class PixelFilter:
             carried = [dr.select(valid, weight * value, 0) for value in values]
             pixel = dr.select(valid, pixel, 0)
             dr.eval(carried, pixel)
-            sums, pixels = sum_by_key(carried, pixel, self.width * self.height)
+            sums, pixels = sum_by_key(carried, pixel)
             for channel, value in zip(image, sums, strict=True):
                 dr.scatter_add(channel, value, pixels, mode=dr.ReduceMode.NoConflicts)
             dr.eval(image)

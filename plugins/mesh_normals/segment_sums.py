@@ -15,8 +15,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-ONE_PASS = 1 << 16  # keys that are sorted by counting in one pass; more take argsort's three
-
 
 @dataclass(frozen=True)
 class Segments:
@@ -44,15 +42,9 @@ def sum_runs(values: list[mi.Vector3f], start: mi.UInt32, total: int) -> list[mi
     return _sum(values, None, start, _ends(start, total))
 
 
-def sum_by_key(
-    values: list[mi.Vector3f], key: mi.UInt32, keys: int
-) -> tuple[list[mi.Vector3f], mi.UInt32]:
-    """Sum the entries that share a key below ``keys``; return sums and keys, each once, in rising
-    order."""
-    if dr.width(key) > 1 and keys <= ONE_PASS:
-        order = dr.detail.block_mkperm(key, dr.width(key), 1 << (keys - 1).bit_length())
-    else:
-        order = dr.argsort(key)
+def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
+    """Sum the entries that share a key; return sums and keys, each once, in rising order."""
+    order = dr.argsort(key)
     key = dr.gather(mi.UInt32, key, order)
     i = dr.arange(mi.UInt32, dr.width(key))
     begins = (i == 0) | (key != dr.gather(mi.UInt32, key, i - 1, i > 0))

@@ -114,7 +114,7 @@ class MeshSurface:
             dr.backward(sum(terms))
             grads = dr.grad(leaves)
         dr.eval(grads)
-        sums, faces = sum_by_key(grads, face, self.topology.face_count)
+        sums, faces = sum_by_key(grads, face)
         by_corner = [dr.zeros(mi.Vector3f, 3 * self.topology.face_count) for _ in range(2)]
         for k, value in enumerate(sums):
             dr.scatter(by_corner[k // 3], value, 3 * faces + k % 3)

@@ -10,6 +10,7 @@ from gva_mi.data.backdrop import behind, unsure
 from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.options import FitOptions
+from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import FrameSampler, RandomStream, drawn, random_state, torch_state
 from gva_mi.splat import Gaussians, Image, render
 
@@ -69,6 +70,16 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
         target = samples(video, mask_error=error)[0].target(everywhere(frame.camera))
         costs.append(float(target.error(truth)) * target.area / 48**2)
     assert costs[0] < 0.002 < 0.01 < costs[1]
+
+
+def test_options_for_a_film_keep_what_was_chosen():
+    usual, chosen = (
+        FitOptions(steps=9),
+        FitOptions(steps=9, first_steps=2, loss=LossOptions(alpha=0.3)),
+    )
+    assert usual.of_film().first_steps == 4 and usual.of_film().loss.alpha == 0.05
+    assert chosen.of_film() == chosen
+    assert FitOptions(poses=PoseOptions(trained=False)).of_film().first_steps == 0
 
 
 @pytest.mark.parametrize("shown", [False, True])

@@ -10,6 +10,7 @@ import pytest
 from gva_mi.core import provenance
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
+from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.video import load_video
 from gva_mi.pose import SequenceOptions
@@ -87,6 +88,25 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         provenance.RESULTS_VERSIONS, "refine", provenance.RESULTS_VERSIONS["refine"] + 1
     )
     assert RefineStudy(tmp_path, body, options).made_with != made
+
+
+def test_what_the_refinements_version_changes_is_made_again(tmp_path, body, monkeypatch):
+    """Avatars begin with refined poses; masks and poses of a film are results, too."""
+    film = next(case for case in TUNING if case.noise == FILM)
+    other = next(case for case in TUNING if case.noise != FILM)
+
+    def made():
+        avatars, filming = (
+            AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
+            Filming(tmp_path, 8, 64),
+        )
+        return avatars.made_with, filming.subject(film), filming.subject(other)
+
+    before = made()
+    monkeypatch.setitem(
+        provenance.RESULTS_VERSIONS, "refine", provenance.RESULTS_VERSIONS["refine"] + 1
+    )
+    assert [one == two for one, two in zip(before, made(), strict=True)] == [False, False, True]
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):

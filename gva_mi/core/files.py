@@ -6,9 +6,10 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Hashable
+from functools import lru_cache, wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.provenance import versions
 
+T = TypeVar("T")
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 
 
@@ -113,6 +115,24 @@ def json_equals(path: Path, value: Any) -> bool:  # noqa: ANN401
         return read_json(path, "") == json.loads(json.dumps(value, default=str))
     except InputError:
         return False
+
+
+def once_a_file(read: Callable[..., T]) -> Callable[..., T]:
+    """Wrap ``read(path, ...)`` so that a process reads a file again only when it has changed.
+
+    A change of other files in its folder counts, too. What ``read`` is given and returns has to be
+    small and hashable. Errors are not kept.
+    """
+    kept = lru_cache(maxsize=1 << 16)(lambda stamp, *given: read(*given))
+
+    @wraps(read)
+    def of(path: Path, *given: Hashable) -> T:
+        if not path.is_file():
+            return read(path, *given)
+        file, folder = path.stat(), path.parent.stat()
+        return kept((file.st_ino, file.st_size, file.st_mtime_ns, folder.st_mtime_ns), path, *given)
+
+    return of
 
 
 def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...]) -> None:

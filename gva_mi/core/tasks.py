@@ -7,8 +7,15 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -18,6 +25,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.core.workers import worker_died, worker_processes
 
+Item = TypeVar("Item")
 Result = TypeVar("Result", covariant=True)
 
 
@@ -91,6 +99,37 @@ def workers(count: int) -> Iterator[Executor | None]:
     threads = max(1, (os.cpu_count() or 1) // count)
     with worker_processes(count, _start_worker, threads) as pool:
         yield pool
+
+
+def in_order(
+    pool: Executor, work: Callable[[Item], Result], items: Iterable[Item], ahead: int
+) -> Iterator[Result]:
+    """Yield the results of ``work`` in the order of its items.
+
+    At most ``ahead`` items are submitted before the first result is taken, because each needs
+    memory. Items are taken from their iterator in the caller's thread.
+    """
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    except BrokenExecutor as error:
+        raise worker_died(error) from None
+
+
+def on_all_cores(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Yield the results of ``work``, in order, from a thread on each core.
+
+    This pays where the work is that of numpy, SciPy or Pillow on large arrays, which let other
+    threads run meanwhile.
+    """
+    cores = os.cpu_count() or 1
+    with one_torch_thread(), ThreadPoolExecutor(cores) as pool:
+        yield from in_order(pool, work, items, cores + 1)
 
 
 def _start_worker(threads: int) -> None:

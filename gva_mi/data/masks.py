@@ -36,10 +36,15 @@ _NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
 _BORDER = 255  # round each object of PASCAL VOC's and others' drawings of labels
 
 
+def mask_file(folder: Path, index: int) -> Path:
+    """Return the file of a frame's mask, existing or not."""
+    path = folder / f"{index:06d}.npy"
+    return path if path.exists() else path.with_suffix(".png")
+
+
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
     """Read the mask of a frame, (H, W) float32 in [0, 1]; None without a file."""
-    path = folder / f"{index:06d}.npy"
-    path = path if path.exists() else path.with_suffix(".png")
+    path = mask_file(folder, index)
     if not path.exists():
         return None
     mask = _values(path)

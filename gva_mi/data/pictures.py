@@ -12,7 +12,7 @@ import numpy as np
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
-from gva_mi.core.files import require_room
+from gva_mi.core.files import once_a_file, require_room
 from gva_mi.data.film_colors import rgb_of
 from gva_mi.data.mattes import matte_of
 
@@ -60,6 +60,12 @@ def read_image(path: Path, channels: int) -> np.ndarray:
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
 
 
+@once_a_file
+def size_of_whole(path: Path) -> tuple[int, int]:
+    """Decode a picture, because damage shows nowhere else, and return its size (W, H)."""
+    return read_image(path, 3).shape[1::-1]
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Image.Image]:
     """Open a picture of an acceptable size, whose pixels are not decoded yet."""
@@ -98,7 +104,9 @@ def write_image(path: Path, image: np.ndarray) -> None:
     from PIL import Image
 
     with atomic_write(path) as unfinished:
-        Image.fromarray(in_8_bits(image)).save(unfinished, FORMAT_OF[Path(path).suffix.lower()])
+        kind = FORMAT_OF[Path(path).suffix.lower()]
+        # For a PNG a quarter of the usual level's time, for a tenth more bytes.
+        Image.fromarray(in_8_bits(image)).save(unfinished, kind, compress_level=2)
 
 
 def in_8_bits(image: np.ndarray) -> np.ndarray:

@@ -35,15 +35,17 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape, read_pose_file
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import once_a_file
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import load_cameras
 from gva_mi.data.cameras import save_cameras as save_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
-from gva_mi.data.masks import read_mask
+from gva_mi.data.masks import mask_file, read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
-from gva_mi.data.pictures import read_image, require_sides
+from gva_mi.data.pictures import read_image, require_sides, size_of_whole
 from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
 from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
@@ -195,22 +197,22 @@ def load_video(
             f"{folder}: no such folder; expected a subject with video.mp4 or frames/, masks/, "
             "cameras.npz and poses.npz"
         )
-    images, numbers = _open_pictures(folder)
-    count = numbers[-1] + 1
+    images, sizes = _open_pictures(folder)
+    count = max(sizes) + 1
     cameras = load_cameras(folder / "cameras.npz", count)
     poses = poses or folder / POSES
     found = read_pose_file(poses, count)
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
-    absent = {k: "it has no picture" for k in range(count) if k not in set(numbers)}
-    for k in numbers:
-        image = folder / "frames" / f"{k:06d}.png"
-        width, height = images.sizes[k] if images else read_image(image, 3).shape[1::-1]
-        if (width, height) != (cameras[k].width, cameras[k].height):
+    absent = {k: "it has no picture" for k in range(count) if k not in sizes}
+    for k in sizes:
+        expected = cameras[k].width, cameras[k].height
+        width, height = sizes[k]
+        if (width, height) != expected:
             raise InputError(
                 f"{folder}: frame {k} is {width}x{height}, "
-                f"but cameras.npz says {cameras[k].width}x{cameras[k].height}"
+                f"but cameras.npz says {expected[0]}x{expected[1]}"
             )
-        if (reason := _why_absent(folder / "masks", k, cameras[k])) is not None:
+        if (reason := _why_absent(mask_file(folder / "masks", k), *expected)) is not None:
             absent[k] = reason
         elif maps is not None:
             maps.check(k, cameras[k])
@@ -236,26 +238,29 @@ def is_frame(path: Path) -> bool:
     return path.stem.isascii() and path.stem.isdecimal() and len(path.stem) == 6
 
 
-def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], Sequence[int]]:
-    """Open the film ([] for frame files), and return the numbers of the existing frames."""
+def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], dict[int, tuple[int, int]]]:
+    """Open the film ([] for frame files), and return the size (W, H) of each existing frame."""
     frames = sorted((folder / "frames").glob("*.png"))
     if frames:
         for path in frames:
             if not is_frame(path):
                 raise InputError(f"{path}: frames are numbered, such as 000000.png")
-        return [], [int(path.stem) for path in frames]
+        sizes = on_all_cores(size_of_whole, frames)
+        return [], {int(path.stem): size for path, size in zip(frames, sizes, strict=True)}
     if (folder / "video.mp4").exists():
         images = Film(folder / "video.mp4")
-        return images, range(len(images))
+        return images, dict(enumerate(images.sizes))
     raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
 
 
-def _why_absent(masks: Path, index: int, camera: Camera) -> str | None:
+@once_a_file
+def _why_absent(mask_file: Path, width: int, height: int) -> str | None:
     """Return the reason why a frame cannot be used; None if it can."""
-    mask = read_mask(masks, index)
+    folder, index = mask_file.parent, int(mask_file.stem)
+    mask = read_mask(folder, index)
     if mask is None:
         return "it has no mask"
-    require_sides(f"{masks}: mask of frame {index}", mask, camera.width, camera.height)
+    require_sides(f"{folder}: mask of frame {index}", mask, width, height)
     if not mask.any():
         return "its mask is empty"
     faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"

@@ -11,15 +11,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.fit.perceptual import (
     RAND_SEED,
     RAND_WIDTH,
@@ -69,8 +67,7 @@ class Scorer:
 
     def of_pairs(self, pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[ImageScores]:
         """Score renders and targets on all cores; any number of them gives the same bits."""
-        with one_torch_thread(), ThreadPoolExecutor(os.cpu_count()) as pool:
-            return list(pool.map(lambda pair: self(*pair), pairs))
+        return list(on_all_cores(lambda pair: self(*pair), pairs))
 
     @property
     def network(self) -> str | None:

@@ -6,9 +6,7 @@ every job has its own random numbers, so any number of workers writes the same b
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.workers import worker_died, worker_processes
+from gva_mi.core.tasks import in_order
+from gva_mi.core.workers import worker_processes
 from gva_mi.data.pictures import write_image
 from gva_mi.synthetic.estimates import PictureErrors, write_estimates, write_pictures
 from gva_mi.synthetic.render import Moment, Renderer
@@ -53,21 +52,7 @@ def rendering(subject: Subject, room: Room | None, light: str, workers: int) -> 
         yield partial(map, partial(render_job, Renderer(subject, room, light)))
         return
     with worker_processes(workers, _start_worker, subject, room, light) as pool:
-        yield partial(_in_order, pool, 2 * workers)
-
-
-def _in_order(pool: Executor, ahead: int, jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
-    """Submit at most ``ahead`` jobs at a time, because each holds a surface."""
-    waiting: deque[Future[np.ndarray]] = deque()
-    try:
-        for job in jobs:
-            waiting.append(pool.submit(_render_in_worker, job))
-            if len(waiting) > ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    except BrokenExecutor as error:
-        raise worker_died(error) from None
+        yield partial(in_order, pool, _render_in_worker, ahead=2 * workers)
 
 
 def render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:

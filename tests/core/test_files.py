@@ -2,9 +2,12 @@
 
 import errno
 import json
+import os
 import shutil
 import struct
+import threading
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import (
     json_equals,
     make_room,
+    once_a_file,
     read_array,
     read_arrays,
     read_json,
@@ -28,6 +32,7 @@ from gva_mi.core.files import (
     write_arrays,
     write_json,
 )
+from gva_mi.core.tasks import in_order
 
 
 def contents(folder):
@@ -258,6 +263,52 @@ def test_a_claim_of_100_gigabytes_is_refused_before_allocating(tmp_path, monkeyp
     monkeypatch.setattr(Budget.__init__, "__defaults__", (1 << 20,))
     with pytest.raises(InputError, match="unfold to more than 4 GiB"):
         read_arrays(tmp_path / "b.npz", "poses")
+
+
+def test_a_file_is_read_again_once_it_or_its_folder_has_changed(tmp_path):
+    path, reads = tmp_path / "masks" / "0.txt", []
+
+    @once_a_file
+    def first(path, length):
+        reads.append(path)
+        return path.read_text()[:length]
+
+    path.parent.mkdir()
+    with pytest.raises(FileNotFoundError):
+        first(path, 2)
+    path.write_text("abc")
+    reads.clear()
+    assert [first(path, 2), first(path, 2), first(path, 1)] == ["ab", "ab", "a"]
+    assert len(reads) == 2
+    path.write_text("longer")
+    assert first(path, 2) == "lo" and len(reads) == 3
+    path.with_name("other").touch()
+    os.utime(path.parent, (1, 1))  # whatever the clock's ticks
+    assert first(path, 2) == "lo" and len(reads) == 4
+
+
+def test_results_come_in_order_and_few_items_are_taken_ahead():
+    taken, first = [], threading.Event()
+
+    def items():
+        for k in range(40):
+            taken.append(k)
+            yield k
+
+    def work(k):
+        if k == 0:
+            first.wait(10)  # the first is the last to finish
+        if k == 30:
+            raise ValueError("thirty")
+        return k
+
+    found = in_order(pool := ThreadPoolExecutor(4), work, items(), ahead=5)
+    threading.Timer(0.05, first.set).start()
+    assert next(found) == 0 and len(taken) == 6
+    assert [next(found) for _ in range(29)] == list(range(1, 30))
+    with pytest.raises(ValueError, match="thirty"):
+        next(found)
+    pool.shutdown()
 
 
 def test_malformed_json_is_one_sentence(tmp_path):

@@ -23,7 +23,7 @@ from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import ABOUT, NormalMaps
-from gva_mi.data.pictures import read_image
+from gva_mi.data.pictures import read_image, size_of_whole
 from gva_mi.data.splits import load_splits
 from gva_mi.data.video import POSES, is_frame
 from gva_mi.data.views import read_views
@@ -135,9 +135,9 @@ def _read_pictures(files: SubjectFiles) -> None:
         )  # fmt: skip
     for path in paths:
         if path.name not in misnamed:
-            image = files.attempt("unreadable", lambda path=path: read_image(path, 3))
-            if image is not None:
-                files.pictures[int(path.stem)] = image.shape[1::-1]
+            size = files.attempt("unreadable", lambda path=path: size_of_whole(path))
+            if size is not None:
+                files.pictures[int(path.stem)] = size
     film = folder / "video.mp4"
     if not paths and film.exists():
         files.film = files.attempt("unreadable", lambda: Film(film)) or ()

@@ -20,6 +20,7 @@ from gva_mi.data.matting.plate import Plate
 
 BAND = 3  # pixels on each side of the cut whose share is open
 REACH = 7  # pixels, side of the squares whose means are F, s and the colour outside
+BORDER = BAND + REACH + 2  # pixels around the person that have to be in the picture
 BLUR = 0.6  # pixels, of the cut
 DOUBT, FADES = 0.2, 1.2  # square root of w at the cut; pixels in which it falls to a share 1 / e
 NOISE = 0.02  # n

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.console import Progress, listed
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.crop import bounds
 from gva_mi.data.matting.camera import ShrunkPicture, camera_motion
 from gva_mi.data.matting.grid import WorkGrid
@@ -58,12 +59,16 @@ def film_masks(
         notes = film.notes()
         if scene.plate.seen.any() and np.median(scene.plate.spread[scene.plate.seen]) > UNSTEADY:
             notes.append("the background changes, so masks rely on the network and on colours")
-    for k in range(total):
-        if extents[k, 2] > 0:
-            mask = film.grid.paste(scene.mask(film.view(k)))
-        else:
-            mask = np.zeros(pictures[k].shape[:2], np.uint8)
+    nobody = np.zeros(pictures[0].shape[:2], np.uint8)
+
+    def write(numbered: tuple[int, GridPicture | None]) -> int:
+        k, view = numbered
+        mask = nobody if view is None else film.grid.paste(scene.mask(view))
         write_image(Path(out) / f"{k:06d}.png", mask)
+        return k
+
+    views = ((k, film.view(k) if extents[k, 2] > 0 else None) for k in range(total))
+    for k in on_all_cores(write, views):
         if progress:
             progress(k + 1, total)
     absent = np.setdiff1d(np.arange(total), shown)

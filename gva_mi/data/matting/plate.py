@@ -61,11 +61,13 @@ class Plate:
 
     def exposed_as(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate in the exposure of a picture (h, w, 3) 8-bit, by its ``bare`` pixels."""
-        some = bare & self.seen
-        some[1::2] = False  # half of the rows tell enough
+        half = np.s_[::2]  # of the rows tells enough
+        some = bare[half] & self.seen[half]
         if some.sum() < ROWS:
             return self
-        gain = np.median(image[some].sum(-1) / (255 * self.color[some].sum(-1) + 1e-3))
+        add = lambda x: x[:, 0] + x[:, 1] + x[:, 2]  # numpy's sum over an axis of 3 is slow
+        seen, plate = add(image[half][some].astype(np.uint32)), add(self.color[half][some])
+        gain = np.median(seen / (255 * plate + 1e-3))
         return Plate(self.color * np.float32(gain), self.spread, self.seen)
 
     def moved(self, A: np.ndarray) -> Plate:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.data.matting.alpha import outline_alpha
+from gva_mi.core.tasks import on_all_cores
+from gva_mi.data.crop import bounds
+from gva_mi.data.matting.alpha import BORDER, outline_alpha
 from gva_mi.data.matting.camera import moved
 from gva_mi.data.matting.colors import ColorsByHeight
 from gva_mi.data.matting.cut import smoothest_cut
@@ -57,7 +59,7 @@ class FilmScene:
                 background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
             scene = FilmScene(_plate(views, outside), person, background)
             if near == NEAR[0]:
-                inside = [scene.inside(view) for view in views]
+                inside = list(on_all_cores(scene.inside, views))
                 possible = [
                     x | (view.probability > CERTAIN) for x, view in zip(inside, views, strict=True)
                 ]
@@ -65,17 +67,22 @@ class FilmScene:
 
     def mask(self, view: GridPicture) -> np.ndarray:
         """Return the mask (h, w) float32 in [0, 1] of a picture."""
-        part, plate = _looked_at(view), self._plate_in(view)
-        mask = np.zeros(view.probability.shape, np.float32)
+        mask, plate = np.zeros(view.probability.shape, np.float32), self._plate_in(view)
+        inside = self.inside(view, plate)
+        if not inside.any():
+            return mask
+        left, top, right, bottom = (int(x) for x in bounds(inside))
+        wide = lambda low, high: slice(max(0, low - BORDER), high + BORDER)
+        part = wide(top, bottom), wide(left, right)
         image = view.image[part].astype(np.float32) / 255
-        mask[part] = outline_alpha(image, self.inside(view)[part], plate.part(part))
+        mask[part] = outline_alpha(image, inside[part], plate.part(part))
         return mask
 
-    def inside(self, view: GridPicture) -> np.ndarray:
-        """Return where the person is in a picture (h, w) bool."""
+    def inside(self, view: GridPicture, plate: Plate | None = None) -> np.ndarray:
+        """Return where the person is in a picture (h, w) bool, whose plate may be known."""
         part = _looked_at(view)
         image, P = view.image[part], view.probability[part]
-        plate, rows = self._plate_in(view).part(part), view.height[part[0]]
+        plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]
         grid_rows = np.linspace(0, 1, len(view.image))[part[0]]
         person, background = (
             self.person.density(image, rows),
@@ -83,11 +90,7 @@ class FilmScene:
         )
         image = image.astype(np.float32) / 255
         odds = log_odds(image, P, rows, plate, person, background)
-        prices = [
-            PRICE + FLAT_PRICE * np.exp(-((np.abs(np.diff(image, axis=k)).max(-1) / EDGE) ** 2))
-            for k in (1, 0)
-        ]
-        cut = smoothest_cut(odds, (prices[0], prices[1]), odds > 0, STEPS) > 0.5
+        cut = smoothest_cut(odds, _prices(image), odds > 0, STEPS) > 0.5
         whole = np.zeros(view.probability.shape, bool)
         whole[part] = _person_alone(cut, P)
         return whole
@@ -124,6 +127,16 @@ def _looked_at(view: GridPicture) -> tuple[slice, slice]:
         return slice(0, 1), slice(0, 1)
     border = round(AROUND * max(np.ptp(rows), np.ptp(columns)) + 2)
     return tuple(slice(max(0, x[0] - border), x[-1] + 1 + border) for x in (rows, columns))
+
+
+def _prices(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the price of an outline between each pixel (h, w, 3) and the right and lower one."""
+    found = []
+    for axis in (1, 0):
+        R, G, B = np.moveaxis(np.abs(np.diff(image, axis=axis)), -1, 0)
+        differs = np.maximum(np.maximum(R, G), B) / EDGE
+        found.append(PRICE + FLAT_PRICE * np.exp(-(differs**2)))
+    return found[0], found[1]
 
 
 def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.provenance import versions
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
@@ -125,9 +126,8 @@ def prepare_film(
         )  # fmt: skip
         pictures = motion.pictures.pictures
         stored = _Stored(out / "frames", ".png", lambda path: read_image(path, 3))
-        for k in range(len(pictures)):
-            write_image(stored.path(k), pictures[k])
-        rough.count = stored.count = len(pictures)
+        write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
+        rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
         notes = film_masks(stored, rough, out / "masks", within(progress, 6, 4, 10))
     solved, watched = motion.solved, motion.watched
     save_poses(out / POSES, solved.pose, solved.shape, stage=1)

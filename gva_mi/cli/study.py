@@ -23,7 +23,7 @@ from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
 from gva_mi.study.pictures import ShownAvatar
-from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions
+from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
 from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
 from gva_mi.study.variants import variants_named
 
@@ -54,6 +54,8 @@ class RefineChoice(_Choice):
     refined ankles and wrists, above zero if too far away. A study that was cut short is resumed.
     """
 
+    # 1: poses before refinement, which takes most of the time.
+    stage: Literal[1, 2] = 2
     options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
 
 
@@ -84,7 +86,8 @@ def study(
     """
     body, cases = load_body(what.body), _chosen(what)
     if isinstance(what, RefineChoice):
-        made = RefineStudy(what.out, body, what.options)
+        variants = (STAGE_1 if what.stage == 1 else REFINED,)
+        made = RefineStudy(what.out, body, what.options, variants)
     else:
         made = AvatarStudy(what.out, body, what.options, variants_named(what.rows))
     with folder_lock(what.out, "gva-mi study"):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -154,7 +155,7 @@ class Evaluation:
     video: Video  # under its stage-1 poses
     body: BodyModel
     options: RefineOptions
-    refined: Refined
+    refined: Refined | None  # None: stage 1 alone is measured
     truth: GroundTruth | None = None  # of a synthetic subject
 
     @cached_property
@@ -171,27 +172,37 @@ def measure(
     Args:
         video: under its stage-1 poses.
         body: the fitted body.
-        refined: the refined poses.
+        refined: the refined poses; None: stage 1 alone is measured.
         truth: of a synthetic subject.
     """
-    before, after = (video.pose, video.shape), (refined.pose, refined.shape)
-    cameras, seconds = refined.cameras, refined.seconds_per_frame
-    frames = {
-        "iou_stage1": silhouette_iou(video, body, *before),
-        "iou": silhouette_iou(video, body, *after, cameras),
-    }
+    states = {"_stage1": (video.pose, video.shape, None)}
+    if refined is not None:
+        states[""] = refined.pose, refined.shape, refined.cameras
+    seconds = 0.0 if refined is None else refined.seconds_per_frame
+    frames = {f"iou{key}": silhouette_iou(video, body, *some) for key, some in states.items()}
     if truth is None:
         return FrameFigures(frames, seconds)
-    for suffix, some in (("_stage1", before), ("", after)):
-        frames |= {f"{ERRORS[k]}{suffix}": x for k, x in pose_errors(body, some, truth).items()}
+    for suffix, some in states.items():
+        errors = pose_errors(body, some[:2], truth)
+        frames |= {f"{ERRORS[k]}{suffix}": x for k, x in errors.items()}
     grown = {"": "vertex_mm", "_aligned": "aligned_vertex_mm", "_hands": "hand_vertex_mm"}
-    for name, key in grown.items():
+    for name, key in grown.items() if refined is not None else ():
         frames[f"frames_worse{name}"] = (frames[key] > frames[f"{key}_stage1"]).float()
     true = truth.pose, truth.shape, truth.cameras
     frames |= {
         "iou_truth": silhouette_iou(video, truth.body, *true),
     }
     return FrameFigures(frames, seconds, points="joints" if truth.foreign else "vertices")
+
+
+def mask_iou(video: Video) -> float | None:
+    """Return the mean IoU of a video's masks with the true ones; None if they are unknown."""
+    found = []
+    for frame in video.outlines(k for k in range(len(video)) if k not in video.absent):
+        if (true := video.true_mask(frame.index)) is not None:
+            both, either = (f(frame.mask, true).sum() for f in (np.minimum, np.maximum))
+            found.append(float(both / either))
+    return float(np.mean(found)) if found else None
 
 
 @torch.no_grad()

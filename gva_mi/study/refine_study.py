@@ -7,7 +7,7 @@ know them: with :attr:`RefineStudyOptions.known`, height and focal length are th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,10 +28,12 @@ from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import Study, Work
 from gva_mi.study.filmed import height_of
-from gva_mi.study.measure import Evaluation, PoseFigures
+from gva_mi.study.measure import ERRORS, Evaluation, PoseFigures, mask_iou
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.tables import MILLIMETRES
 from gva_mi.synthetic.options import VideoFrames
+
+STAGE_1, REFINED = "stage 1", "refined"  # variants
 
 
 @options_of("study")
@@ -44,35 +46,42 @@ class RefineStudyOptions:
     refine: SequenceOptions = field(default_factory=SequenceOptions)
 
 
+@dataclass(frozen=True)
 class RefineStudy(Study):
-    """A study of one variant: the refinement."""
+    """A study of one variant: the refinement, or stage 1 as it is."""
 
     options: RefineStudyOptions
+    variants: Sequence[str] = (REFINED,)
     kind = "refine"
-    variants = ("refined",)
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, then refine each case."""
         options, cases = self.options, [case for case, _ in missing]
-        filming = Filming(self.folder, options.frames, options.size)
-        refined = [
-            Work(10 * options.frames, partial(figures, filming.subject(x), x, self.body, options))
-            for x in cases
+        filming, frames = Filming(self.folder, options.frames, options.size), options.frames
+        measured = [
+            Work(10 * frames, partial(figures, filming.subject(x), x, variant, self.body, options))
+            for x, variant in missing
         ]
-        return [filming_work(filming, cases, self.body), refined]
+        return [filming_work(filming, cases, self.body), measured]
 
 
 def figures(
     subject: Path,
     case: StudyCase,
+    variant: str,
     body: BodyModel,
     options: RefineStudyOptions,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Refine a case; return the columns of the table, and the figures of ``refinement.json``."""
-    found = refine_case(subject, case, body, options.refine, options.known, progress)
+    """Measure a case; return the columns of the table, and the figures of ``refinement.json``."""
+    if variant == STAGE_1:
+        video = load_video(subject, normals="none")
+        truth = load_ground_truth(video.truth, body)
+        found = Evaluation(video, body, options.refine, None, truth)
+    else:
+        found = refine_case(subject, case, body, options.refine, options.known, progress)
     means = found.measured.means
-    return columns(means) | means.to_json()
+    return columns(means) | {"masks: IoU": mask_iou(found.video)} | means.to_json()
 
 
 def columns(figures: PoseFigures) -> dict[str, float | None]:
@@ -80,9 +89,11 @@ def columns(figures: PoseFigures) -> dict[str, float | None]:
     names = ("body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "fingers")
     titles = (" ".join(reversed(name.split("_"))) for name in names)  # aligned body
     shown = {f"change: {t}": figures.relative(name) for t, name in zip(titles, names, strict=True)}
-    for part in ("body", "hands", "feet"):
-        before, after = figures.change(f"{part}_aligned") or (None, None)
-        shown |= {f"{MILLIMETRES}: {part}, stage 1": before, f"{MILLIMETRES}: {part}": after}
+    for group, kind in zip(MILLIMETRES, ("", "_aligned"), strict=True):
+        for part in ("body", "hands", "feet"):
+            key = ERRORS[f"{part}{kind}"]
+            shown |= {f"{group}: {part}, stage 1": figures[f"{key}_stage1"]}
+            shown |= {f"{group}: {part}": figures[key]}
     iou, limit = figures["iou"], figures["iou_truth"]
     return shown | {
         "depth: ankles, mm": figures["ankle_depth_mm"],
@@ -90,7 +101,7 @@ def columns(figures: PoseFigures) -> dict[str, float | None]:
         "frames: increased": figures["frames_worse"],
         "frames: increased, hands": figures["frames_worse_hands"],
         "iou: IoU - limit": None if None in (iou, limit) else iou - limit,
-        "time: s a frame": figures["seconds_per_frame"],
+        "time: s a frame": figures["seconds_per_frame"] or None,
     }
 
 

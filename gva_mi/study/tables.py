@@ -6,8 +6,8 @@ only.
 
 A subject counts once in a cell: the figures of its cases are averaged first. The refinement study
 has a row for each error model (of :data:`LIMITS` for each case), their mean, and the worst of each
-column; pelvis-aligned errors in mm have a table of their own. The avatar study has a row
-for each variant, separately for held-out and tuned subjects, with the mean difference to the
+column; errors in mm, absolute and pelvis-aligned, have tables of their own. The avatar study has a
+row for each variant, separately for held-out and tuned subjects, with the mean difference to the
 variant "full" of the same cases, because subjects differ more than variants do.
 """
 
@@ -31,7 +31,8 @@ REFINE_TEXT = (
     "Changes of errors are relative: -50 % is half the error of stage 1. ‘Aligned’ errors are "
     "pelvis-aligned, those of fingers wrist-aligned. Depths of ankles and wrists are those after "
     "refinement, above zero if too far away. ‘Increased’ is the share of frames whose error "
-    "increased. ‘IoU - limit’ compares with the ground-truth pose. Every error model counts once."
+    "increased. ‘IoU - limit’ compares with the ground-truth pose, ‘IoU’ masks with true ones. "
+    "Every error model counts once."
 )
 AVATAR_TEXT = (
     "Mean ± standard deviation over subjects, the worst subject, and in brackets the difference to "
@@ -49,13 +50,14 @@ def _farthest(values: Iterable[float]) -> float:
     return max(values, key=abs)
 
 
-MILLIMETRES = "aligned, mm"  # group of refinement's errors before and after
+MILLIMETRES = "absolute, mm", "aligned, mm"  # groups of refinement's errors before and after
 STYLES: dict[str, tuple[str, Worst]] = {  # by the group of a figure
     "change": ("{:+.0%}", max),  # relative, of an error
     "depth": ("{:+.0f}", _farthest),
-    MILLIMETRES: ("{:.0f}", max),
+    **dict.fromkeys(MILLIMETRES, ("{:.0f}", max)),
     "frames": ("{:.0%}", max),
     "iou": ("{:+.3f}", min),
+    "masks": ("{:.3f}", min),
     "time": ("{:.2f}", max),
     "psnr": ("{:.2f}", min),
     "cost": ("{:,.0f}", max),
@@ -176,15 +178,13 @@ def to_json(cells: Cells) -> dict[str, dict[str, dict]]:
 
 
 def tables(kind: str, cells: Cells) -> list[Table]:
-    """Write the tables of a study: two for refinement, one a group for avatars."""
+    """Write the tables of a study: three for refinement, one a group for avatars."""
     there = {group_of(name) for row in cells.values() for name in row}
     groups = [group for group in STYLES if group in there]
     if kind == "refine":
-        changes = [group for group in groups if group != MILLIMETRES]
-        return [
-            _text_table("error model", cells, changes),
-            _text_table(MILLIMETRES, cells, (MILLIMETRES,)),
-        ]
+        changes = [group for group in groups if group not in MILLIMETRES]
+        first = _text_table("error model", cells, changes)
+        return [first, *(_text_table(group, cells, (group,)) for group in MILLIMETRES)]
     return [_text_table(group, cells, (group,), spread=True) for group in groups]
 
 

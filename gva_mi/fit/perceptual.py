@@ -19,11 +19,12 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
@@ -88,15 +89,34 @@ class FeatureMetric(FeatureDistance):
         self.heads = heads
 
     @torch.no_grad()
-    def forward(self, image: Tensor, target: Tensor) -> Tensor:
-        """Return the distance, a scalar without gradients."""
+    def forward(
+        self, image: Tensor, target: Tensor, whole: tuple[int, int] | None = None
+    ) -> Tensor:
+        """Return the distance, a scalar without gradients.
+
+        ``whole`` is the size (H, W) of pictures of which these are the only parts that differ.
+        """
         total = torch.zeros(())
-        pairs = zip(self.features(image), self.features(target), strict=True)
-        for k, (f, g) in enumerate(pairs):
+        seen = self.features(image), self.features(target)
+        sizes = self._sizes(*(whole or image.shape[:2]))
+        for k, (f, g, size) in enumerate(zip(*seen, sizes, strict=True)):
             difference = (_unit(f) - _unit(g)).square()
             weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
-            total = total + (weight * difference).sum(1).mean()
+            share = difference.shape[2] * difference.shape[3] / size
+            total = total + (weight * difference).sum(1).mean() * share
         return total
+
+    def _sizes(self, height: int, width: int) -> Iterator[int]:
+        """Yield the number of positions of a picture's features at each tap."""
+        sides = np.array([height, width])
+        for k, layer in enumerate(self.layers):
+            if isinstance(layer, nn.Conv2d | nn.MaxPool2d):
+                size, step, padding = (
+                    np.array(x) for x in (layer.kernel_size, layer.stride, layer.padding)
+                )
+                sides = (sides + 2 * padding - size) // step + 1
+            if k in self.taps:
+                yield int(sides.prod())
 
 
 def rand_vgg_loss(seed: int = RAND_SEED) -> FeatureDistance:

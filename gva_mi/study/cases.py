@@ -167,8 +167,8 @@ LIMITS = tuple(
     StudyCase(replace(_USUAL, **changed), FILM, 60 + k)
     for k, changed in enumerate((
         {}, {"motion": "half"}, {"motion": "still"}, {"motion": "everyday"}, {"frames": 30},
-        {"frames": 120}, {"frames": 300}, {"size": 256}, {"size": 384}, {"size": 1024},
-        {"size": 1728}, {"outfit": "foreign"}, {"camera": "held"},
+        {"frames": 120}, {"frames": 300}, {"size": 256}, {"size": 1024}, {"outfit": "foreign"},
+        {"camera": "held"},
     ))
 )  # fmt: skip
 

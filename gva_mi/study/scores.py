@@ -6,6 +6,9 @@
   The deepest layers would see only the border of a picture below 64 pixels: there each pixel is
   repeated until both sides are long enough. Of one beyond 1024 pixels they see means over squares,
   because they take most of the time.
+
+Most of a picture is background, where a render equals its target, and so do features that do not
+see the person. So only the part around the person is looked at; the rest counts as equal.
 """
 
 from __future__ import annotations
@@ -16,8 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from gva_mi.core.tasks import on_all_cores
+from gva_mi.data.crop import bounds
 from gva_mi.fit.perceptual import (
     RAND_SEED,
     RAND_WIDTH,
@@ -32,6 +37,9 @@ from gva_mi.fit.perceptual import (
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
 NETWORK_LONGEST = 1024  # pixels, the largest side that they see
+# Pixels from which their deepest features see something, and between the positions of these.
+NETWORK_SIGHT, NETWORK_STEP = 98, 16
+SSIM_RADIUS = 5  # pixels, of its window
 _SSIM = {
     "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
 }  # fmt: skip
@@ -57,12 +65,12 @@ class Scorer:
 
     def __call__(self, render: np.ndarray, target: np.ndarray) -> ImageScores:
         """Score two 8-bit images (H, W, 3), both sides at least 11 pixels."""
-        a, b = (torch.from_numpy(_for_networks(x) / np.float32(255)) for x in (render, target))
+        (a, b), size = _for_networks(render, target)
         return ImageScores(
             psnr(render, target),
             ssim(render, target),
-            np.nan if self.lpips is None else float(self.lpips(a, b)),
-            float(self.rand_vgg(a, b)),
+            np.nan if self.lpips is None else float(self.lpips(a, b, size)),
+            float(self.rand_vgg(a, b, size)),
         )
 
     def of_pairs(self, pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[ImageScores]:
@@ -92,30 +100,63 @@ class Scorer:
         }
 
 
-def _for_networks(image: np.ndarray) -> np.ndarray:
-    """Return an 8-bit image (H, W, 3) as float32 of a size that the networks take, 0 to 255."""
-    times = -(-NETWORK_SIDE // min(image.shape[:2]))
-    image = image.repeat(times, 0).repeat(times, 1).astype(np.float32)
-    least, most = min(image.shape[:2]), max(image.shape[:2])
-    by = min(-(-most // NETWORK_LONGEST), least // NETWORK_SIDE)
-    rows, columns = (side // by * by for side in image.shape[:2])
-    return image[:rows, :columns].reshape(rows // by, by, columns // by, by, 3).mean((1, 3))
+def _where_they_differ(
+    render: np.ndarray, target: np.ndarray, border: int, step: int = 1
+) -> tuple[slice, slice]:
+    """Return rows and columns of the pixels that differ, with a border, in whole steps."""
+    R, G, B = np.moveaxis(render != target, -1, 0)
+    found = bounds(R | G | B)
+    left, top, right, bottom = (0, 0, 1, 1) if found is None else found.astype(int).tolist()
+    steps = lambda low, high: (max(0, low - border) // step, -(-(high + border) // step))
+    wide = lambda low, high: slice(*(step * x for x in steps(low, high)))
+    return wide(top, bottom), wide(left, right)
+
+
+def _for_networks(
+    render: np.ndarray, target: np.ndarray
+) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
+    """Return what the networks see of two 8-bit images (H, W, 3), float32, 0 to 1.
+
+    That is the part that :data:`NETWORK_SIGHT` needs of them. Also the size (H', W') that the whole
+    pictures would have.
+    """
+    least, most = min(render.shape[:2]), max(render.shape[:2])
+    times = -(-NETWORK_SIDE // least)
+    by = max(1, min(-(-most // NETWORK_LONGEST), least // NETWORK_SIDE))
+    rows, columns = (side // by * by for side in render.shape[:2])
+    both = [x[:rows, :columns] for x in (render, target)]
+    if times == 1:
+        part = _where_they_differ(*both, by * NETWORK_SIGHT, by * NETWORK_STEP)
+        both = [x[part] for x in both]
+    seen = []
+    for image in both:
+        image = image.repeat(times, 0).repeat(times, 1).astype(np.float32)
+        height, width = (side // by for side in image.shape[:2])
+        means = image.reshape(height, by, width, by, 3).mean((1, 3)) if by > 1 else image
+        seen.append(torch.from_numpy(means / np.float32(255)))
+    return (seen[0], seen[1]), (rows * times // by, columns * times // by)
 
 
 def psnr(render: np.ndarray, target: np.ndarray) -> float:
     """Return the peak signal-to-noise ratio of two 8-bit images, dB, at most :data:`PSNR_MAX`."""
-    from skimage.metrics import mean_squared_error, peak_signal_noise_ratio
-
-    if mean_squared_error(render, target) == 0:
-        return PSNR_MAX
-    return min(PSNR_MAX, float(peak_signal_noise_ratio(target, render)))
+    part = _where_they_differ(render, target, 0)
+    away = render[part].astype(np.float64) - target[part]
+    error = float(np.square(away).sum()) / render.size
+    return PSNR_MAX if error == 0 else min(PSNR_MAX, float(10 * np.log10(255**2 / error)))
 
 
 def ssim(render: np.ndarray, target: np.ndarray) -> float:
-    """Return the structural similarity of two 8-bit images (H, W, 3), sides at least 11 pixels."""
+    """Return the structural similarity of two 8-bit images (H, W, 3), sides at least 11 pixels.
+
+    It is 1 where the pictures are equal, so only the rest is computed.
+    """
     from skimage.metrics import structural_similarity
 
-    return float(structural_similarity(target, render, **_SSIM))
+    r = SSIM_RADIUS
+    render_, target_ = (x[_where_they_differ(render, target, 2 * r)] for x in (render, target))
+    lacking = 1 - structural_similarity(target_, render_, full=True, **_SSIM)[1][r:-r, r:-r]
+    height, width = (side - 2 * r for side in render.shape[:2])
+    return 1 - float(lacking.sum()) / (3 * height * width)
 
 
 def ssim_map(render: np.ndarray, target: np.ndarray) -> np.ndarray:

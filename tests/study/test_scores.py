@@ -25,6 +25,23 @@ def test_one_level_in_one_pixel_is_not_perfect_but_limited():
     assert psnr(a, b) == PSNR_MAX and ssim(a, b) < 1
 
 
+@pytest.mark.parametrize("box", [np.s_[150:190, 300:330], np.s_[:9, 440:], np.s_[:0, :0]])
+def test_only_where_pictures_differ_is_looked_at_and_scores_are_those_of_the_whole(box):
+    from skimage.metrics import structural_similarity
+
+    random = np.random.default_rng(3)
+    a = random.integers(0, 256, (330, 450, 3), dtype=np.uint8)
+    b = a.copy()
+    b[box] = 255 - b[box]
+    settings = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    whole = structural_similarity(a, b, channel_axis=-1, **settings)
+    assert ssim(a, b) == pytest.approx(whole, abs=1e-12)
+    scorer = Scorer(Weights())
+    both = [torch.from_numpy(x.astype(np.float32) / 255) for x in (a, b)]
+    expected = float(scorer.rand_vgg(*both))
+    assert scorer(a, b).rand_vgg == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
 def test_small_pictures_are_enlarged_for_the_networks_alone():
     random = np.random.default_rng(1)
     a, b = random.integers(0, 256, (2, NETWORK_SIDE // 4, NETWORK_SIDE // 2, 3), dtype=np.uint8)

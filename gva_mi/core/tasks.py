@@ -128,7 +128,7 @@ def on_all_cores(work: Callable[[Item], Result], items: Iterable[Item]) -> Itera
     threads run meanwhile.
     """
     cores = os.cpu_count() or 1
-    with one_torch_thread(), ThreadPoolExecutor(cores) as pool:
+    with ThreadPoolExecutor(cores) as pool:
         yield from in_order(pool, work, items, cores + 1)
 
 

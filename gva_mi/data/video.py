@@ -120,8 +120,10 @@ class Video:
         return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
-        """Yield the frames of some indices, or all frames."""
-        return (self[k] for k in (range(len(self)) if indices is None else indices))
+        """Yield the frames of some indices, or all frames; files are read ahead."""
+        indices = range(len(self)) if indices is None else indices
+        read = map if self._images else on_all_cores
+        return read(self.__getitem__, indices)
 
     def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
         """Yield some frames without their pictures; none of them may be absent."""

@@ -27,6 +27,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -36,9 +37,10 @@ from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.core.spill_cache import SpillCache
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.data import backdrop
 from gva_mi.data.crop import Box, Extent
-from gva_mi.data.video import Video
+from gva_mi.data.video import Frame, Video
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
@@ -144,15 +146,10 @@ class FrameSampler:
         self.cameras = [video.cameras[k] for k in self.frames]
         self.boxes = []
         self._kept = SpillCache(Path(tempfile.gettempdir()) if folder is None else folder)
-        for k, frame in enumerate(video.frames(self.frames)):
-            box = _box_of(frame.mask > 0.5)
-            width = mask_error * (box.width * box.height) ** 0.5
-            kept = _box_of(frame.mask > 0, math.ceil(width) + 1)
-            P, S = kept.cut(frame.image), kept.cut(frame.mask)
-            unsure = backdrop.unsure(S, width)
-            B = backdrop.behind(P, np.maximum(S, unsure))
+        cut = partial(_cut, mask_error)
+        for k, (box, kept) in enumerate(on_all_cores(cut, video.frames(self.frames))):
             self.boxes.append(box)
-            self._kept[k] = _to_8bit(P, S), _to_8bit(B, unsure), kept
+            self._kept[k] = kept
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -250,6 +247,20 @@ def within(box: Box, part: Box) -> tuple[slice, slice]:
     """Return rows and columns of a box in a larger one."""
     top, left = box.top - part.top, box.left - part.left
     return slice(top, top + box.height), slice(left, left + box.width)
+
+
+def _cut(mask_error: float, frame: Frame) -> tuple[Box, tuple[Tensor, Tensor, Box]]:
+    """Return the person's box in a frame, and what is kept of it: picture, background, their box.
+
+    ``mask_error`` is that of :class:`FrameSampler`.
+    """
+    box = _box_of(frame.mask > 0.5)
+    width = mask_error * (box.width * box.height) ** 0.5
+    kept = _box_of(frame.mask > 0, math.ceil(width) + 1)
+    P, S = kept.cut(frame.image), kept.cut(frame.mask)
+    unsure = backdrop.unsure(S, width)
+    B = backdrop.behind(P, np.maximum(S, unsure))
+    return box, (_to_8bit(P, S), _to_8bit(B, unsure), kept)
 
 
 def _to_8bit(image: np.ndarray, fourth: np.ndarray) -> Tensor:

@@ -55,6 +55,7 @@ def fit(
     sources: Mapping[str, str | None] | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    samples: FrameSampler | None = None,
 ) -> Avatar:
     """Fit an avatar to the training frames of a video.
 
@@ -70,6 +71,7 @@ def fit(
         sources: files of poses and body, for the run's record: :func:`run_folder.sources_of`.
         resume: continue from the last checkpoint in ``out``, if there is one.
         progress: called after each step with its loss and the number of Gaussians.
+        samples: training frames of such a fit, where they were read before; None: they are read.
 
     Returns:
         The avatar, which is also written to ``out/avatar.npz``.
@@ -83,14 +85,15 @@ def fit(
         checkpoint.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = checkpoint.load_state(out)
+    chosen = options.seed, options.window, options.mask_error
+    if samples is None:
+        samples = FrameSampler(video, video.splits.train, *chosen, out)
     if options.first_steps:
-        video = _after_first_fit(video, body, options, out, offsets, progress)
+        video = _after_first_fit(video, body, options, out, offsets, progress, samples)
         progress = within(progress, options.first_steps, options.steps, options.all_steps)
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = Run(video, body, options, offsets, state)
-        chosen = options.seed, options.window, options.mask_error
-        samples = FrameSampler(video, video.splits.train, *chosen, out)
         while run.step < options.steps:
             figures = run.follow(samples, distance, out)
             if progress:
@@ -116,12 +119,14 @@ def _after_first_fit(
     out: Path,
     offsets: Tensor | None,
     progress: Progress | None,
+    samples: FrameSampler,
 ) -> Video:
     """Return the video under the poses that a first fit trains, in a folder of the run."""
     first, steps = out / run_folder.FIRST, options.first_steps
     report = within(progress, 0, steps, options.all_steps)
     alone = replace(options, steps=steps, first_steps=0)
-    fit(video, body, alone, first, offsets=offsets, resume=True, progress=report)
+    found = {"resume": True, "progress": report, "samples": samples}
+    fit(video, body, alone, first, offsets=offsets, **found)
     return replace(video, pose=load_poses(first / run_folder.TRAINED_POSES)[0], stage=2)
 
 

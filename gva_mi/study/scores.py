@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.core.tasks import on_all_cores
+from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import bounds
 from gva_mi.fit.perceptual import (
     RAND_SEED,
@@ -75,7 +76,8 @@ class Scorer:
 
     def of_pairs(self, pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[ImageScores]:
         """Score renders and targets on all cores; any number of them gives the same bits."""
-        return list(on_all_cores(lambda pair: self(*pair), pairs))
+        with one_torch_thread():
+            return list(on_all_cores(lambda pair: self(*pair), pairs))
 
     @property
     def network(self) -> str | None:

@@ -76,45 +76,32 @@ class FeatureDistance(nn.Module):
 
 
 class FeatureMetric(FeatureDistance):
-    """Eq. P2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without.
-
-    Args:
-        heads: one (D_l,) per tap; None: all weights 1/L.
-    """
+    """Eq. P2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without."""
 
     def __init__(
         self, layers: nn.Sequential, taps: Sequence[int], heads: Sequence[Tensor] | None = None
     ) -> None:
         super().__init__(layers, taps)
-        self.heads = heads
+        self.heads = heads  # one (D_l,) per tap; None: all weights 1/L
 
     @torch.no_grad()
-    def forward(
-        self, image: Tensor, target: Tensor, whole: tuple[int, int] | None = None
-    ) -> Tensor:
-        """Return the distance, a scalar without gradients.
-
-        ``whole`` is the size (H, W) of pictures of which these are the only parts that differ.
-        """
+    def forward(self, image: Tensor, target: Tensor, whole: Sequence[int] | None = None) -> Tensor:
+        """Return the distance, without gradients; ``whole``: of pictures that differ here alone."""
         total = torch.zeros(())
-        seen = self.features(image), self.features(target)
-        sizes = self._sizes(*(whole or image.shape[:2]))
-        for k, (f, g, size) in enumerate(zip(*seen, sizes, strict=True)):
+        sizes = self._sizes(np.array(whole or image.shape[:2]))
+        seen = zip(self.features(image), self.features(target), sizes, strict=True)
+        for k, (f, g, size) in enumerate(seen):
             difference = (_unit(f) - _unit(g)).square()
             weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
-            share = difference.shape[2] * difference.shape[3] / size
-            total = total + (weight * difference).sum(1).mean() * share
+            total = total + (weight * difference).sum() / size
         return total
 
-    def _sizes(self, height: int, width: int) -> Iterator[int]:
-        """Yield the number of positions of a picture's features at each tap."""
-        sides = np.array([height, width])
+    def _sizes(self, sides: np.ndarray) -> Iterator[int]:
+        """Yield the number of positions of features at each tap, for a picture's (H, W)."""
         for k, layer in enumerate(self.layers):
-            if isinstance(layer, nn.Conv2d | nn.MaxPool2d):
-                size, step, padding = (
-                    np.array(x) for x in (layer.kernel_size, layer.stride, layer.padding)
-                )
-                sides = (sides + 2 * padding - size) // step + 1
+            if not isinstance(layer, nn.ReLU):
+                size, step, edge = map(np.max, (layer.kernel_size, layer.stride, layer.padding))
+                sides = (sides + 2 * edge - size) // step + 1
             if k in self.taps:
                 yield int(sides.prod())
 

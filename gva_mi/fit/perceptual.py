@@ -76,7 +76,7 @@ class FeatureDistance(nn.Module):
 
 
 class FeatureMetric(FeatureDistance):
-    """Eq. P2: the distance of unit feature vectors, LPIPS with its heads or ``rand_vgg`` without."""
+    """Eq. P2: the distance of unit feature vectors; LPIPS with heads, ``rand_vgg`` without."""
 
     def __init__(
         self, layers: nn.Sequential, taps: Sequence[int], heads: Sequence[Tensor] | None = None

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from gva_mi.study import avatar_study, refine_study
-from gva_mi.study.cases import HELD_OUT, StudyCase
+from gva_mi.study.cases import HELD_OUT, LIMITS, StudyCase
 from gva_mi.study.measure import PoseFigures
 from gva_mi.study.variants import VARIANTS
 
@@ -97,6 +97,19 @@ def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
     names = [result["name"] for result in record["results"]]
     assert sorted(names) == sorted(case.name for case in HELD_OUT)
     assert cli(*lean, "--overwrite")[0] == 0 and done == first
+
+
+def test_stage_1_alone_is_another_result_than_its_refinement(done, tmp_path, cli):
+    limits = ("study", "refine", "--cases", "limits", "--out", tmp_path)
+    code, out, err = cli(*limits, "--stage", 1)
+    assert code == 0, err
+    assert {variant for _, variant in done} == {"stage 1"} and "seed 140, room, held" not in out
+    head = next(line for line in out.splitlines() if line.startswith("absolute, mm "))
+    assert head.split()[2:6] == ["body,", "stage", "1", "body"]
+    assert cli(*limits)[0] == 0
+    assert {variant for _, variant in done} == {"stage 1", "refined"}
+    kept = json.loads((tmp_path / "refine.json").read_text())["results"]
+    assert len(kept) == len(done) == 2 * len(LIMITS)
 
 
 def test_overwriting_removes_the_runs_of_an_avatar_study(done, tmp_path, cli):

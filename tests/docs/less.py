@@ -59,6 +59,9 @@ NOT_RUN = {
     "gva-mi study refine --held-out-set 10 --error-models film --out films": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
+    "gva-mi study refine --cases limits --stage 1 --out limits": (
+        "renders and watches films: tests/study/test_filmed.py"
+    ),
     "gva-mi study avatar --held-out-set 10 --error-models film --fit.steps 2000 --rows full "
     "--out film-avatars": ("renders and watches films: tests/study/test_filmed.py"),
     "gva-mi body --sheet puppet.png": SHEET,

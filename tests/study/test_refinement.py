@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
+from gva_mi.data.pictures import write_image
 from gva_mi.pose import SequenceOptions
-from gva_mi.study.measure import Evaluation, PoseFigures, measure
+from gva_mi.study.measure import Evaluation, PoseFigures, mask_iou, measure
 from gva_mi.study.pose_tables import errors_table
 from gva_mi.study.refinement import load_refinement, write_record
 
@@ -46,6 +47,26 @@ def test_figures_of_some_frames_are_those_frames(measured):
     assert measured.of([0, 1]).means["vertex_mm"] == 0
     last = measured.of([5]).means
     assert last["vertex_mm"] == last["vertex_mm_stage1"] > 0
+
+
+def test_stage_1_alone_has_the_same_figures_and_no_refined_ones(measured, estimated, body, truth):
+    alone = measure(estimated, body, None, truth).means
+    before = {key: x for key, x in measured.means.to_json().items() if key.endswith("_stage1")}
+    assert len(before) > 10 and {key: alone[key] for key in before} == before
+    assert alone["vertex_mm"] is None and alone["frames_worse"] is None and alone["iou"] is None
+
+
+def test_masks_are_compared_with_the_true_ones(estimated, tmp_path):
+    shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "truth", ignore_errors=True)
+    video = replace(estimated, folder=tmp_path)
+    assert mask_iou(video) is None
+    width, height = video.size
+    for k, outline in enumerate(video.outlines(range(2))):
+        wider = outline.mask if k == 0 else np.ones((height, width))
+        write_image(tmp_path / f"truth/masks/{k:06d}.png", wider)
+    share = next(video.outlines([1])).mask.mean()
+    assert mask_iou(video) == pytest.approx((1 + share) / 2, abs=1e-3)
 
 
 def test_a_frame_without_a_mask_has_no_iou(estimated, body, refined):

@@ -3,7 +3,7 @@
 In the picture a landmark is off by a share of the person's size, because networks see people scaled
 to one size. The spread between passes adds to it, and a low confidence widens it:
 
-1. ``σ² = ((share · S)² + spread²) / confidence + astray²``,   ``S``: pixels of a person of 1.7 m
+1. ``σ² = ((share · S)² + spread²) / confidence² + astray²``,   ``S``: pixels of a person of 1.7 m
 
 A hand is found by a tracker that may stay where the hand was, or jump to another one, without
 saying so. Of the two wrists, that of the hand and that of the body, then the body's is right: on
@@ -55,19 +55,19 @@ class BoneDepth(NamedTuple):
 
 # From and to; both of one side unless the names say otherwise.
 BONES = {
-    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.08),
-    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.14),
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.24),
+    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.42),
     ("hip", "knee"): BoneDepth(1.0, 0.02, 0.06),
     ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.055),
-    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.06),
-    ("shoulder", "hip"): BoneDepth(1.0, 0.0, 0.06),
-    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.08),
-    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.08),
-    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.06),
-    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.06),
-    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.04),
-    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.04),
-    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.024),
+    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.18),
+    ("shoulder", "hip"): BoneDepth(1.0, 0.0, 0.18),
+    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.24),
+    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.24),
+    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.18),
+    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.18),
+    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.12),
+    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.12),
+    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.072),
     ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.06),
     ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.05),
 }
@@ -114,7 +114,7 @@ class LandmarkNoise:
         share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
         astray = _astray(landmarks, names, sizes / PERSON)
-        square = square / np.clip(confidence, LEAST_CONFIDENCE, 1)
+        square = square / np.clip(confidence, LEAST_CONFIDENCE, 1) ** 2
         pixels = np.sqrt(square + (astray * sizes[:, None] / PERSON) ** 2)
         known = list(_bones(names))
         bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)

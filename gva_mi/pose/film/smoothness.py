@@ -24,7 +24,7 @@ from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.stage1 import turns_between
 
 PLACE = (8.0, 1.5)  # a, v of the person: m/s², m/s
-TRUNK = (15.0, 10.0)  # rad/s², rad/s: what is heavy turns evenly
+TRUNK = (8.0, 10.0)  # rad/s², rad/s: what is heavy turns evenly
 LIMB = (120.0, 10.0)
 FINGER = (40.0, 6.0)
 _TRUNK = [

@@ -25,15 +25,15 @@ MEMORY_OF_PLACE = 0.4  # the same of the position
 # Standard deviations of the slow part and of the constant one, and seconds of lag: what the slow
 # one grows by, relative to the speed.
 _DEGREES = {
-    "pelvis": (2.5, 0.3, 0.035),
-    "spine": (1.3, 0.3, 0.175),
-    "head": (2.8, 1.2, 0.174),
-    "shoulders": (5.5, 2.2, 0.090),
-    "elbows": (7.0, 1.6, 0.108),
-    "wrists": (4.1, 1.5, 0.129),
-    "hips": (3.4, 0.0, 0.092),
-    "knees": (1.5, 0.0, 0.184),
-    "feet": (0.8, 0.0, 0.324),
+    "pelvis": (1.0, 0.0, 0.054),
+    "spine": (1.3, 0.3, 0.248),
+    "head": (3.0, 1.4, 0.0),
+    "shoulders": (5.3, 2.3, 0.094),
+    "elbows": (5.6, 1.7, 0.115),
+    "wrists": (4.1, 1.5, 0.122),
+    "hips": (3.1, 1.0, 0.097),
+    "knees": (1.4, 0.0, 0.187),
+    "feet": (0.8, 0.0, 0.337),
 }
 _METRES = {"aside": (0.026, 0.008), "depth": (0.065, 0.028)}
 

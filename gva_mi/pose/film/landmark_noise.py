@@ -20,8 +20,10 @@ that a picture leaves possible, so its answers vary less than the true depths do
 The gain of legs and trunk is 1. Legs are mostly straight: dividing their answers by the smaller
 slope of answers against true depths would count that knowledge as seen, and bend the knees. Arms
 point anywhere, and their gain is that slope.
-``gain``, ``bias`` and ``σ_z`` (:data:`BONES`) are rounded from the answers of BlazePose and of the
-hand network on rendered people who turn, walk and sit.
+``gain`` and ``bias`` (:data:`BONES`) are rounded from the answers of BlazePose and of the hand
+network on rendered people who turn, walk and sit. Their errors of depth vary by 10 to 65 mm in a
+film, but they last: after 0.2 s their correlation is 0.2 to 0.7, and a part is constant. So ``σ_z``
+is several times as large, except for legs. It was chosen by the errors of poses on twelve films.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class RefineChoice(_Choice):
     refined ankles and wrists, above zero if too far away. A study that was cut short is resumed.
     """
 
-    # 1: poses before refinement, which takes most of the time.
+    # 1: only measure poses before refinement, without the time that it takes.
     stage: Literal[1, 2] = 2
     options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
 

@@ -7,8 +7,8 @@ The rows of joints are what ``python -m gva_mi.study.film_errors`` prints, of th
 a walk, everyday motion; seeds 120, 123, 125, 130, 131) and four before a white wall (seeds 101,
 103, 104, 106). All joints have one memory, for the refinement gets worse with the longer ones that
 fit the errors of shoulders better. The rows of the position are wider than the errors that were
-found, for the same reason. Fingers are left out: they err by 18°, but images of this size cannot
-bend them better, and their errors are inferred.
+found; narrower ones hardly change the result. Fingers are left out: they err by 18°, but images of
+this size cannot bend them better, and their errors are inferred.
 """
 
 from __future__ import annotations

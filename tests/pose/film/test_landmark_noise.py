@@ -39,9 +39,12 @@ def test_noise_scales_with_the_picture_and_grows_with_doubt(standing):
     larger = LandmarkNoise.of(replace(standing, pixels=2 * standing.pixels), names)
     assert torch.allclose(larger.pixels, 2 * usual.pixels)
     assert torch.equal(larger.depth, usual.depth)
-    for field, value in (("confidence", 0.6), ("spread", 3.0)):
-        doubted = replace(standing, **{field: np.full_like(standing.confidence, value)})
-        assert (LandmarkNoise.of(doubted, names).pixels > usual.pixels).all()
+    spread = replace(standing, spread=np.full_like(standing.confidence, 3.0))
+    assert (LandmarkNoise.of(spread, names).pixels > usual.pixels).all()
+    unsure = replace(standing, confidence=0.6 * standing.confidence)
+    doubted = LandmarkNoise.of(unsure, names)
+    assert torch.allclose(doubted.pixels, usual.pixels / 0.6)
+    assert torch.equal(doubted.depth, usual.depth)
 
 
 def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standing):

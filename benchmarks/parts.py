@@ -6,6 +6,7 @@ slows the work down, so its whole time comes from another measurement.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,6 +14,8 @@ import drjit as dr
 from torch.profiler import ProfilerActivity, profile
 
 LETTER = 0.2  # ms of a letter in the bar
+
+os.environ.setdefault("KINETO_LOG_LEVEL", "99")  # else torch's profiler prints lines of its own
 
 
 class PartClock:

@@ -11,7 +11,7 @@ which teaches alpha (:mod:`gva_mi.fit.backgrounds`):
 of the picture P and the person's mask S. Outlines of masks are off by some pixels, differently in
 each frame, and cutting by them blurs the avatar's edge. The picture itself shows the outline to a
 fraction of a pixel if the render is composited on what is behind the person, B
-(:mod:`gva_mi.data.backdrop`). So eq. 1 is used only for what is plainly inside or outside.
+(:mod:`gva_mi.fit.cutouts`). So eq. 1 is used only for what is plainly inside or outside.
 
 Only the part of the picture with the person, the window or a Gaussian is compared; elsewhere render
 and target are the same background. So a step takes time in proportion to the person, not the room.
@@ -22,7 +22,6 @@ draws the same ones, with no state to save.
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,10 +37,10 @@ from torch import Tensor
 
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.data import backdrop
 from gva_mi.data.crop import Box, Extent
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Video, spread
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
+from gva_mi.fit.cutouts import Person, background_of
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import flat_array, load_columns
@@ -51,6 +50,7 @@ from gva_mi.splat.kernels.tiles import Layout
 
 REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
 BORDER = 2  # pixels, for the blur that every Gaussian gets
+GATHERED = 32  # frames that the background is gathered from
 
 
 class RandomStream(IntEnum):
@@ -145,11 +145,17 @@ class FrameSampler:
         self.window = window
         self.cameras = [video.cameras[k] for k in self.frames]
         self.boxes = []
-        self._kept = SpillCache(Path(tempfile.gettempdir()) if folder is None else folder)
-        cut = partial(_cut, mask_error)
-        for k, (box, kept) in enumerate(on_all_cores(cut, video.frames(self.frames))):
-            self.boxes.append(box)
-            self._kept[k] = kept
+        folder = Path(tempfile.gettempdir()) if folder is None else folder
+        self._people, self._behind = SpillCache[Person](folder), SpillCache[Tensor](folder)
+        cut = partial(Person.of, mask_error=mask_error)
+        for k, person in enumerate(on_all_cores(cut, video.frames(self.frames))):
+            self.boxes.append(person.box)
+            self._people[k] = person
+        every = range(len(self.frames))
+        background = background_of([self._people[k] for k in spread(every, GATHERED)])
+        behind = lambda k: self._people[k].behind(*background)
+        for k, seen in enumerate(on_all_cores(behind, every)):
+            self._behind[k] = seen
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -161,7 +167,8 @@ class FrameSampler:
         # A new colour at each step teaches the avatar its alpha.
         color = random_state(self.seed, RandomStream.BACKGROUND, step).random(3, dtype=np.float32)
         box, window = self.boxes[k], self._window(k, step)
-        cutout, area = Cutout(*self._kept[k], torch.from_numpy(color)), box.width * box.height
+        person, area = self._people[k], box.width * box.height
+        cutout = Cutout(person.pixels, self._behind[k], person.kept, torch.from_numpy(color))
         return Sample(self.frames[k], cutout, area, self.cameras[k], window)
 
     def _window(self, k: int, step: int) -> Box:
@@ -247,34 +254,3 @@ def within(box: Box, part: Box) -> tuple[slice, slice]:
     """Return rows and columns of a box in a larger one."""
     top, left = box.top - part.top, box.left - part.left
     return slice(top, top + box.height), slice(left, left + box.width)
-
-
-def _cut(mask_error: float, frame: Frame) -> tuple[Box, tuple[Tensor, Tensor, Box]]:
-    """Return the person's box in a frame, and what is kept of it: picture, background, their box.
-
-    ``mask_error`` is that of :class:`FrameSampler`.
-    """
-    box = _box_of(frame.mask > 0.5)
-    width = mask_error * (box.width * box.height) ** 0.5
-    kept = _box_of(frame.mask > 0, math.ceil(width) + 1)
-    P, S = kept.cut(frame.image), kept.cut(frame.mask)
-    unsure = backdrop.unsure(S, width)
-    B = backdrop.behind(P, np.maximum(S, unsure))
-    return box, (_to_8bit(P, S), _to_8bit(B, unsure), kept)
-
-
-def _to_8bit(image: np.ndarray, fourth: np.ndarray) -> Tensor:
-    """Pack an image (H, W, 3) and a fourth channel (H, W), all in [0, 1], as 8 bits."""
-    four = np.concatenate([image, fourth[..., None]], axis=-1)
-    return torch.from_numpy(np.round(four * 255).astype(np.uint8))
-
-
-def _box_of(mask: np.ndarray, margin: int = 0) -> Box:
-    """Return the box around a mask (H, W) bool; the whole picture if it is empty."""
-    H, W = mask.shape
-    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    if not len(rows):
-        return Box(0, 0, W, H)
-    left, top = max(0, int(columns[0]) - margin), max(0, int(rows[0]) - margin)
-    right, bottom = min(W, int(columns[-1]) + 1 + margin), min(H, int(rows[-1]) + 1 + margin)
-    return Box(left, top, right, bottom)

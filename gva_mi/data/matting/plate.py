@@ -6,7 +6,7 @@ pixel that has one, and says by a larger spread how little it knows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,9 @@ SEEN = 3  # pictures that have to show a pixel of the background
 LEAST = 0.012  # smallest spread, of colours in [0, 1]: noise and compression
 GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel, and per further
 FARTHER = 0.003  # pixel of distance this much more
+AGREES = 0.04  # mean difference of the channels, in [0, 1], up to which colours agree
 ROWS = 64  # computed at once
+REACH = 7  # pixels, side of the squares whose mean is the colour or the shade near a pixel
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,34 @@ class Plate:
         gain = np.median(seen / (255 * plate + 1e-3))
         return Plate(self.color * np.float32(gain), self.spread, self.seen)
 
+    def beside(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
+        """Return the background (h, w, 3) of a picture (h, w, 3) in [0, 1], by its bare pixels.
+
+        It is the plate, times the shade that is seen around the nearest bare pixels; where the
+        plate is a guess, it is their mean colour.
+        """
+        return np.where(
+            self.seen[..., None], self._shaded(image, bare), mean_around(image, bare)[0]
+        )
+
+    def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
+        """Return the plate, a guess wherever it differs from the nearest bare pixels of a picture.
+
+        For pictures of which nobody knows whether the camera stood still.
+        """
+        known = bare & self.seen
+        if not known.any():
+            return Plate.unknown(self.seen.shape)
+        off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
+        return replace(self, seen=self.seen & (mean_around(off, known)[0][..., 0] < AGREES))
+
+    def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
+        """Return the plate in the shade of the nearest bare pixels of a picture."""
+        B = self.color
+        shade = np.einsum("ijk,ijk->ij", image, B) / (np.einsum("ijk,ijk->ij", B, B) + 1e-3)
+        s, _ = mean_around(shade[..., None].clip(0.2, 1.3), bare & self.seen)
+        return s * B
+
     def moved(self, A: np.ndarray) -> Plate:
         """Return the plate (A x), as in :func:`.camera.moved`; what it lacks is a guess."""
         both = moved(np.concatenate([self.color, self.spread[..., None]], -1), A)
@@ -100,3 +130,26 @@ def _continued(
     mean = (total / share[..., None])[tuple(nearest)]
     color = np.where(seen[..., None], color, mean)
     return color, np.where(seen, spread, GUESSED + FARTHER * away).astype(np.float32)
+
+
+def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (h, w, C) and variance (h, w), of all channels, of known values near each pixel.
+
+    A pixel without a known value in its square takes those of the nearest that has one.
+    """
+    from scipy.ndimage import distance_transform_edt, uniform_filter
+
+    blur = lambda x: uniform_filter(x, (REACH, REACH, 1)[: x.ndim], mode="constant")
+    weight = known.astype(np.float32)
+    total = blur(weight)
+    found = total > 0.5 / REACH**2
+    if not found.any():
+        return np.zeros_like(values), np.ones(known.shape, np.float32)
+    total = np.maximum(total, 1e-6)
+    mean = blur(values * weight[..., None]) / total[..., None]
+    square = blur((values**2).sum(-1) * weight) / total
+    variance = np.maximum(square - (mean**2).sum(-1), 0)
+    if not found.all():
+        nearest = distance_transform_edt(~found, return_distances=False, return_indices=True)
+        mean, variance = mean[tuple(nearest)], variance[tuple(nearest)]
+    return mean, variance

@@ -64,30 +64,26 @@ class Person:
     def behind(self, plate: Plate, place: Box) -> Tensor:
         """Return what is behind the person and where the mask is uncertain (h, w, 4) uint8.
 
-        ``plate`` shows the part ``place`` of the picture, see :func:`background_of`.
+        ``plate`` is what :func:`background_of` found in the part ``place`` of the picture.
         """
         image, unsure, bare = self.picture, self.unsure, self.bare
-        part = plate.part(_inside(self.kept, place)).agreeing(image, bare)
+        part = plate.part(within(self.kept, place)).agreeing(image, bare)
         return _to_8bit(np.where(bare[..., None], image, part.beside(image, bare)), unsure)
 
 
-def background_of(people: Sequence[Person]) -> tuple[Plate, Box]:
-    """Return the background that frames of one camera show, and its place in the picture."""
-    place = Box(
-        min(x.kept.left for x in people), min(x.kept.top for x in people),
-        max(x.kept.right for x in people), max(x.kept.bottom for x in people),
-    )  # fmt: skip
+def background_of(people: Sequence[Person], place: Box) -> Plate:
+    """Return the background that frames of one camera show in a part of the picture."""
     pictures = np.zeros((len(people), place.height, place.width, 3), np.uint8)
     bare = np.zeros(pictures.shape[:3], bool)
     for k, person in enumerate(people):
-        at = k, *_inside(person.kept, place)
+        at = k, *within(person.kept, place)
         pictures[at], bare[at] = person.pixels[..., :3].numpy(), person.bare
-    return Plate.gather(pictures, bare), place
+    return Plate.gather(pictures, bare)
 
 
-def _inside(box: Box, place: Box) -> tuple[slice, slice]:
+def within(box: Box, part: Box) -> tuple[slice, slice]:
     """Return rows and columns of a box in a larger one."""
-    top, left = box.top - place.top, box.left - place.left
+    top, left = box.top - part.top, box.left - part.left
     return slice(top, top + box.height), slice(left, left + box.width)
 
 

@@ -40,7 +40,7 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video, spread
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
-from gva_mi.fit.cutouts import Person, background_of
+from gva_mi.fit.cutouts import Person, background_of, within
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import flat_array, load_columns
@@ -148,12 +148,14 @@ class FrameSampler:
         folder = Path(tempfile.gettempdir()) if folder is None else folder
         self._people, self._behind = SpillCache[Person](folder), SpillCache[Tensor](folder)
         cut = partial(Person.of, mask_error=mask_error)
+        kept = []
         for k, person in enumerate(on_all_cores(cut, video.frames(self.frames))):
             self.boxes.append(person.box)
+            kept.append(person.kept)
             self._people[k] = person
-        every = range(len(self.frames))
-        background = background_of([self._people[k] for k in spread(every, GATHERED)])
-        behind = lambda k: self._people[k].behind(*background)
+        every, place = range(len(self.frames)), joined(*kept)
+        plate = background_of([self._people[k] for k in spread(every, GATHERED)], place)
+        behind = lambda k: self._people[k].behind(plate, place)
         for k, seen in enumerate(on_all_cores(behind, every)):
             self._behind[k] = seen
 
@@ -248,9 +250,3 @@ def in_tiles(box: Box, camera: Camera) -> Box:
     height, width = min(height, camera.height), min(width, camera.width)
     top, left = min(box.top, camera.height - height), min(box.left, camera.width - width)
     return Box(left, top, left + width, top + height)
-
-
-def within(box: Box, part: Box) -> tuple[slice, slice]:
-    """Return rows and columns of a box in a larger one."""
-    top, left = box.top - part.top, box.left - part.left
-    return slice(top, top + box.height), slice(left, left + box.width)

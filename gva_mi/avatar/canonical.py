@@ -109,6 +109,12 @@ class CanonicalGaussians(nn.Module):
         if least > 0:
             self.log_scales.clamp_(min=math.log(least))
 
+    @torch.no_grad()
+    def decay_slopes(self, share: float) -> None:
+        """Take a share away from the colours' slopes: from what they owe to light or view."""
+        if share > 0:
+            self.sh[:, 1:].mul_(1 - share)
+
     def moved_by(self, coefficients: Tensor) -> Tensor:
         """Return D c, metres (N, 3) by which blend shapes move the means; c is (up to K,)."""
         return self._sparse_of(_SparseDirections.of, "directions")(coefficients)

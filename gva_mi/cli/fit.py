@@ -11,7 +11,7 @@ from tyro.conf import Positional
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.cli.arguments import Flat, Switch, body_of, poses_of, warn_if_outside_masks
-from gva_mi.cli.presets import Preset
+from gva_mi.cli.presets import FitPreset
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import make_room
@@ -28,7 +28,7 @@ def fit(
     options: Flat[FitOptions],
     *,
     out: Path,
-    preset: Preset = "default",
+    preset: FitPreset = "default",
     poses: Path | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
@@ -40,7 +40,8 @@ def fit(
         subject: a folder with video, masks, cameras and poses.
         options: options of the fit.
         out: the run's folder.
-        preset: paper: all options as the paper prints them; options beside it win.
+        preset: paper: all options as the paper prints them; film: those of `gva-mi avatar`.
+            Options beside it win.
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
             the built-in body.

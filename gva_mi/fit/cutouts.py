@@ -10,9 +10,8 @@ seen nearby, the nearest background of the same frame takes its place.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import torch
@@ -21,6 +20,7 @@ from torch import Tensor
 from gva_mi.data import backdrop
 from gva_mi.data.crop import Box
 from gva_mi.data.matting.plate import Plate
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame
 
 
@@ -51,7 +51,7 @@ class Person:
         """The mask (h, w) in [0, 1]."""
         return self.pixels[..., 3].numpy().astype(np.float32) / 255
 
-    @cached_property
+    @property
     def unsure(self) -> np.ndarray:
         """Where the mask may be wrong (h, w) bool."""
         return backdrop.unsure(self.mask, self.error)
@@ -66,19 +66,20 @@ class Person:
 
         ``plate`` is what :func:`background_of` found in the part ``place`` of the picture.
         """
-        image, unsure, bare = self.picture, self.unsure, self.bare
+        image, unsure = self.picture, self.unsure
+        bare = (self.mask == 0) & ~unsure
         part = plate.part(within(self.kept, place)).agreeing(image, bare)
         return _to_8bit(np.where(bare[..., None], image, part.beside(image, bare)), unsure)
 
 
-def background_of(people: Sequence[Person], place: Box) -> Plate:
+def background_of(frames: Iterable[tuple[Frame, Person]], place: Box) -> Plate:
     """Return the background that frames of one camera show in a part of the picture."""
-    pictures = np.zeros((len(people), place.height, place.width, 3), np.uint8)
-    bare = np.zeros(pictures.shape[:3], bool)
-    for k, person in enumerate(people):
-        at = k, *within(person.kept, place)
-        pictures[at], bare[at] = person.pixels[..., :3].numpy(), person.bare
-    return Plate.gather(pictures, bare)
+    pictures, bare = [], []
+    for frame, person in frames:
+        pictures.append(in_8_bits(place.cut(frame.image)))
+        bare.append(np.ones((place.height, place.width), bool))
+        bare[-1][within(person.kept, place)] = person.bare
+    return Plate.gather(np.stack(pictures), np.stack(bare))
 
 
 def within(box: Box, part: Box) -> tuple[slice, slice]:

@@ -24,9 +24,11 @@ REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 # 3DGS they move as far as others, and burst out of the surface once an arm is raised.
 NOISE = 1e-5
 
-# Weight of the alpha term for films: where a mask may be wrong, the picture outvotes it only if
+# For films. Weight of the alpha term: where a mask may be wrong, the picture outvotes it only if
 # person and background differ by more than this, the mean over channels in [0, 1].
-OF_FILM = 0.05
+FILM_ALPHA = 0.05
+FILM_MASK_ERROR = 0.003  # masks that follow the pictures are off by a pixel, others by several
+FILM_SH_DECAY = 0.01  # poses err, and what they explain badly looks like a change of the light
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -48,6 +50,9 @@ class Rates:
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
     sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
+    # Share of the slopes that each step takes away (decoupled weight decay). Frames of one person
+    # who turns before a lamp never show the back in the light of the front: slopes decide there.
+    sh_decay: Share = 0.0
     light: Rate = 2e-3  # direction of the light
     residual: Rate = 1e-3  # weights of the pose-conditioned MLP
 
@@ -119,16 +124,22 @@ class FitOptions:
             raise InputError("fit: --first-steps are for trained poses; got --no-poses.trained")
 
     def of_film(self) -> FitOptions:
-        """Return the options for a film, whose masks and poses err more than other subjects'.
+        """Return the options for a film, whose masks are finer and poses worse than others'.
 
         A first fit improves the poses, if poses are trained. In the band where masks are uncertain,
         a Gaussian in the colours of the background before it costs nothing
         (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
-        Options that differ from the usual ones stay.
+        Colours depend on the light only as far as all frames agree on it. Options that differ from
+        the usual ones stay.
         """
-        loss = replace(self.loss, alpha=self.loss.alpha or OF_FILM)
-        first = self.first_steps or self.steps // 2 * self.poses.trained
-        return replace(self, first_steps=first, loss=loss)
+        chosen = self.mask_error != FitOptions.mask_error
+        return replace(
+            self,
+            first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
+            mask_error=self.mask_error if chosen else FILM_MASK_ERROR,
+            rates=replace(self.rates, sh_decay=self.rates.sh_decay or FILM_SH_DECAY),
+            loss=replace(self.loss, alpha=self.loss.alpha or FILM_ALPHA),
+        )
 
     @property
     def all_steps(self) -> int:

@@ -153,11 +153,14 @@ class FrameSampler:
             self.boxes.append(person.box)
             kept.append(person.kept)
             self._people[k] = person
-        every, place = range(len(self.frames)), joined(*kept)
-        plate = background_of([self._people[k] for k in spread(every, GATHERED)], place)
-        behind = lambda k: self._people[k].behind(plate, place)
-        for k, seen in enumerate(on_all_cores(behind, every)):
-            self._behind[k] = seen
+        place, some = joined(*kept), spread(range(len(self)), GATHERED)
+        seen = zip(
+            video.frames(self.frames[k] for k in some), map(self._people.get, some), strict=True
+        )
+        plate = background_of(seen, place)
+        behind = lambda person: person.behind(plate, place)
+        for k, found in enumerate(on_all_cores(behind, self._people.values())):
+            self._behind[k] = found
 
     def __len__(self) -> int:
         return len(self.frames)

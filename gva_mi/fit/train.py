@@ -8,7 +8,7 @@ Each step uses one training frame of the video:
    along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
 4. compare with the person on the same background                            Eq. 9
 5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
-   clamp the scales to the resolution of the pictures
+   decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again
 """
@@ -194,6 +194,7 @@ class Run:
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
+        self.avatar.canonical.decay_slopes(options.rates.sh_decay)
         self.clamp_scales()
         self.gradients.add(screen, sample.area)
         self.step += 1

@@ -128,11 +128,13 @@ def test_options_set_only_in_python_keep_their_defaults():
 
 def test_a_preset_sets_the_defaults_and_options_beside_it_win():
     from gva_mi.fit import paper
+    from gva_mi.fit.options import FitOptions
 
     words = ["subject", "--out", "run", "--steps", "7", "--avatar.stretch", "--preset"]
     of = lambda *last: parse(load("fit"), "fit", [*words, *last]).keywords["options"]
     assert of("paper") == replace(paper.FIT, steps=7, avatar=replace(paper.AVATAR, stretch=True))
     assert of("default").rates != of("paper").rates
+    assert of("film") == replace(FitOptions(steps=2000).of_film(), steps=7)
     refined = parse(load("refine"), "refine", ["subject", "--preset=paper", "--step", "0.01"])
     assert refined.keywords["options"].silhouette == 5 and refined.keywords["paper_prior"] == 0.5
 

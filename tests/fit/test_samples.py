@@ -9,7 +9,7 @@ import torch
 from gva_mi.data.backdrop import behind, unsure
 from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
-from gva_mi.fit.options import FitOptions
+from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import FrameSampler, RandomStream, drawn, random_state, torch_state
 from gva_mi.splat import Gaussians, Image, render
@@ -72,12 +72,43 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
     assert costs[0] < 0.002 < 0.01 < costs[1]
 
 
-def test_options_for_a_film_keep_what_was_chosen():
-    usual, chosen = (
-        FitOptions(steps=9),
-        FitOptions(steps=9, first_steps=2, loss=LossOptions(alpha=0.3)),
+@pytest.mark.parametrize("still", [True, False])
+def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, monkeypatch):
+    """A dark stripe of the wall, seen only where the person of other frames is not.
+
+    If the camera moves, the stripe is elsewhere in those frames, and the nearest colour is used.
+    """
+    wall, stripe, person = np.float32([[0.9, 0.9, 0.8], [0.3, 0.1, 0.1], [0.1, 0.2, 0.9]])
+    frames = []
+    for k in range(max(TRAIN) + 1):
+        picture = np.broadcast_to(wall, (48, 48, 3)).copy()
+        row = 24 if still else 8 * k % 32
+        picture[row : row + 4] = stripe
+        mask = np.zeros((48, 48), np.float32)
+        for left in (8 + 5 * k, 16 + 5 * k):  # two legs, and a gap of two columns
+            mask[10:40, left : left + 6] = 1
+        picture[mask > 0] = person
+        frames.append(dataclasses.replace(video[k], image=picture, mask=mask))
+    monkeypatch.setattr(
+        type(video), "frames", lambda self, indices: iter([frames[k] for k in indices])
     )
-    assert usual.of_film().first_steps == 4 and usual.of_film().loss.alpha == 0.05
+    sample = samples(video, mask_error=0.06)[0]
+    k = sample.frame
+    _, background, _ = (x.numpy() for x in sample.target(everywhere(frames[k].camera)).composite())
+    row = slice(25, 27) if still else slice(8 * k % 32 + 1, 8 * k % 32 + 3)
+    gap = background[row, 14 + 5 * k : 16 + 5 * k]
+    stripe_is_known = np.abs(gap - stripe).max() < 0.02
+    assert stripe_is_known == still
+
+
+def test_options_for_a_film_keep_what_was_chosen():
+    usual = FitOptions(steps=9).of_film()
+    chosen = FitOptions(
+        steps=9, first_steps=2, mask_error=0.02, rates=Rates(sh_decay=0.1),
+        loss=LossOptions(alpha=0.3),
+    )  # fmt: skip
+    assert (usual.first_steps, usual.mask_error) == (4, 0.003)
+    assert (usual.rates.sh_decay, usual.loss.alpha) == (0.01, 0.05)
     assert chosen.of_film() == chosen
     assert FitOptions(poses=PoseOptions(trained=False)).of_film().first_steps == 0
 

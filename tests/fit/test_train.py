@@ -69,6 +69,17 @@ def fitted(video, body, tmp_path_factory):
     return fit(video, body, OPTIONS, out), out
 
 
+def test_decay_takes_from_slopes_and_leaves_colours(video, body, tmp_path):
+    """Without any decay slopes are learned; with all of it there are none."""
+    slopes = []
+    for share in (0.0, 1.0):
+        options = replace(OPTIONS, steps=6, rates=Rates(sh_decay=share))
+        sh = fit(video, body, options, tmp_path / str(share)).canonical.sh
+        assert sh[:, 0].abs().min() > 0
+        slopes.append(float(sh[:, 1:].detach().abs().max()))
+    assert slopes[0] > 0.01 and slopes[1] == 0
+
+
 def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     figures = lambda avatar: evaluate(avatar, video, splits=["test"], weights=Weights())[0]
     options = replace(OPTIONS, steps=100, schedule=Schedule(densify_every=0, reinit_at=()))

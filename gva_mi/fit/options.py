@@ -106,6 +106,8 @@ class FitOptions:
     window: Annotated[int, Within(11, 4096)] = 96
     # Possible error of mask outlines as a share of the person's size; there the picture is used.
     mask_error: Annotated[float, Within(0, 0.2)] = 0.01
+    # Other frames show what is behind the person there, unless they contradict this frame.
+    still_camera: bool = False
     # Steps between perceptual terms, which take longer than the render.
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
@@ -137,6 +139,7 @@ class FitOptions:
             self,
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
             mask_error=self.mask_error if chosen else FILM_MASK_ERROR,
+            still_camera=True,
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or FILM_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or FILM_ALPHA),
         )

@@ -129,6 +129,7 @@ class FrameSampler:
         window: side of the random window, pixels; a smaller image is taken whole.
         mask_error: possible error of mask outlines, as a share of the root of the area of the
             person's box.
+        still_camera: whether other frames show what is behind the person.
         folder: holds frames for which memory has no room; None: the system's temporary folder.
     """
 
@@ -139,6 +140,7 @@ class FrameSampler:
         seed: int,
         window: int,
         mask_error: float,
+        still_camera: bool = False,
         folder: Path | None = None,
     ) -> None:
         self.frames, self.seed = list(frames), seed
@@ -153,11 +155,12 @@ class FrameSampler:
             self.boxes.append(person.box)
             kept.append(person.kept)
             self._people[k] = person
-        place, some = joined(*kept), spread(range(len(self)), GATHERED)
-        seen = zip(
-            video.frames(self.frames[k] for k in some), map(self._people.get, some), strict=True
-        )
-        plate = background_of(seen, place)
+        place, plate = joined(*kept), None
+        if still_camera:
+            some = spread(range(len(self)), GATHERED)
+            people = map(self._people.__getitem__, some)
+            seen = zip(video.frames(self.frames[k] for k in some), people, strict=True)
+            plate = background_of(seen, place)
         behind = lambda person: person.behind(plate, place)
         for k, found in enumerate(on_all_cores(behind, self._people.values())):
             self._behind[k] = found

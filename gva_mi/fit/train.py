@@ -85,7 +85,7 @@ def fit(
         checkpoint.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = checkpoint.load_state(out)
-    chosen = options.seed, options.window, options.mask_error
+    chosen = options.seed, options.window, options.mask_error, options.still_camera
     if samples is None:
         samples = FrameSampler(video, video.splits.train, *chosen, out)
     if options.first_steps:

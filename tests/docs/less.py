@@ -52,7 +52,7 @@ NOT_RUN = {
     "gva-mi prepare film film.mp4 me/subject --height 1.75": FILMED,
     "gva-mi check me/subject": FILMED,
     "gva-mi refine me/subject --height 1.75": FILMED,
-    "gva-mi fit me/subject --out me/run --first-steps 1000 --loss.alpha 0.05": FILMED,
+    "gva-mi fit me/subject --out me/run --preset film": FILMED,
     "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,

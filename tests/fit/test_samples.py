@@ -17,8 +17,8 @@ from gva_mi.splat import Gaussians, Image, render
 TRAIN = [0, 1, 2, 4, 5]
 
 
-def samples(video, seed=0, window=16, mask_error=0.01):
-    return FrameSampler(video, TRAIN, seed, window, mask_error)
+def samples(video, seed=0, window=16, mask_error=0.01, still_camera=False):
+    return FrameSampler(video, TRAIN, seed, window, mask_error, still_camera)
 
 
 def test_each_pass_shows_every_frame_once_in_another_order(video):
@@ -92,7 +92,7 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
     monkeypatch.setattr(
         type(video), "frames", lambda self, indices: iter([frames[k] for k in indices])
     )
-    sample = samples(video, mask_error=0.06)[0]
+    sample = samples(video, mask_error=0.06, still_camera=True)[0]
     k = sample.frame
     _, background, _ = (x.numpy() for x in sample.target(everywhere(frames[k].camera)).composite())
     row = slice(25, 27) if still else slice(8 * k % 32 + 1, 8 * k % 32 + 3)
@@ -104,10 +104,10 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
 def test_options_for_a_film_keep_what_was_chosen():
     usual = FitOptions(steps=9).of_film()
     chosen = FitOptions(
-        steps=9, first_steps=2, mask_error=0.02, rates=Rates(sh_decay=0.1),
+        steps=9, first_steps=2, mask_error=0.02, still_camera=True, rates=Rates(sh_decay=0.1),
         loss=LossOptions(alpha=0.3),
     )  # fmt: skip
-    assert (usual.first_steps, usual.mask_error) == (4, 0.003)
+    assert (usual.first_steps, usual.mask_error, usual.still_camera) == (4, 0.003, True)
     assert (usual.rates.sh_decay, usual.loss.alpha) == (0.01, 0.05)
     assert chosen.of_film() == chosen
     assert FitOptions(poses=PoseOptions(trained=False)).of_film().first_steps == 0

@@ -58,26 +58,28 @@ class MeshScene:
             }
         )
         self._parameters = mi.traverse(self._scene)
-        self._integrators: dict[float, MeshNormals] = {}
+        self._integrators: dict[tuple[float, str], MeshNormals] = {}
         self._sensors: dict[tuple, tuple[mi.Sensor, SensorProjection]] = {}
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
-    def render(self, vertices: Tensor, camera: Camera) -> Tensor:
+    def render(self, vertices: Tensor, camera: Camera, normals: bool = True) -> Tensor:
         """Render normals in camera space (OpenCV axes) and the mask, at the centres of the pixels.
 
         Args:
             vertices: (V, 3) float32, world, metres.
             camera: the view.
+            normals: False: the mask alone, whose gradient costs half as much.
 
         Returns:
-            (H, W, 4), zero where the mesh is not seen; differentiable in the vertices.
+            (H, W, 4), or (H, W, 1) of the mask alone; zero where the mesh is not seen;
+            differentiable in the vertices.
         """
-        pixels = self._pixels(vertices, camera, ())
+        pixels = self._pixels(vertices, camera, (), normals)
         return pixels.view(camera.height, camera.width, pixels.shape[-1])
 
     def render_crops(
-        self, vertices: Tensor, picture: Camera, crops: Sequence[Camera]
+        self, vertices: Tensor, picture: Camera, crops: Sequence[Camera], normals: bool = True
     ) -> list[Tensor]:
         """Render several crops of one picture, for little more than the cost of one.
 
@@ -86,41 +88,51 @@ class MeshScene:
             picture: the camera that sees the whole picture.
             crops: cameras that see parts of it, each at a resolution of its own; what they see
                 beyond the picture has no gradient.
+            normals: False: the mask alone.
 
         Returns:
-            (H, W, 4) of each crop.
+            (H, W, 4) or (H, W, 1) of each crop.
 
         Raises:
             ValueError: the cameras are not crops of the picture.
         """
-        pixels = self._pixels(vertices, picture, tuple(crops))
+        pixels = self._pixels(vertices, picture, tuple(crops), normals)
         counts = [camera.width * camera.height for camera in crops]
         shapes = [(camera.height, camera.width, pixels.shape[-1]) for camera in crops]
         return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
 
-    def _pixels(self, vertices: Tensor, picture: Camera, crops: tuple[Camera, ...]) -> Tensor:
-        """Return the pixels (N, 4) of one crop after the other, or of the picture without any."""
+    def _pixels(
+        self, vertices: Tensor, picture: Camera, crops: tuple[Camera, ...], normals: bool
+    ) -> Tensor:
+        """Return the pixels (N, C) of one crop after the other, or of the picture without any."""
         if vertices.shape != (self.vertex_count, 3) or vertices.dtype != torch.float32:
             raise ValueError(
                 f"MeshScene.render(): vertices must be ({self.vertex_count}, 3) float32, "
                 f"got {tuple(vertices.shape)} {vertices.dtype}"
             )
-        return _RenderNormals.apply(vertices, self, picture, crops)
+        return _RenderNormals.apply(vertices, self, picture, crops, normals)
 
-    def view(self, vertices: Tensor, picture: Camera, crops: Sequence[Camera] = ()) -> MeshView:
+    def view(
+        self,
+        vertices: Tensor,
+        picture: Camera,
+        crops: Sequence[Camera] = (),
+        normals: bool = True,
+    ) -> MeshView:
         """Return the plugin's view of the mesh, in tiles if there are crops."""
         import mitsuba as mi
 
         self.show(vertices)
         (sensor, projection), aspect = self._sensor(picture), pixel_aspect(picture)
-        if aspect not in self._integrators:  # each keeps the mesh's topology
+        key = aspect, "normal, mask" if normals else "mask"
+        if key not in self._integrators:  # each keeps the mesh's topology
             # Searching for where a body intersects itself costs a fifth of a step, for few pixels.
             # Its thinnest faces are so by design; the edges stay the same in all frames.
-            kind = {"type": "mesh_normals", "pixel_aspect": aspect}
+            kind = {"type": "mesh_normals", "pixel_aspect": aspect, "channels": key[1]}
             kind |= {"intersections": False, "flat_faces": False}
-            self._integrators[aspect] = mi.load_dict(kind)
+            self._integrators[key] = mi.load_dict(kind)
         tiles = [tile_of(crop, picture) for crop in crops]
-        return self._integrators[aspect].view(
+        return self._integrators[key].view(
             self._scene, sensor, tiles=tiles, instanced=self._mesh, projection=projection
         )
 
@@ -182,7 +194,7 @@ def _mesh_of(faces: Tensor, vertices: Tensor) -> mi.Mesh:
 
 
 class _RenderNormals(torch.autograd.Function):
-    """Autograd function that renders the pixels (N, 4) of :meth:`MeshScene._pixels`."""
+    """Autograd function that renders the pixels (N, C) of :meth:`MeshScene._pixels`."""
 
     @staticmethod
     def forward(
@@ -191,22 +203,23 @@ class _RenderNormals(torch.autograd.Function):
         scene: MeshScene,
         picture: Camera,
         crops: tuple[Camera, ...],
+        normals: bool,
     ) -> Tensor:
         shown = vertices.detach().contiguous()
         ctx.scene, ctx.shown = scene, shown
-        ctx.view = scene.view(shown, picture, crops)
+        ctx.view = scene.view(shown, picture, crops, normals)
         image = ctx.view.image()
         ctx.shape = image.shape
         return _to_torch(image).flatten(0, 1)
 
     @staticmethod
-    def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor | None, ...]:
         import drjit as dr
         import mitsuba as mi
 
         ctx.scene.show(ctx.shown)  # another pose may have been rendered in between
         grad = ctx.view.adjoint(mi.TensorXf(grad_pixels.contiguous().view(ctx.shape)))
-        return _to_torch(dr.ravel(grad)).view(-1, 3), None, None, None
+        return _to_torch(dr.ravel(grad)).view(-1, 3), None, None, None, None
 
 
 def _to_mitsuba(vertices: Tensor) -> mi.Float:

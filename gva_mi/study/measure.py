@@ -227,7 +227,7 @@ def silhouette_iou(
             mask = torch.from_numpy(frame.mask)
             vertices = body(pose[frame.index], shape).vertices[0]
             camera = frame.camera if cameras is None else cameras[frame.index]
-            seen = scene.render(vertices, camera)[..., 3]
+            seen = scene.render(vertices, camera, normals=False)[..., 0]
             union = torch.maximum(seen, mask).sum()
             if union > 0:
                 iou[frame.index] = torch.minimum(seen, mask).sum() / union

@@ -147,6 +147,8 @@ class MeshView:
     def _channels_of(self, image: mi.TensorXf) -> list[mi.Float]:
         """Split an image (H, W, C) into C arrays (H W,)."""
         count = len(self.caster.channels.names)
+        if count == 1:
+            return [mi.Float(image.array)]
         if count == 4:
             return list(dr.unravel(mi.Vector4f, mi.Float(image.array)))
         index = count * dr.arange(mi.UInt32, self.filter.width * self.filter.height)
@@ -157,7 +159,9 @@ class MeshView:
     def _tensor(self, channels: list[mi.Float]) -> mi.TensorXf:
         """Join C arrays (H W,) to an image (H, W, C); the reverse of :meth:`_channels_of`."""
         count, size = len(channels), self.filter.width * self.filter.height
-        if count == 4:
+        if count == 1:
+            image = mi.Float(channels[0])
+        elif count == 4:
             image = dr.ravel(mi.Vector4f(channels))
         else:
             index = count * dr.arange(mi.UInt32, size)

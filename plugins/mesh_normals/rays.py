@@ -44,6 +44,8 @@ class RayCaster:
 
     def values(self, hits: RayHits) -> list[mi.Float]:
         """Return each channel where rays hit, (R,); zero elsewhere."""
+        if not self.channels.moves_inside:
+            return [dr.select(hits.hit, mi.Float(1), 0)]  # the mask
         n, t = self.surface.shade(hits.ray, hits.face, hits.hit)
         w = t + self.projection.near
         return self.channels.values(n, w, hits.hit, self.projection.camera_world)

@@ -14,6 +14,7 @@ scatters.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
@@ -30,21 +31,34 @@ class MeshSurface:
     topology: Topology
     positions: mi.Vector3f  # (V,) world
     face_normals: mi.Vector3f  # (F,) c_f, not normalised
-    normals: mi.Vector3f  # (N,) n_v
-    inverse_length: mi.Float  # (N,) ± 1 / |Σ c_f|
 
     @staticmethod
     def of(topology: Topology, positions: mi.Vector3f) -> MeshSurface:
-        """Compute face and shading normals (eq. 1 and 2)."""
+        """Compute the face normals (eq. 1)."""
         p = [dr.gather(mi.Vector3f, positions, vertex) for vertex in topology.vertices]
         face_normals = dr.cross(p[1] - p[0], p[2] - p[0])
         dr.eval(face_normals)
-        total = topology.faces_of_normal.sum(face_normals)
+        return MeshSurface(topology, positions, face_normals)
+
+    @property
+    def normals(self) -> mi.Vector3f:
+        """``n_v`` (N,), eq. 2."""
+        return self._shading[0]
+
+    @property
+    def inverse_length(self) -> mi.Float:
+        """``± 1 / |Σ c_f|`` (N,)."""
+        return self._shading[1]
+
+    @cached_property
+    def _shading(self) -> tuple[mi.Vector3f, mi.Float]:
+        """Normals and inverse lengths; a mask needs none."""
+        total = self.topology.faces_of_normal.sum(self.face_normals)
         inverse_length = dr.rcp(dr.maximum(dr.norm(total), 1e-30))
-        inverse_length = dr.select(topology.flips, -inverse_length, inverse_length)
+        inverse_length = dr.select(self.topology.flips, -inverse_length, inverse_length)
         normals = total * inverse_length
         dr.eval(normals, inverse_length)
-        return MeshSurface(topology, positions, face_normals, normals, inverse_length)
+        return normals, inverse_length
 
     def flat_faces(self) -> np.ndarray:
         """Return the numbers of the faces without area, most often none."""

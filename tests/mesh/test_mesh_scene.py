@@ -57,6 +57,18 @@ def test_gradient_is_that_of_the_pose_it_was_rendered_in(scene, body, camera, tr
     assert torch.equal(gradient(False), gradient(True))
 
 
+def test_the_mask_alone_is_that_of_the_whole_picture(scene, body, camera, true_pose):
+    """Its pixels and its gradient, although neither normals nor the interior are computed."""
+    vertices = body(true_pose[0], Shape(torch.zeros(10))).vertices[0].detach().requires_grad_()
+    weight = torch.linspace(-1, 1, 96)[None, :, None].expand(96, 96, 1)
+    whole, alone = scene.render(vertices, camera), scene.render(vertices, camera, normals=False)
+    assert torch.equal(alone, whole[..., 3:])
+    grads = [
+        torch.autograd.grad((mask * weight).sum(), vertices)[0] for mask in (whole[..., 3:], alone)
+    ]
+    assert torch.equal(*grads) and grads[0].any()
+
+
 def test_an_instance_is_seen_as_the_mesh_itself_wherever_it_moved(scene, body, camera, true_pose):
     import mitsuba as mi
 

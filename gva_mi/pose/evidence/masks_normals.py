@@ -122,7 +122,8 @@ class MaskAndNormals:
         """Return eq. 1 of a rendering (H, W, 4) of normals and mask.
 
         Args:
-            image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it.
+            image: as :meth:`gva_mi.mesh.mesh_scene.MeshScene.render` gives it; of a frame without
+                normals perhaps the mask alone (H, W, 1).
             silhouette: λ1.
         """
         of_normals, of_silhouette = self._losses(image)
@@ -141,10 +142,13 @@ class MaskAndNormals:
         return self._losses(image)[1]
 
     def _losses(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        normals = self.mask.new_zeros(*self.mask.shape, 3) if self.normals is None else self.normals
+        normals, channels = self.normals, image.shape[-1]
+        if normals is None:
+            normals = self.mask.new_zeros(*self.mask.shape, channels - 1)
         target = torch.cat([normals, self.mask[..., None]], dim=-1)
         known = normals.any(-1, keepdim=True)  # inside a mask they may be missing, too
-        of_normals, of_mask = _Differences.apply(image, target, known.to(target) * _NORMALS)
+        known = known.to(target) * _NORMALS[-channels:]
+        of_normals, of_mask = _Differences.apply(image, target, known)
         return of_normals / (3 * self.area), of_mask / self.area
 
 
@@ -233,7 +237,8 @@ def frame_loss(
     picture, views = person.camera, [(weight, person.around(body.detach())), *close_ups]
     with torch.set_grad_enabled(differentiated):
         body = body.detach().contiguous().requires_grad_(differentiated)
-        images = scene.render_crops(body, picture, [seen.camera for _, seen in views])
+        normals = any(seen.normals is not None for _, seen in views)
+        images = scene.render_crops(body, picture, [seen.camera for _, seen in views], normals)
         loss = sum(
             weight * seen.loss(image, silhouette)
             for (weight, seen), image in zip(views, images, strict=True)
@@ -243,9 +248,9 @@ def frame_loss(
 
 
 class _Differences(torch.autograd.Function):
-    """``Σ |x - y|`` of known normals and of the mask, by the rendering ``x`` (H, W, 4).
+    """``Σ |x - y|`` of known normals and of the mask, by the rendering ``x`` (H, W, 4 or 1).
 
-    All four channels are compared in one go, because torch is slow at three of four.
+    All channels are compared in one go, because torch is slow at three of four.
     """
 
     @staticmethod
@@ -253,14 +258,14 @@ class _Differences(torch.autograd.Function):
         difference = x - y
         ctx.save_for_backward(difference, known)
         size = difference.abs()
-        return (size * known).sum(), size[..., 3].sum()
+        return (size * known).sum(), size[..., -1].sum()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: FunctionCtx, normals: Tensor, mask: Tensor) -> tuple[Tensor, None, None]:
         difference, known = ctx.saved_tensors
         slope = known * normals
-        slope[..., 3] = mask
+        slope[..., -1] = mask
         return slope.mul_(difference.sign()), None, None
 
 

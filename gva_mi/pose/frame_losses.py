@@ -1,8 +1,8 @@
 """The data term of a step's frames, shared among processes.
 
-A frame's loss and its gradient are 160 small kernels: two threads of Dr.Jit's take a fifth less
-time for them than one, and half more work. Processes with one thread each take a frame each. Every
-frame is computed by itself, so any number of processes finds the same bits.
+A frame's loss and its gradient are many small kernels (:func:`gva_mi.core.threads.one_thread`). So
+processes with one thread each take a frame each. Every frame is computed by itself, so any number
+of processes finds the same bits.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.threads import one_thread
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
@@ -61,16 +62,14 @@ class FrameLosses:
 class SharedFrameLosses:
     """The same losses, computed by this process and by helpers once these have started."""
 
-    def __init__(self, here: FrameLosses, pool: Executor, helpers: int, threads: int) -> None:
-        self._here, self._pool, self._threads = here, pool, threads
-        self._processes = helpers + 1
+    def __init__(self, here: FrameLosses, pool: Executor, helpers: int) -> None:
+        self._here, self._pool, self._processes = here, pool, helpers + 1
         self._starting = [pool.submit(_started) for _ in range(helpers)]
 
     def __call__(self, frames: Sequence[int], bodies: Tensor, close: bool) -> list[FrameLoss]:
         """Return what :class:`FrameLosses` returns."""
         if self._starting and all(future.done() for future in self._starting):
             self._starting = []
-            dr.set_thread_count(self._threads)
         if self._starting or len(frames) == 1:
             return self._here(frames, bodies, close)
         try:
@@ -103,27 +102,21 @@ def shared_losses(
         processes: at most so many.
         count: how many losses the job needs.
     """
-    if processes == 1 or count < LEAST:
-        yield here
-        return
-    threads = dr.thread_count()
-    of_each = max(1, threads // processes)
-    try:
-        with worker_processes(processes - 1, _start_helper, of_each, *here.given) as pool:
-            yield SharedFrameLosses(here, pool, processes - 1, of_each)
-    finally:
-        dr.set_thread_count(threads)
+    with one_thread():
+        if processes == 1 or count < LEAST:
+            yield here
+            return
+        with worker_processes(processes - 1, _start_helper, *here.given) as pool:
+            yield SharedFrameLosses(here, pool, processes - 1)
 
 
 _losses: FrameLosses | None = None  # of a helper
 
 
-def _start_helper(
-    threads: int, job: RefineJob, silhouette: float, weights: Mapping[str, float]
-) -> None:
+def _start_helper(job: RefineJob, silhouette: float, weights: Mapping[str, float]) -> None:
     global _losses
     torch.set_num_threads(1)
-    dr.set_thread_count(threads)
+    dr.set_thread_count(1)
     _losses = FrameLosses(job, silhouette, weights)
 
 

@@ -15,7 +15,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import Done
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.threads import one_thread
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.coarse_body import CoarseBody
@@ -124,7 +124,7 @@ class ObservedVideo:
         held_out = list(video.splits.test) if options.hold_out_test else []
         evidence, pictures = SpillCache(video.folder), SpillCache(video.folder)
         frames = [k for k in range(len(video)) if k not in held_out]
-        with one_torch_thread(), torch.no_grad():
+        with one_thread(), torch.no_grad():
             scale = common_scale(video, frames, options.size, body_at)
             person = coarse.body, video.pose, video.shape, video.cameras
             fine = close_up_scale(*person, scale, hand_size) if hand_size > 0 else None
@@ -260,7 +260,7 @@ def _losses(
     """Return the evidence's loss (T,) in T poses, without close-ups; NaN where there is none."""
     losses = torch.full((len(pose),), torch.nan)
     scene = MeshScene(body.faces, body.v_template)
-    with one_torch_thread():
+    with one_thread():
         for k, seen in evidence.items():
             vertices = body(pose[k], person.shape, person.offsets).vertices[0]
             views = [(1.0, seen)]

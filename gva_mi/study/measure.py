@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.threads import one_thread
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -222,7 +222,7 @@ def silhouette_iou(
     """
     scene = MeshScene(body.faces, body.v_template)
     iou = torch.full((len(pose),), torch.nan)
-    with one_torch_thread():
+    with one_thread():
         for frame in video.outlines(k for k in range(len(video)) if k not in video.absent):
             mask = torch.from_numpy(frame.mask)
             vertices = body(pose[frame.index], shape).vertices[0]

@@ -61,9 +61,15 @@ class Contours:
             return None
         start, samples = _sample(on_image, edges, density)
         beside = BESIDE * samples.across / dr.maximum(dr.norm(samples.across), 1e-9)
-        inner, outer = caster.cast(samples.q - beside), caster.cast(samples.q + beside)
-        seen = _is_seen(caster, samples, inner, outer)
-        jump = caster.jump(inner, outer, seen)
+        if caster.channels.moves_inside:
+            inner, outer = caster.cast(samples.q - beside), caster.cast(samples.q + beside)
+            seen = _is_seen(caster, samples, inner, outer)
+            jump = caster.jump(inner, outer, seen)
+        else:  # the mask jumps only where nothing is seen beyond a contour
+            free = samples.is_contour & projection.is_inside(samples.q)
+            free &= ~caster.meets(samples.q + beside)
+            seen = free & _is_before(caster, samples, caster.cast(samples.q - beside, free))
+            jump = [dr.select(seen, mi.Float(1), 0)]
         q = dr.select(seen, samples.q, 0)
         sweep = dr.select(seen, projection.pull_back(samples.step, q, samples.h), 0)
         dr.eval(samples.edge, samples.s, q, sweep, jump)
@@ -187,17 +193,23 @@ def _sample(
 
 def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: RayHits) -> mi.Bool:
     """Whether an edge is visible at its samples, judged by the hits of the rays beside it."""
-    surface, projection, edge = caster.surface, caster.projection, samples.edge
-    topology = surface.topology
-    ray = projection.ray(samples.q)
-    hidden = _covers(surface, ray, inner.face, samples.w - projection.near)
-    at_contour = _owns(topology, inner.face, edge)
-    at_contour |= _adjoins(topology, inner.face, edge) & ~hidden
+    projection, topology, edge = caster.projection, caster.surface.topology, samples.edge
+    at_contour = _is_before(caster, samples, inner)
     at_contour &= ~outer.hit | (outer.depth > samples.w * (1 - IN_FRONT))
-    at_crease = outer.hit & _owns(topology, inner.face, edge)
+    at_crease = inner.hit & outer.hit & _owns(topology, inner.face, edge)
     at_crease &= _owns(topology, outer.face, edge)
     at_edge = dr.select(samples.is_contour, at_contour, at_crease)
-    return projection.is_inside(samples.q) & inner.hit & at_edge
+    return projection.is_inside(samples.q) & at_edge
+
+
+def _is_before(caster: RayCaster, samples: _EdgeSamples, inner: RayHits) -> mi.Bool:
+    """Whether nothing hides contours at their samples from the rays on their inner side."""
+    surface, projection, edge = caster.surface, caster.projection, samples.edge
+    ray = projection.ray(samples.q)
+    hidden = _covers(surface, ray, inner.face, samples.w - projection.near)
+    before = _owns(surface.topology, inner.face, edge)
+    before |= _adjoins(surface.topology, inner.face, edge) & ~hidden
+    return inner.hit & before
 
 
 def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:

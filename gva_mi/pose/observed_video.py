@@ -259,18 +259,20 @@ def _losses(
 ) -> Tensor:
     """Return the evidence's loss (T,) in T poses, without close-ups; NaN where there is none."""
     losses = torch.full((len(pose),), torch.nan)
-    scene = MeshScene(body.faces, body.v_template)
+    scene, transforms = MeshScene(body.faces, body.v_template), []
     with one_thread():
         for k, seen in evidence.items():
-            vertices = body(pose[k], person.shape, person.offsets).vertices[0]
+            posed = body(pose[k], person.shape, person.offsets)
             views = [(1.0, seen)]
-            losses[k], _ = frame_loss(scene, vertices, views, options.silhouette, False)
-        if landmarks is None:
-            return losses
-        offsets = person.landmark_offsets
-        offsets = torch.zeros_like(landmarks.rig.rest) if offsets is None else offsets
-        off = landmarks.losses(range(len(pose)), body, pose, person.shape, offsets)
-    return losses + options.landmarks * off
+            losses[k], _ = frame_loss(scene, posed.vertices[0], views, options.silhouette, False)
+            transforms.append(posed.T_world_rest)
+        if landmarks is not None and transforms:
+            offsets = person.landmark_offsets
+            offsets = torch.zeros_like(landmarks.rig.rest) if offsets is None else offsets
+            frames = list(evidence)
+            off = landmarks.losses(frames, torch.cat(transforms), person.shape, offsets)
+            losses[frames] += options.landmarks * off
+    return losses
 
 
 def simplified_body(body: BodyModel, faces: int, close_ups: bool) -> CoarseBody:

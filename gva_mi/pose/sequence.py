@@ -183,12 +183,12 @@ class ClothedPerson:
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term in these poses, a mean over their frames."""
-        vertices, o = self._job.body(pose, self.shape, self.offsets).vertices, self._options
-        loss = mean_of_losses(vertices, lambda x: self.frame_losses(frames, x, self._close))
+        posed = self._job.body(pose, self.shape, self.offsets)
+        loss = mean_of_losses(posed.vertices, lambda x: self.frame_losses(frames, x, self._close))
         if (landmarks := self._job.landmarks) is None:
             return loss
-        person = self._job.body, pose, self.shape, self.landmark_offsets
-        return loss + o.landmarks * landmarks.losses(frames, *person).mean()
+        person = posed.T_world_rest, self.shape, self.landmark_offsets
+        return loss + self._options.landmarks * landmarks.losses(frames, *person).mean()
 
     def enable_details(self) -> None:
         """Start to use close-ups, which need nearly right poses."""

@@ -18,6 +18,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.threads import one_thread
+from gva_mi.data.crop import Box, NoEvidence, points_extent
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -227,8 +228,20 @@ def silhouette_iou(
             mask = torch.from_numpy(frame.mask)
             vertices = body(pose[frame.index], shape).vertices[0]
             camera = frame.camera if cameras is None else cameras[frame.index]
-            seen = scene.render(vertices, camera, normals=False)[..., 0]
+            box, seen = _surroundings(vertices, camera), torch.zeros_like(mask)
+            part = scene.render(vertices, box.cut_camera(camera), normals=False)
+            box.cut(seen)[:] = part[..., 0]
             union = torch.maximum(seen, mask).sum()
             if union > 0:
                 iou[frame.index] = torch.minimum(seen, mask).sum() / union
     return iou
+
+
+def _surroundings(vertices: Tensor, camera: Camera) -> Box:
+    """Return the part of a camera's picture that shows vertices (V, 3), world; or all of it."""
+    size = camera.width, camera.height
+    try:
+        extent = points_extent(vertices.double().numpy(), camera, "the body")
+    except NoEvidence:
+        return Box(0, 0, *size)
+    return extent.box(0, np.array(size))

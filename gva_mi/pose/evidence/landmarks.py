@@ -107,17 +107,17 @@ class SeenLandmarks:
         return replace(self, **cut)
 
     def losses(
-        self, frames: Sequence[int], body: BodyModel, pose: Pose, shape: Shape, offsets: Tensor
+        self, frames: Sequence[int], T_world_rest: Tensor, shape: Shape, offsets: Tensor
     ) -> Tensor:
         """Return eq. 2 (B,), nats, of B frames; differentiable.
 
         Args:
             frames: B numbers.
-            body, pose, shape: the person in these frames.
+            T_world_rest: (B, J, 4, 4) of the person's joints in these frames.
+            shape: of the person.
             offsets: ``o`` (P, 3) metres.
         """
-        frames, joints = list(frames), body.rest(shape).joints
-        T_world_rest = turn_joints(pose.rotations, joints, PARENTS, pose.transl)[1]
+        frames = list(frames)
         T, y = self.T_camera_world[frames], self.rig.places(T_world_rest, shape.betas, offsets)
         seen = y @ T[:, :3, :3].mT + T[:, None, :3, 3]
         image = seen @ self.K[frames].mT

@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.body.so3 import compose, to_matrix, to_rotvec
 from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 from gva_mi.pose.stage1 import Stage1
@@ -44,7 +45,7 @@ ROUND = 0.5  # least turn of the person: nearly half round
 class TiltPrior:
     """The chance level of camera-locked tilt of the L joints of the body."""
 
-    means: Tensor  # (L, 3, 3) their mean poses
+    means: Tensor  # (L, 3) their mean rotations, axis-angle
     swings: Tensor  # (n, L, 3, 3) ``R_k - mean R``
     across: Tensor  # (3, 3) ``P``
     chance: Tensor  # (L,) ``σ``, radians
@@ -57,8 +58,8 @@ class TiltPrior:
         import roma  # here, as in stage1.py
 
         R = stage1.R_joint_camera[:, LIMBS]
-        means = roma.special_procrustes(
-            roma.rotvec_to_rotmat(rotations[:, LIMBS]).mean(0), method="svd"
+        means = to_rotvec(
+            roma.special_procrustes(to_matrix(rotations[:, LIMBS]).mean(0), method="svd")
         )
         none, shown = torch.ones(len(means)), stage1.turned > ROUND
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
@@ -80,9 +81,7 @@ class TiltPrior:
 
     def _turns(self, rotations: Tensor) -> Tensor:
         """Return ``m`` (n, L, 3), radians."""
-        import roma
-
-        return roma.rotmat_to_rotvec(self.means.mT @ roma.rotvec_to_rotmat(rotations[:, LIMBS]))
+        return compose(-self.means, rotations[:, LIMBS])
 
     def _locked(self, turns: Tensor) -> Tensor:
         """Return eq. 1 (L, 3), radians."""

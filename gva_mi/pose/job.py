@@ -32,7 +32,7 @@ class RefineOptions:
     # Pixels of the person's longer side in the images that are compared.
     size: Annotated[int, Within(1, 4096)] = 208
     # Triangles of the body that is compared with them.
-    faces: Annotated[int, Within(FEWEST_FACES, 1_000_000)] = 6000
+    faces: Annotated[int, Within(FEWEST_FACES, 1_000_000)] = 3500
     silhouette: Weight = 1.0  # λ1
     # Measured height of the person: sets body size and depth, which are then not fitted.
     height: Annotated[float, PEOPLE] | None = None

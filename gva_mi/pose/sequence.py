@@ -58,8 +58,8 @@ class SequenceOptions(DescentOptions, RefineOptions):
     close_feet: Weight = 0.1  # weight of each foot's close-up; shoes differ from the body
     # Pixels of a hand's length in close-ups, if the video has as many.
     hand_size: Annotated[int, Within(1, 1024)] = 44
-    passes: Passes = 32  # how often every frame is visited, more often if there are very few
-    learn: Learn = 11  # passes after which stage 1's error model is inferred
+    passes: Passes = 24  # how often every frame is visited, more often if there are very few
+    learn: Learn = 8  # passes after which stage 1's error model is inferred
     prior_weight: PriorWeight = 0.015  # ν: weight of the prior beside Eq. 8's data term
     unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
     # Metres that a joint moves the skin beyond it, in a first step.

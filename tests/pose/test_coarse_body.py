@@ -8,8 +8,9 @@ from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence.close_ups import parts_of
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
+from gva_mi.pose.sequence import SequenceOptions
 
-FACES = 6000
+FACES = SequenceOptions.faces
 
 
 @pytest.fixture(scope="module")

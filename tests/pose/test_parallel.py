@@ -108,7 +108,7 @@ def test_shared_frames_keep_their_order(helpers, monkeypatch):
 
     monkeypatch.setattr(frame_losses, "_losses", alone)
     pool = Inline()
-    shared = frame_losses.SharedFrameLosses(alone, pool, helpers, dr.thread_count())
+    shared = frame_losses.SharedFrameLosses(alone, pool, helpers)
     for count in (1, 2, helpers + 1, 7):
         frames, pool.given = list(range(5, 5 + count)), []
         bodies = torch.tensor(frames, dtype=torch.float32)[:, None, None].expand(-1, 4, 3)

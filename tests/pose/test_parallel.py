@@ -5,7 +5,6 @@ import signal
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from dataclasses import replace
 
-import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -122,7 +121,7 @@ def test_a_helper_that_died_is_one_sentence():
     """While frames are shared: the pool is broken, and no loss is made up for the lost frame."""
     pool = Inline()
     alone = lambda frames, bodies, close: [(0.0, body) for body in bodies]
-    shared = frame_losses.SharedFrameLosses(alone, pool, 1, dr.thread_count())
+    shared = frame_losses.SharedFrameLosses(alone, pool, 1)
     lost = Future()
     lost.set_exception(BrokenExecutor("a process ended"))
     pool.submit = lambda *given: lost

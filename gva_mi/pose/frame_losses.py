@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.core.threads import one_thread
 from gva_mi.core.workers import worker_died, worker_processes
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
@@ -102,12 +101,11 @@ def shared_losses(
         processes: at most so many.
         count: how many losses the job needs.
     """
-    with one_thread():
-        if processes == 1 or count < LEAST:
-            yield here
-            return
-        with worker_processes(processes - 1, _start_helper, *here.given) as pool:
-            yield SharedFrameLosses(here, pool, processes - 1)
+    if processes == 1 or count < LEAST:
+        yield here
+        return
+    with worker_processes(processes - 1, _start_helper, *here.given) as pool:
+        yield SharedFrameLosses(here, pool, processes - 1)
 
 
 _losses: FrameLosses | None = None  # of a helper

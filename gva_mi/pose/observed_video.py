@@ -77,9 +77,10 @@ class RefineTask:
         if not job.evidence:
             return Solution(job.pose, job.shape, torch.zeros_like(job.body.v_template))
         in_memory = replace(job, evidence=dict(job.evidence), fine=dict(job.fine))
-        if isinstance(self.options, SequenceOptions):
-            return refine_sequence(in_memory, self.options, progress, self.processes)
-        return refine_single_frames(in_memory, self.options, progress)
+        with one_thread():
+            if isinstance(self.options, SequenceOptions):
+                return refine_sequence(in_memory, self.options, progress, self.processes)
+            return refine_single_frames(in_memory, self.options, progress)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,8 @@ def refine_single_frames(
         adam = VectorAdam([theta], [rates])
         for step in range(options.steps):
             turned = Pose(theta, stage1.transl, stage1.expression)
-            image = scene.render(body(turned, job.shape).vertices[0], evidence.camera)
+            vertices, normals = body(turned, job.shape).vertices[0], evidence.normals is not None
+            image = scene.render(vertices, evidence.camera, normals)
             loss = evidence.loss(image, options.silhouette)
             square = (weights * (theta - stage1.rotations).square()).sum()
             loss = loss + options.prior * square

@@ -34,8 +34,8 @@ def one_torch_thread() -> Iterator[None]:
 def one_thread() -> Iterator[None]:
     """Run torch and Dr.Jit on one thread each, for kernels as small as those of a mesh's picture.
 
-    A second thread of Dr.Jit's takes a fifth off their time, for half more work: it mostly waits
-    for the next kernel. Where other programs want the cores, both are twice as much.
+    A second thread of Dr.Jit makes them a fifth faster, and costs half more CPU, because it mostly
+    waits for the next kernel. On a busy machine both times double.
     """
     import drjit as dr
 

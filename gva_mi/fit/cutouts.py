@@ -64,13 +64,13 @@ class Person:
     def behind(self, plate: Plate | None, place: Box) -> Tensor:
         """Return what is behind the person and where the mask is uncertain (h, w, 4) uint8.
 
-        ``plate`` is what :func:`background_of` found in the part ``place`` of the picture; None:
-        the nearest background of this frame is taken.
+        ``plate`` is what :func:`background_of` found in the part ``place`` of the picture. Without
+        it, or where it disagrees with this frame, the nearest background of this frame is taken.
         """
         image, unsure = self.picture, self.unsure
-        if plate is None:
-            return _to_8bit(backdrop.behind(image, np.maximum(self.mask, unsure)), unsure)
         bare = (self.mask == 0) & ~unsure
+        if plate is None or not bare.any():
+            return _to_8bit(backdrop.behind(image, np.maximum(self.mask, unsure)), unsure)
         part = plate.part(within(self.kept, place)).agreeing(image, bare)
         return _to_8bit(np.where(bare[..., None], image, part.beside(image, bare)), unsure)
 

@@ -28,7 +28,7 @@ NOISE = 1e-5
 # person and background differ by more than this, the mean over channels in [0, 1].
 FILM_ALPHA = 0.05
 FILM_MASK_ERROR = 0.003  # masks that follow the pictures are off by a pixel, others by several
-FILM_SH_DECAY = 0.01  # poses err, and what they explain badly looks like a change of the light
+FILM_SH_DECAY = 0.01  # errors of poses look like changes of the light, and slopes would learn them
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -50,8 +50,8 @@ class Rates:
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
     sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
-    # Share of the slopes that each step takes away (decoupled weight decay). Frames of one person
-    # who turns before a lamp never show the back in the light of the front: slopes decide there.
+    # Share of the slopes that each step takes away (decoupled weight decay). A person who turns
+    # before a lamp never shows the back in the light of the front: slopes alone give its colour.
     sh_decay: Share = 0.0
     light: Rate = 2e-3  # direction of the light
     residual: Rate = 1e-3  # weights of the pose-conditioned MLP

@@ -101,6 +101,35 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
     assert stripe_is_known == still
 
 
+def test_a_background_that_contradicts_the_frame_is_not_used(video, monkeypatch):
+    """The wall is green in all frames but one; no shade of green is that frame's red."""
+    k = samples(video)[0].frame
+    walls = np.float32([[0.2, 0.8, 0.2], [0.9, 0.3, 0.2]])
+    frames = []
+    for i in range(max(TRAIN) + 1):
+        picture = np.broadcast_to(walls[int(i == k)], (48, 48, 3)).copy()
+        mask = np.zeros((48, 48), np.float32)
+        mask[10:40, 8 + 5 * i : 22 + 5 * i] = 1
+        picture[mask > 0] = 0.1
+        frames.append(dataclasses.replace(video[i], image=picture, mask=mask))
+    monkeypatch.setattr(
+        type(video), "frames", lambda self, indices: iter([frames[i] for i in indices])
+    )
+    sample = samples(video, mask_error=0.06, still_camera=True)[0]
+    assert sample.frame == k
+    person, behind = sample.cutout.person.numpy(), sample.cutout.behind.numpy()
+    hidden = (behind[..., 3] > 0) | (person[..., 3] > 0)
+    expected = np.broadcast_to(np.rint(255 * walls[1]), behind[hidden][:, :3].shape)
+    np.testing.assert_allclose(behind[hidden][:, :3], expected, atol=1)
+
+
+def test_without_any_background_a_render_stands_before_the_picture(video, monkeypatch):
+    frame = dataclasses.replace(video[0], mask=np.full((48, 48), 0.6, np.float32))
+    monkeypatch.setattr(type(video), "frames", lambda self, indices: (frame for _ in indices))
+    cutout = samples(video, still_camera=True)[0].cutout
+    assert torch.equal(cutout.behind[..., :3], cutout.person[..., :3])
+
+
 def test_options_for_a_film_keep_what_was_chosen():
     usual = FitOptions(steps=9).of_film()
     chosen = FitOptions(

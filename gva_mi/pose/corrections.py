@@ -141,15 +141,16 @@ class Corrections:
         for term in terms if prior.ground is None else [*terms, prior.ground]:
             nats = nats + term.energy(*motion)
         held = self._held(turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0))
-        return nats / len(moves) + held + prior.tilt.energy(*motion)
+        tilt = prior.tilt.energy(*motion) if prior.tilt else self.constant_turn_energy()
+        return nats / len(moves) + held + tilt
 
     def constant_turn_energy(self) -> Tensor:
-        """Return the energy of turns that all frames share, taken as independent errors, nats.
+        """Return the energy of turns that all frames share, in the camera's axes, nats.
 
-        As :meth:`energy`, a mean over the frames. It is used while the clothes are unknown: a skirt
-        that widens toward its hem, or a sole, looks like legs that tilt toward the camera from
-        every side of a person who turns. So its weight is how far the person turns: 1 for a full
-        turn, 0 for none.
+        As :meth:`energy`, a mean over the frames: a skirt that widens toward its hem, or a sole,
+        looks like legs that tilt toward the camera from every side of a person who turns. Many
+        images determine such a tilt no better than one, so the errors' size is a prior in every
+        frame. Its weight is how far the person turns: 1 for a full turn, 0 for none.
         """
         mean = self._at(range(len(self.moves)))[0][:, JOINTS].mean(0)
         variance = self.prior.joints.variance_of_mean(bias=True)
@@ -161,8 +162,8 @@ class Corrections:
         Many images determine them no better than one: a larger person farther away looks the same
         in all of them, and trousers that widen toward their hems look like feet nearer than the
         head. So the mean over stage 1's frames is a prior in every frame. Other joints are treated
-        by the camera-locked tilt instead. The bias of a position counts if it is known, and not
-        guessed.
+        by :meth:`constant_turn_energy`, or by the camera-locked tilt. The bias of a position counts
+        if it is known, and not guessed.
         """
         pelvis, place = self.prior.pelvis, self.prior.place
         nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2

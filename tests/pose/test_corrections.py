@@ -9,6 +9,7 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
+from gva_mi.pose.prior.camera_tilt import TiltPrior
 from gva_mi.pose.prior.error_model import GROUPS
 from gva_mi.pose.prior.film_errors import FPS, film_errors
 from gva_mi.pose.stage1 import Stage1
@@ -36,12 +37,20 @@ def with_turns(camera, body):
     """Corrections of a pose by given turns (n, J, 3), under the prior of stage 1."""
     anatomy = Anatomy.of(body.j_template)
 
-    def corrections(pose, turns):
+    def corrections(pose, turns, known=None):
         stage1 = Stage1.of(pose, range(len(pose)), camera)
-        prior = Corrections.map_estimate(stage1, anatomy).prior
+        prior = Corrections.map_estimate(stage1, anatomy, known).prior
         return Corrections(stage1, anatomy, prior, turns, torch.zeros(len(pose), 3))
 
     return corrections
+
+
+def turning_round(frames, rounds):
+    """A person at rest who turns about the vertical."""
+    pose = at_rest(frames)
+    pose.rotations[:, 0] = 0
+    pose.rotations[:, 0, 1] = 2 * torch.pi * rounds * torch.arange(frames) / frames
+    return pose
 
 
 def same_turn(frames, joint):
@@ -131,15 +140,27 @@ def test_constant_turns_cost_in_each_frame_if_the_person_turns(with_turns, round
     """A swing to both sides costs nothing."""
     costs = []
     for frames in (8, 64):
-        pose = at_rest(frames)
-        pose.rotations[:, 0] = 0
-        pose.rotations[:, 0, 1] = 2 * torch.pi * rounds * torch.arange(frames) / frames
-        turns = same_turn(frames, "left_hip")
+        pose, turns = turning_round(frames, rounds), same_turn(frames, "left_hip")
         swing = turns * torch.tensor([1.0, -1.0]).repeat(frames // 2)[:, None, None]
         same, none = (float(with_turns(pose, x).constant_turn_energy()) for x in (turns, swing))
         assert none < 1e-9
         costs.append(same)
     assert costs[1] > 0.9 * costs[0] > 0.1 if rounds else max(costs) < 1e-6
+
+
+def test_constant_turns_of_a_known_estimator_are_held_from_first_to_last(with_turns, monkeypatch):
+    """They cost ``constant_turn_energy``; those of an inferred one cost as tilts by chance do."""
+    pose, turns = turning_round(64, 1.0), same_turn(64, "left_hip")
+    for errors in (None, film_errors(FPS)):
+        held = with_turns(pose, turns, errors)
+        with torch.no_grad():
+            energy, constant = held.energy(), held.constant_turn_energy()
+            monkeypatch.setattr(TiltPrior, "energy", lambda *_: 0)
+            monkeypatch.setattr(Corrections, "constant_turn_energy", lambda _: 0)
+            cost = energy - held.energy()
+            monkeypatch.undo()
+        assert constant > 0.1
+        assert (abs(cost - constant) < 1e-3) == (errors is not None)
 
 
 def test_the_error_model_is_inferred_from_corrections(make):

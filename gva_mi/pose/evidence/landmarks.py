@@ -35,7 +35,7 @@ from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.splat import Camera
 
 # Seconds for which a landmark's error lasts: more than in stage 1, whose poses follow it already.
-MEMORY = 0.4
+MEMORY = 0.2
 HEAD = np.radians(4.5)  # σ_A
 NEAREST = 0.1  # metres in front of the camera, below which nothing is projected
 

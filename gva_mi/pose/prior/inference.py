@@ -55,7 +55,7 @@ class PosePrior:
     pelvis: ProcessPrior  # of one joint, which may turn steadily
     joints: ProcessPrior  # of all others but the face, in the order of ``JOINTS``
     place: ProcessPrior  # of the person's position in the camera's axes; it may change steadily
-    tilt: TiltPrior  # its nats are a mean over the frames
+    tilt: TiltPrior | None  # its nats are a mean over the frames; None: the estimator is known
     ground: Ground | None = None  # its nats are of the whole clip; None before it is fitted
     # models of ``noise`` that are knowledge about the estimator, and are not inferred
     known: frozenset[str] = frozenset()
@@ -102,7 +102,7 @@ def prior_from_stage1(
         process(turns[:, PELVIS], _by_joint(noise, PELVIS), True),
         process(turns[:, JOINTS], _by_joint(noise, JOINTS)),
         process(shifts[..., None], _by_axis(noise), True),
-        TiltPrior.of(stage1, stage1.pose.rotations),
+        TiltPrior.of(stage1, stage1.pose.rotations) if known is None else None,
         known=frozenset(known or ()),
     )
 
@@ -124,7 +124,7 @@ def prior_from_corrections(
         updated_process(before.pelvis, _by_joint(noise, PELVIS), turns[:, PELVIS], root),
         updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, JOINTS], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
-        TiltPrior.of(stage1, pose.rotations),
+        before.tilt and TiltPrior.of(stage1, pose.rotations),
         known=before.known,
     )
 

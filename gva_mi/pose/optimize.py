@@ -16,7 +16,8 @@ that the images made, the prior gets its full weight, and details such as hands 
 as many passes later the prior is inferred once more.
 
 If the clothes are unknown, turns that are the same in all frames are penalised during the first
-half of the ``learn`` passes. Otherwise the clothes' surface would adapt to them, and keep them.
+half of the ``learn`` passes. Otherwise the clothes' surface would adapt to them, and keep them. If
+the estimator's errors are known, so is their mean, and the prior penalises these turns throughout.
 """
 
 from __future__ import annotations

@@ -80,13 +80,13 @@ def exchanged(pose: Pose, name: str) -> Pose:
     return replace(pose, rotations=rotations)
 
 
-def least_states(data: Tensor, motion: Tensor) -> Tensor:
+def least_states(data: Tensor, motion: Tensor, each: float = EACH) -> Tensor:
     """Return which frames are exchanged (n,): the states of least energy, eq. 1.
 
     ``data`` (n, 2) is the energy of each frame in each state, ``motion`` (n - 1, 2, 2) that of each
-    step from one state to another, nats.
+    step from one state to another, nats; ``each`` is ``a``.
     """
-    own = data + torch.tensor([0.0, EACH])
+    own = data + torch.tensor([0.0, each])
     begins = torch.tensor([[0.0, BEGINS], [0.0, 0.0]])
     least, before = own[0] + begins[0], []
     for k, step in enumerate(motion + begins, start=1):

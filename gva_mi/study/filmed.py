@@ -26,6 +26,7 @@ from gva_mi.data.networks.watch import watch_film
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import POSES, Video, load_video, save_cameras
 from gva_mi.pose.film.face import with_face
+from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import solve_film
 from gva_mi.splat import Camera
 
@@ -56,7 +57,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
             save_cameras(folder / "truth" / CAMERAS, [camera] * len(video))
         seen: dict[int, np.ndarray] = {}
         keep = lambda k, silhouette: seen.update({k: in_8_bits(silhouette)})
-        landmarks = watch_film(pictures, keep).landmarks
+        landmarks, _ = with_backs(watch_film(pictures, keep).landmarks)
         film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
         landmarks.save(folder / LANDMARKS)
         solved = solve_film(

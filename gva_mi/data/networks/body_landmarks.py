@@ -9,8 +9,8 @@ BlazePose sees a square around the person and gives
 
 A second pass sees the square mirrored, further passes see a wider one. Their mean is better than
 each of them, and their standard deviation shows where the network is unsure. Where one pass takes
-the left arm or leg for the right one, the mean would lie between both. There the pass counts that
-is closest to the picture before.
+the left arm or leg for the right one, or the back for the front, the mean would lie between both.
+There the pass counts that is closest to the picture before.
 """
 
 from __future__ import annotations
@@ -34,13 +34,16 @@ _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
 _PEAK = 0.5  # least probability in the window for this
-_LIMBS = [
-    [BODY.index(f"{side}_{part}") for part in parts]
-    for parts in (("elbow", "wrist", "pinky", "index", "thumb"),
-                  ("knee", "ankle", "heel", "foot_index"))
-    for side in ("left", "right")
-]  # fmt: skip
-_APART = 0.1  # of the radius: passes that see a limb farther apart see two different ones
+_PARTS = [  # each arm, each leg, the trunk
+    [BODY.index(f"{side}_{part}") for side in sides for part in parts]
+    for parts, *each in (
+        (("elbow", "wrist", "pinky", "index", "thumb"), ["left"], ["right"]),
+        (("knee", "ankle", "heel", "foot_index"), ["left"], ["right"]),
+        (("shoulder", "hip"), ["left", "right"]),
+    )
+    for sides in each
+]
+_APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
 
 
 _OTHER = {"left": "right", "right": "left"}
@@ -126,12 +129,12 @@ def mean_of_passes(seen: Sequence[SeenBody], before: SeenBody | None) -> SeenBod
     points = np.stack([one.points for one in seen])
     metric = np.stack([one.metric for one in seen])
     mean_points, mean_metric = points.mean(0), metric.mean(0)
-    for limb in _LIMBS if before is not None else ():
-        off = np.linalg.norm(points[:, limb] - mean_points[limb], axis=-1).mean(1)
+    for part in _PARTS if before is not None else ():
+        off = np.linalg.norm(points[:, part] - mean_points[part], axis=-1).mean(1)
         if 2 * off.max() > _APART * before.radius:
-            moved = np.linalg.norm(points[:, limb] - before.points[limb], axis=-1).mean(1)
+            moved = np.linalg.norm(points[:, part] - before.points[part], axis=-1).mean(1)
             chosen = int(moved.argmin())
-            mean_points[limb], mean_metric[limb] = points[chosen, limb], metric[chosen, limb]
+            mean_points[part], mean_metric[part] = points[chosen, part], metric[chosen, part]
     return SeenBody(
         mean_points,
         np.mean([one.visibility for one in seen], axis=0),

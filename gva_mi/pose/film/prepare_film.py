@@ -20,7 +20,7 @@ import numpy as np
 
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, listed, within
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
@@ -37,6 +37,7 @@ from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, save_cameras
 from gva_mi.pose.film.face import with_face
+from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import SolvedFilm, solve_film
 from gva_mi.pose.stature import PEOPLE
 
@@ -231,6 +232,10 @@ def motion_of_film(
             watched.landmarks, options.keypoints, pictures.numbers, pictures.scale
         )
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, *said))
+    landmarks, backs = with_backs(watched.landmarks)
+    if backs:
+        said = f"frames where the back was taken for the front, and corrected: {listed(backs)}"
+        watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, said))
     solved = solve_film(
         watched.landmarks,
         body,

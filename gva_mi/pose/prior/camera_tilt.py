@@ -1,5 +1,8 @@
 """Camera-locked tilt: penalise limbs that tilt toward the camera wherever the person turns.
 
+This is for an estimator whose errors are inferred; those that are known tell how large such a tilt
+may be (:meth:`gva_mi.pose.corrections.Corrections.constant_turn_energy`).
+
 Stage 1's depth errors of a limb are often the same in every frame: legs tilt toward the camera
 whichever way the person faces, and images hardly show it. Relative to the body, such a limb tilts
 to and fro once per turn of the person: a motion that depends on the camera. With a joint's turn

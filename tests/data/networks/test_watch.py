@@ -20,6 +20,7 @@ for one, other in (  # iBUG's numbers of points on the right and on the left
 ):  # fmt: skip
     OTHER[_FACE + one - 17], OTHER[_FACE + other - 17] = _FACE + other - 17, _FACE + one - 17
 _LEG = ("knee", "ankle", "heel", "foot_index")
+TRUNK = [BODY.index(f"{side}_{part}") for part in ("shoulder", "hip") for side in SWAP]
 LEGS = [BODY.index(f"{side}_{part}") for part in _LEG for side in SWAP]
 GREY = np.full((600, 1000, 3), 180, np.uint8)
 
@@ -104,21 +105,22 @@ def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_pers
     assert np.median(moved) < 8 and moved.max() < 40
 
 
-def test_a_leg_that_one_pass_takes_for_the_other_is_not_averaged():
+@pytest.mark.parametrize("parts", [LEGS, TRUNK], ids=["legs", "trunk"])
+def test_parts_that_one_pass_takes_for_the_other_side_s_are_not_averaged(parts):
     """The pass counts that is near the picture before; elsewhere the mean does."""
     points = np.random.default_rng(0).uniform(0, 100, (39, 2))
     swapped, metric = points + 1, np.zeros((39, 3))
-    for left, right in np.reshape(LEGS, (-1, 2)):
+    for left, right in np.reshape(parts, (-1, 2)):
         swapped[[left, right]] = points[[right, left]]
     body = lambda places, z: SeenBody(places, np.ones(39), np.zeros(39), metric + z, 1.0, ())
     for passes in ([body(points, 0), body(swapped, 1)], [body(swapped, 1), body(points, 0)]):
         merged = mean_of_passes(passes, body(points + 2, 0))
-        assert np.array_equal(merged.points[LEGS], points[LEGS])
-        assert (merged.metric[LEGS] == 0).all() and (merged.spread[LEGS] > 1).all()
-        rest = np.setdiff1d(np.arange(39), LEGS)
+        assert np.array_equal(merged.points[parts], points[parts])
+        assert (merged.metric[parts] == 0).all() and (merged.spread[parts] > 1).all()
+        rest = np.setdiff1d(np.arange(39), parts)
         assert np.allclose(merged.points[rest], points[rest] + 0.5)
     alone = mean_of_passes(passes, None)
-    assert np.allclose(alone.points[LEGS], (points + swapped)[LEGS] / 2)
+    assert np.allclose(alone.points[parts], (points + swapped)[parts] / 2)
 
 
 def test_same_pictures_same_bits(watched, rendered_person):

@@ -1,0 +1,83 @@
+"""Frames in which a network took a person's back for the front: left and right are exchanged.
+
+Seen from behind, with long hair or a hood, a person looks much as from the front, and a network may
+name the left arm and leg the right ones, sure of itself, for some frames. Then all limbs seem to
+change sides from one frame to the next, which nobody can. As in :mod:`gva_mi.pose.swaps`, each
+frame is as given, ``s_k = 0``, or exchanged, ``s_k = 1``, and the states minimise
+
+1. ``Σ_k (w Σ_p t_2(|x_k+1,p - x_k,p| / σ S) + f_k s_k) + Σ_k (a s_k + b [s_k-1 < s_k])``
+
+with the places ``x`` of shoulders, hips and limbs in the picture, left and right by the states, the
+person's height ``S``, and Student's t distribution ``t``. ``f`` is large where the face was found.
+
+Depths of such a frame are those of a person who looks at the camera, and are left out. If a network
+errs from one profile to the other, no limb jumps, and the frames stay as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gva_mi.data.landmarks import FACE, Landmarks
+from gva_mi.pose.film.landmark_noise import FREEDOM
+from gva_mi.pose.swaps import TOGETHER, least_states
+
+PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+STEP = 0.03  # σ: of the person's height, from one frame to the next
+EACH = 0.3  # a, nats: mistakes last, so a frame says little
+SEEN_FACE = 5.0  # f, nats, of a frame with a face
+_OTHER = {"left": "right", "right": "left"}
+
+
+def with_backs(landmarks: Landmarks) -> tuple[Landmarks, list[int]]:
+    """Return landmarks whose left and right are exchanged where needed, and in which frames.
+
+    Args:
+        landmarks: T frames; names without a side, and frames without the person, stay.
+    """
+    frames = _mistaken(landmarks)
+    if not frames:
+        return landmarks, []
+    names = list(landmarks.names)
+    other = {name: "_".join(_OTHER.get(word, word) for word in name.split("_")) for name in names}
+    order = [names.index(other[name] if other[name] in names else name) for name in names]
+    found = {}
+    for field in ("pixels", "confidence", "spread", "metric"):
+        found[field] = getattr(landmarks, field).copy()
+        found[field][frames] = found[field][frames][:, order]
+    found["metric"][frames] = np.nan
+    return replace(landmarks, **found), frames
+
+
+def _mistaken(landmarks: Landmarks) -> list[int]:
+    """Return the frames whose states are exchanged (eq. 1)."""
+    wanted = [f"{side}_{part}" for side in _OTHER for part in PARTS]
+    if not set(wanted) <= set(landmarks.names):
+        return []
+    x = landmarks.pixels[:, landmarks.indices(wanted)].astype(float)
+    seen = np.flatnonzero(np.isfinite(x).all((1, 2)))
+    if len(seen) < 2:
+        return []
+    x = x[seen]
+    height = np.median(np.ptp(x[..., 1], axis=1))
+    crossed = np.roll(x, len(PARTS), axis=1)
+    gaps = np.diff(seen)[:, None]
+    same, changed = (
+        _cost(np.linalg.norm(x[1:] - before[:-1], axis=-1) / (STEP * height * gaps))
+        for before in (x, crossed)
+    )
+    motion = np.stack([np.stack([same, changed], -1), np.stack([changed, same], -1)], -2)
+    data = np.zeros((len(seen), 2))
+    if set(FACE) <= set(landmarks.names):
+        face = np.isfinite(landmarks.pixels[seen][:, landmarks.indices(FACE)]).all((1, 2))
+        data[:, 1] = SEEN_FACE * face
+    states = least_states(torch.from_numpy(data), TOGETHER * torch.from_numpy(motion), EACH)
+    return seen[states.numpy()].tolist()
+
+
+def _cost(r: np.ndarray) -> np.ndarray:
+    """Return the energy (n,) of steps (n, P), nats."""
+    return ((FREEDOM + 2) / 2 * np.log1p(r**2 / FREEDOM)).sum(1)

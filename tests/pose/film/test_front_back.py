@@ -1,0 +1,92 @@
+"""Frames in which a network takes the back for the front are found, and nothing else is."""
+
+import numpy as np
+import pytest
+
+from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.pose.film.front_back import PARTS, with_backs
+
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
+N = 60
+PLACES = {  # half the distance between left and right, and height, of a person of 400 pixels
+    "shoulder": (45, 330), "elbow": (70, 260), "wrist": (90, 200), "hip": (30, 200),
+    "knee": (28, 100), "ankle": (25, 0),
+}  # fmt: skip
+BACK = range(26, 37)
+
+
+def turning(rounds=1.0):
+    """Landmarks of a person who turns round and swings the arms; noise of 3 pixels."""
+    rng, turn = np.random.default_rng(0), 2 * np.pi * rounds * np.arange(N) / N
+    pixels = np.tile(np.array([300.0, 100.0]), (N, len(NAMES), 1))
+    swing = 20 * np.sin(2 * np.pi * np.arange(N) / 25)
+    for part in PARTS:
+        wide, high = PLACES[part]
+        for side, sign in (("left", 1), ("right", -1)):
+            at = NAMES.index(f"{side}_{part}")
+            ahead = swing * sign * (part == "wrist")
+            pixels[:, at, 0] += sign * wide * np.cos(turn) + ahead * np.sin(turn)
+            pixels[:, at, 1] = 500 - high
+    pixels += rng.normal(0, 3, pixels.shape)
+    metric = rng.normal(0, 0.3, (N, len(NAMES), 3))
+    face = [NAMES.index(name) for name in FACE]
+    hidden = np.flatnonzero(np.cos(turn) < 0.3)
+    pixels[np.ix_(hidden, face)] = metric[np.ix_(hidden, face)] = np.nan
+    confidence = rng.uniform(0.5, 1, pixels.shape[:2])
+    return Landmarks(NAMES, pixels, confidence, 1 - confidence, metric)
+
+
+def exchanged(landmarks, frames):
+    """The landmarks with left and right exchanged in some frames."""
+    side = {"left": "right", "right": "left"}
+    order = [NAMES.index("_".join(side.get(w, w) for w in name.split("_"))) for name in NAMES]
+    fields = {}
+    for name in ("pixels", "confidence", "spread", "metric"):
+        fields[name] = getattr(landmarks, name).copy()
+        fields[name][frames] = fields[name][frames][:, order]
+    return Landmarks(NAMES, **fields)
+
+
+@pytest.mark.parametrize("frames", [BACK, range(30, 31), [*range(20, 24), *range(33, 40)]])
+def test_frames_that_take_the_back_for_the_front_are_exchanged_without_their_depths(frames):
+    true, frames = turning(), list(frames)
+    found, mistaken = with_backs(exchanged(true, frames))
+    assert mistaken == frames
+    for name in ("pixels", "confidence", "spread"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(true, name))
+    others = np.setdiff1d(np.arange(N), frames)
+    assert np.isnan(found.metric[frames]).all()
+    np.testing.assert_array_equal(found.metric[others], true.metric[others])
+
+
+@pytest.mark.parametrize("rounds", [0.0, 0.5, 1.0, 3.0])
+def test_a_person_who_turns_even_quickly_stays_as_seen(rounds):
+    true = turning(rounds)
+    found, mistaken = with_backs(true)
+    assert mistaken == [] and found is true
+
+
+def test_lost_frames_stay_and_the_frames_around_them_are_compared():
+    true = turning()
+    true.pixels[[5, 30, 31]] = np.nan
+    seen = [k for k in BACK if k not in (30, 31)]
+    found, mistaken = with_backs(exchanged(true, list(BACK)))
+    assert mistaken == seen
+    np.testing.assert_array_equal(found.pixels[seen], true.pixels[seen])
+
+
+def test_frames_with_a_face_are_the_front():
+    """If most frames are mistaken, the face tells which."""
+    true = turning(0.0)
+    hidden = list(range(20, 60))
+    true.pixels[np.ix_(hidden, [NAMES.index(name) for name in FACE])] = np.nan
+    _, mistaken = with_backs(exchanged(true, hidden))
+    assert mistaken == hidden
+
+
+def test_points_without_limbs_stay():
+    true = turning()
+    few = [NAMES.index(name) for name in FACE]
+    face = Landmarks(FACE, *(getattr(true, f)[:, few] for f in ("pixels", "confidence")),
+                     true.spread[:, few], true.metric[:, few])  # fmt: skip
+    assert with_backs(face) == (face, [])

@@ -1,11 +1,9 @@
 """Fixtures that several folders of tests share."""
 
-import importlib.util
 import json
 import os
 import signal
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -57,16 +55,6 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
-
-
-@pytest.fixture(scope="session")
-def joblib_dump():
-    """Return a function from a value to the bytes that ``joblib.dump`` writes."""
-    path = Path(__file__).parent / "core/pickles/joblib_files.py"
-    spec = importlib.util.spec_from_file_location("joblib_files", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.joblib_dump
 
 
 # The built-in body before a camera, 96 pixels wide, in three poses.

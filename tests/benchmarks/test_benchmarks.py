@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from samples.scenes import few_gaussians
 
 from gva_mi.splat import render
-from gva_mi.splat.scene import person_scene, random_scene
+from gva_mi.splat.scene import person_scene
 
 ROOT = Path(__file__).parents[2]
 TINY = {
@@ -73,8 +74,4 @@ def test_the_command_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_pat
 
 @pytest.fixture
 def scene_file(tmp_path):
-    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
-    c, arrays = s.camera, {k: v.numpy() for k, v in s.inputs().items()}
-    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
-    np.savez(tmp_path / "scene.npz", **arrays, **camera)
-    return tmp_path / "scene.npz"
+    return few_gaussians(tmp_path / "scene.npz")

@@ -1,20 +1,15 @@
 """Each fault is named by a problem of its own, and a good folder has none."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.faults import FAULTS, change
 
 from gva_mi import InputError
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.silhouettes import accepts
-
-spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
-faults = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(faults)
-FAULTS = faults.FAULTS
 
 ALSO = {  # problems that follow from a fault, beside the one that names it
     "poses in millimetres": {"jumps"},
@@ -60,7 +55,7 @@ def test_several_faults_are_named_in_one_pass(subject, built_in_body):
 
 
 def test_frames_with_another_person_are_listed(subject, built_in_body):
-    faults.change(
+    change(
         subject / "poses.npz", transl=lambda x: x + np.float32(1.2) * (np.arange(8) == 5)[:, None]
     )
     report, _, _ = check_subject(subject, built_in_body)
@@ -70,7 +65,7 @@ def test_frames_with_another_person_are_listed(subject, built_in_body):
 
 def test_poses_that_are_never_in_the_masks_are_an_error(subject, built_in_body):
     sides = np.where(np.arange(8) % 2, 1.3, -1.3)[:, None] * [[1, 0, 0]]
-    faults.change(subject / "poses.npz", transl=lambda x: (x + sides).astype("f4"))
+    change(subject / "poses.npz", transl=lambda x: (x + sides).astype("f4"))
     report, _, _ = check_subject(subject, built_in_body)
     assert {p.what for p in report.errors} == {"poses outside the masks"}
 

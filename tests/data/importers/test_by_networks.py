@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from samples.networks import onnx_file, onnx_graph
 
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
@@ -121,11 +122,11 @@ def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham
     refused("it needs --masks sam", "--sam-checkpoint", tmp_path / "x.pth")
 
 
-def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file, normal_network):
+def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
     prompts = prompts_of(people[0], [], joints, (WIDTH, HEIGHT))
     drawn = draw(tmp_path / "shots", prompts)
     np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) != 2)[:, None, None])
-    normal_network(tmp_path / "normals.onnx")
+    onnx_file(tmp_path / "normals.onnx")
     given = [
         "--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy",
         "--person", "0", "--normals", tmp_path / "normals.onnx", "--normals-size", "96", "128",
@@ -148,9 +149,7 @@ def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file, normal_n
         assert np.abs(middle - (0.6, -y, -np.sqrt(1 - 0.36 - y * y))).max() < 0.02
 
 
-def test_icon_s_network_is_given_the_posed_body(
-    tmp_path, cli, people, joints, wham_file, network_file
-):
+def test_icon_s_network_is_given_the_posed_body(tmp_path, cli, people, joints, wham_file):
     """A network that answers with the body's own normals: those that Mitsuba's camera sees."""
     pytest.importorskip("mitsuba")
     from gva_mi.mesh.mesh_scene import MeshScene
@@ -158,7 +157,7 @@ def test_icon_s_network_is_given_the_posed_body(
     drawn = draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) == 0)[:, None, None])
     picture = ("FLOAT", [1, 3, 160, 120])
-    network_file(
+    onnx_graph(
         tmp_path / "icon.onnx",
         [("Identity", [f"T_{name}"], [name], {}) for name in ("normal_F", "normal_B")],
         {"image": picture, "T_normal_F": picture, "T_normal_B": picture},

@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from samples.rotations import matrices
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
-from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hand_merge import merge_hands
@@ -16,8 +16,6 @@ from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import load_video
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 FRAMES = 40
 MIRRORED = np.diag([-1.0, 1.0, 1.0])

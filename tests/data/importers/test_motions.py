@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import roma
 import torch
+from samples.rotations import matrices, same
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape, load_poses
-from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.joints import joint_places
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -35,11 +33,6 @@ def read(tmp_path):
         return read_motion(path, TargetBody.read(None), options)
 
     return save_and_read
-
-
-def same(found, wanted, tolerance=2e-6):
-    """Equal as rotations: an axis-angle is known but for whole turns."""
-    return np.abs(matrices(found) - matrices(wanted)).max() < tolerance
 
 
 def test_amass_in_every_width(read, walk):

@@ -7,6 +7,9 @@ import pytest
 import roma
 import torch
 from PIL import Image
+from samples import data_sets as filmed
+from samples.data_sets import SMPLX as MEAN
+from samples.estimates import without_hands
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
@@ -14,7 +17,6 @@ from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 
-MEAN = np.array([0.0031, -0.3514, 0.0120])  # SMPL-X's pelvis
 GROWS = np.array([0.4, 0.04, -0.02])  # metres a beta moves it
 ROOT, MOVE, BETAS = np.array([3.0, 0.1, 0.2]), np.array([0.1, 0.2, 3.0]), np.array([2.0] + [0] * 9)
 K = np.array([[80.0, 0, 24], [0, 80, 32], [0, 0, 1]])
@@ -65,21 +67,11 @@ def gvhmr(folder):
 
 
 def smplerx(folder):
-    for name in ("smplx", "meta"):
-        (folder / name).mkdir()
-    np.savez(folder / "smplx/00001_0.npz", global_orient=ROOT[None], body_pose=np.zeros((21, 3)),
-             betas=BETAS[None], transl=MOVE[None])  # fmt: skip
-    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
-    (folder / "meta/00001_0.json").write_text(json.dumps(about))
-    return "smplerx", folder
+    return "smplerx", without_hands("smplerx", folder, K[None], ROOT[None], MOVE[None], BETAS)
 
 
 def osx(folder):
-    person = {"root_pose": ROOT.tolist(), "body_pose": [0.0] * 63, "shape": BETAS.tolist(),
-              "trans": MOVE.tolist()}  # fmt: skip
-    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
-    (folder / "0.json").write_text(json.dumps({"smplx_param": person, "cam_param": about}))
-    return "osx", folder
+    return "osx", without_hands("osx", folder, K[None], ROOT[None], MOVE[None], BETAS)
 
 
 @pytest.mark.parametrize("write", [parameters, gvhmr, smplerx, osx])
@@ -107,7 +99,7 @@ def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     assert np.abs(camera(posed.joints)[0] - place).max() < 1e-5
 
 
-def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx, filmed):
+def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx):
     """EasyMocap's x = R(Rh) b + Th: all of it, also at betas that move the pelvis."""
     T = filmed.FRAMES
     people = np.tile(ROOT, (T, 1)), np.tile(MOVE, (T, 1)), np.zeros((T, 165))

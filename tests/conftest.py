@@ -67,16 +67,19 @@ def body_scene(built_in_body):
     return MeshScene(built_in_body.faces, built_in_body.v_template)
 
 
-@pytest.fixture(scope="session")
-def body_camera(built_in_body):
+def _before(body, size, share, away):
+    """A camera of so many pixels, some 3 m away, in which a body fills a share of the picture."""
     from gva_mi.splat import Camera, look_at
 
-    size = 96
-    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
+    low, high = body.v_template.amin(0), body.v_template.amax(0)
     centre = ((low + high) / 2).numpy()
-    focal = 0.8 * size * 3 / float((high - low).max())
-    T_camera_world = look_at(centre + (0.2, 0.1, 3), centre)
-    return Camera(focal, focal, size / 2, size / 2, T_camera_world, size, size)
+    focal = share * size * 3 / float((high - low).max())
+    return Camera(focal, focal, size / 2, size / 2, look_at(centre + away, centre), size, size)
+
+
+@pytest.fixture(scope="session")
+def body_camera(built_in_body):
+    return _before(built_in_body, 96, 0.8, (0.2, 0.1, 3))
 
 
 @pytest.fixture(scope="session")
@@ -130,13 +133,7 @@ def known(built_in_body):
 @pytest.fixture(scope="session")
 def camera(built_in_body):
     """A camera of 48 pixels, 3 m before the body."""
-    from gva_mi.splat import Camera, look_at
-
-    size = 48
-    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
-    centre = ((low + high) / 2).numpy()
-    focal = 0.9 * size * 3 / float((high - low).max())
-    return Camera(focal, focal, size / 2, size / 2, look_at(centre + (0, 0, 3), centre), size, size)
+    return _before(built_in_body, 48, 0.9, (0, 0, 3))
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,22 @@
-"""Scenes of Gaussians in ``.npz`` files."""
+"""Scenes of random Gaussians, their pictures, and their ``.npz`` files."""
 
 import numpy as np
 import torch
 
+from gva_mi.splat import render
 from gva_mi.splat.scene import random_scene
+
+
+def scene(seed=0, **kwargs):
+    return random_scene(torch.Generator().manual_seed(seed), **kwargs)
+
+
+def draw(s, **kwargs):
+    return render(s.gaussians, s.camera, s.options, s.background, **kwargs)
+
+
+def double(*values):
+    return torch.tensor(values, dtype=torch.float64)
 
 
 def save_scene(path, scene):
@@ -16,5 +29,4 @@ def save_scene(path, scene):
 
 def few_gaussians(path):
     """Write 8 Gaussians before a camera."""
-    generator = torch.Generator().manual_seed(0)
-    return save_scene(path, random_scene(generator, gaussians=8, width=20, height=16))
+    return save_scene(path, scene(gaussians=8, width=20, height=16))

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples.faults import FAULTS, change
+from samples.broken_cases import poses
+from samples.faults import FAULTS
 
 from gva_mi import InputError
 from gva_mi.data.check import check_subject
@@ -55,9 +56,8 @@ def test_several_faults_are_named_in_one_pass(subject, built_in_body):
 
 
 def test_frames_with_another_person_are_listed(subject, built_in_body):
-    change(
-        subject / "poses.npz", transl=lambda x: x + np.float32(1.2) * (np.arange(8) == 5)[:, None]
-    )
+    away = np.float32(1.2) * (np.arange(8) == 5)[:, None]
+    poses(transl=lambda x: x + away)(subject)
     report, _, _ = check_subject(subject, built_in_body)
     outside = next(p for p in report.problems if p.what == "poses outside the masks")
     assert outside.severity == "doubtful" and outside.frames == (5,) and not report.errors
@@ -65,7 +65,7 @@ def test_frames_with_another_person_are_listed(subject, built_in_body):
 
 def test_poses_that_are_never_in_the_masks_are_an_error(subject, built_in_body):
     sides = np.where(np.arange(8) % 2, 1.3, -1.3)[:, None] * [[1, 0, 0]]
-    change(subject / "poses.npz", transl=lambda x: (x + sides).astype("f4"))
+    poses(transl=lambda x: (x + sides).astype("f4"))(subject)
     report, _, _ = check_subject(subject, built_in_body)
     assert {p.what for p in report.errors} == {"poses outside the masks"}
 

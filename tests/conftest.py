@@ -28,22 +28,41 @@ def pytest_configure(config):
         dr.set_thread_count(1)
 
 
-@pytest.fixture
-def cli(capsys, monkeypatch):
-    """Run ``gva-mi`` in this process; it returns exit code, standard output and standard error."""
-    from gva_mi.__main__ import main
+class CommandLine:
+    """Runs ``gva-mi`` in this process."""
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["gva-mi", *map(str, arguments)])
+    def __init__(self, capsys, monkeypatch):
+        self._capsys, self._monkeypatch = capsys, monkeypatch
+
+    def __call__(self, *arguments):
+        """Return exit code, standard output and standard error."""
+        from gva_mi.__main__ import main
+
+        self._monkeypatch.setattr(sys, "argv", ["gva-mi", *map(str, arguments)])
         try:
             main()
             code = 0
         except SystemExit as stop:
             code = stop.code
-        captured = capsys.readouterr()
+        captured = self._capsys.readouterr()
         return code, captured.out, captured.err
 
-    return run
+    def works(self, *arguments):
+        """Return the standard output of a command that succeeds."""
+        code, out, err = self(*arguments)
+        assert code == 0, err
+        return out
+
+    def fails(self, *arguments):
+        """Return the standard error of a command that refuses its input."""
+        code, out, err = self(*arguments)
+        assert code == 2, (out, err)
+        return err
+
+
+@pytest.fixture
+def cli(capsys, monkeypatch):
+    return CommandLine(capsys, monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -93,18 +93,15 @@ def test_a_gain_has_to_be_sure_and_worth_a_word():
 
 def test_the_command_prints_writes_and_ends_with_its_code(subject, cli):
     out, sheet = subject.parent / "found.json", subject.parent / "sheet.png"
-    code, said, err = cli("check", subject)
-    assert code == 0 and "8 frames, 0 errors, 0 doubtful; mean IoU" in said, err
+    assert "8 frames, 0 errors, 0 doubtful; mean IoU" in cli.works("check", subject)
     FAULTS["splits"](subject)
     code, said, err = cli("check", subject, "--json", out, "--sheet", sheet)
     assert code == 1 and "splits" in said and "what to do" in said
     found = json.loads(out.read_text())
     assert [f["what"] for f in found["findings"]] == ["splits"] and found["frames"] == 8
     assert sheet.stat().st_size
-    code, _, err = cli("check", subject, "--json", out)
-    assert code == 2 and "--overwrite" in err
-    code, _, err = cli("check", Path("nowhere"))
-    assert code == 2 and "nowhere: no such folder" in err
+    assert "--overwrite" in cli.fails("check", subject, "--json", out)
+    assert "nowhere: no such folder" in cli.fails("check", Path("nowhere"))
 
 
 def test_the_sheet_shows_both_outlines(whole, built_in_body):

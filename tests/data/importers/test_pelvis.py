@@ -81,8 +81,8 @@ def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     (tmp_path / "source").mkdir()
     kind, source = write(tmp_path / "source")
     given = [] if lens is None else ["--lens", lens]
-    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", smplx, *shot, *given)
-    assert code == 0 and "place and betas are the source's own" in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "s", "--body", smplx, *shot, *given)
+    assert "place and betas are the source's own" in said
     arrays = np.load(smplx)
     points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
     pelvis = arrays["J_regressor"][0] @ points
@@ -105,8 +105,7 @@ def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx):
     people = np.tile(ROOT, (T, 1)), np.tile(MOVE, (T, 1)), np.zeros((T, 165))
     wrap = lambda person: [{**person, "shapes": [BETAS.tolist()]}]
     source = filmed.easymocap(tmp_path / "scene", people, wrap=wrap)
-    code, said, err = cli("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
-    assert code == 0, err
+    cli.works("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
     arrays = np.load(smplx)
     points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
     R = filmed.matrices(filmed.TURN)
@@ -120,12 +119,12 @@ def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx):
 
 def test_another_body_is_told_that_the_pelvis_is_the_mean_persons(tmp_path, cli, shot):
     kind, source = parameters(tmp_path)
-    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
-    assert code == 0 and "betas of SMPL-X do not carry over" in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
+    assert "betas of SMPL-X do not carry over" in said
     assert "the pelvis is the mean person's, as the source's SMPL-X is not at hand" in said
     np.savez(source, **{**np.load(source), "betas": np.zeros(10)})
-    code, said, err = cli("prepare", kind, source, tmp_path / "b", "--body", "puppet", *shot)
-    assert code == 0 and "the mean person's" not in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "b", "--body", "puppet", *shot)
+    assert "the mean person's" not in said
 
 
 def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
@@ -138,8 +137,8 @@ def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
     for about, kept in ((None, False), ({"body": fingerprint(load_body())}, True)):
         if about:
             (folder / "synth.json").write_text(json.dumps(about))
-        code, said, err = cli(*given, "--overwrite")
-        assert code == 0 and ("do not carry over" in said) != kept, err
+        said = cli.works(*given, "--overwrite")
+        assert ("do not carry over" in said) != kept
         found = load_video(tmp_path / "s")
         for x, wanted in ((found.shape.betas, face.flip(0)), (found.pose.expression[0], face)):
             assert torch.allclose(x, wanted if kept else torch.zeros(10), atol=1e-6)
@@ -158,9 +157,8 @@ def test_poses_that_are_not_where_the_masks_are_raise_a_doubt(tmp_path, cli):
         poses = np.zeros((1, 72))
         poses[:, :3] = root
         np.savez(tmp_path / "p.npz", poses=poses, trans=[place], betas=np.zeros(10))
-        code, said, err = cli("prepare", "auto", tmp_path / "p.npz", tmp_path / "s", "--body",
+        said = cli.works("prepare", "auto", tmp_path / "p.npz", tmp_path / "s", "--body",
                               "puppet", *shot, "--overwrite")  # fmt: skip
-        assert code == 0, err
         return said
 
     assert "doubtful: " in said_of((np.pi / 2, 0, 0), (0.0, 0.2, 1.3))  # z up

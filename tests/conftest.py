@@ -1,11 +1,9 @@
 """Fixtures that several folders of tests share."""
 
-import importlib.util
 import json
 import os
 import signal
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -30,22 +28,41 @@ def pytest_configure(config):
         dr.set_thread_count(1)
 
 
-@pytest.fixture
-def cli(capsys, monkeypatch):
-    """Run ``gva-mi`` in this process; it returns exit code, standard output and standard error."""
-    from gva_mi.__main__ import main
+class CommandLine:
+    """Runs ``gva-mi`` in this process."""
 
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["gva-mi", *map(str, arguments)])
+    def __init__(self, capsys, monkeypatch):
+        self._capsys, self._monkeypatch = capsys, monkeypatch
+
+    def __call__(self, *arguments):
+        """Return exit code, standard output and standard error."""
+        from gva_mi.__main__ import main
+
+        self._monkeypatch.setattr(sys, "argv", ["gva-mi", *map(str, arguments)])
         try:
             main()
             code = 0
         except SystemExit as stop:
             code = stop.code
-        captured = capsys.readouterr()
+        captured = self._capsys.readouterr()
         return code, captured.out, captured.err
 
-    return run
+    def works(self, *arguments):
+        """Return the standard output of a command that succeeds."""
+        code, out, err = self(*arguments)
+        assert code == 0, err
+        return out
+
+    def fails(self, *arguments):
+        """Return the standard error of a command that refuses its input."""
+        code, out, err = self(*arguments)
+        assert code == 2, (out, err)
+        return err
+
+
+@pytest.fixture
+def cli(capsys, monkeypatch):
+    return CommandLine(capsys, monkeypatch)
 
 
 @pytest.fixture(scope="session")
@@ -59,16 +76,6 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-@pytest.fixture(scope="session")
-def joblib_dump():
-    """Return a function from a value to the bytes that ``joblib.dump`` writes."""
-    path = Path(__file__).parent / "core/pickles/joblib_files.py"
-    spec = importlib.util.spec_from_file_location("joblib_files", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.joblib_dump
-
-
 # The built-in body before a camera, 96 pixels wide, in three poses.
 
 
@@ -79,16 +86,19 @@ def body_scene(built_in_body):
     return MeshScene(built_in_body.faces, built_in_body.v_template)
 
 
-@pytest.fixture(scope="session")
-def body_camera(built_in_body):
+def _before(body, size, share, away):
+    """A camera of so many pixels, some 3 m away, in which a body fills a share of the picture."""
     from gva_mi.splat import Camera, look_at
 
-    size = 96
-    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
+    low, high = body.v_template.amin(0), body.v_template.amax(0)
     centre = ((low + high) / 2).numpy()
-    focal = 0.8 * size * 3 / float((high - low).max())
-    T_camera_world = look_at(centre + (0.2, 0.1, 3), centre)
-    return Camera(focal, focal, size / 2, size / 2, T_camera_world, size, size)
+    focal = share * size * 3 / float((high - low).max())
+    return Camera(focal, focal, size / 2, size / 2, look_at(centre + away, centre), size, size)
+
+
+@pytest.fixture(scope="session")
+def body_camera(built_in_body):
+    return _before(built_in_body, 96, 0.8, (0.2, 0.1, 3))
 
 
 @pytest.fixture(scope="session")
@@ -142,13 +152,7 @@ def known(built_in_body):
 @pytest.fixture(scope="session")
 def camera(built_in_body):
     """A camera of 48 pixels, 3 m before the body."""
-    from gva_mi.splat import Camera, look_at
-
-    size = 48
-    low, high = built_in_body.v_template.amin(0), built_in_body.v_template.amax(0)
-    centre = ((low + high) / 2).numpy()
-    focal = 0.9 * size * 3 / float((high - low).max())
-    return Camera(focal, focal, size / 2, size / 2, look_at(centre + (0, 0, 3), centre), size, size)
+    return _before(built_in_body, 48, 0.9, (0, 0, 3))
 
 
 @pytest.fixture(scope="session")

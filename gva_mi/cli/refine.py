@@ -102,7 +102,7 @@ def refine_videos(
     """Refine videos and write each result into its subject's folder as soon as it is ready."""
     truths = [_truth(video, model) for video in videos]
     for video in videos:
-        if not video.has_normals:
+        if video.normals is None:
             say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
     with bar("refine") as progress:
         tasks = [(video, options) for video in videos]

@@ -25,7 +25,7 @@ Everything is checked once when it is opened, so that no step stops half-way for
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -96,7 +96,7 @@ class Video:
     shape: Shape
     splits: Splits
     _images: Sequence[np.ndarray] = field(repr=False)  # a film, or [] to read frames/ one by one
-    normals: NormalMaps | None = None
+    normals: NormalMaps | None = None  # of some frames; None: of none
     absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
     stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
     offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
@@ -161,11 +161,6 @@ class Video:
             raise InputError(f"{self.folder}: no train frame can be used; frame {k}: {reason}")
 
     @property
-    def has_normals(self) -> bool:
-        """Whether there are normals of any frame."""
-        return self.normals is not None
-
-    @property
     def truth(self) -> Path | None:
         """The folder with the ground truth of a synthetic subject."""
         folder = self.folder / "truth"
@@ -179,6 +174,11 @@ class Video:
         mask = read_image(path, 1).astype(np.float32) / 255
         require_sides(f"{path}:", mask, *self.size)
         return mask
+
+    def truly_cut(self, frame: Frame) -> Frame:
+        """Return one of its frames with the ground-truth mask, where that is known."""
+        mask = self.true_mask(frame.index)
+        return frame if mask is None else replace(frame, mask=mask)
 
 
 def load_video(

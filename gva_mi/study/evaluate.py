@@ -168,8 +168,7 @@ def _scores(
     avatar: Avatar, frame: Frame, view: SplitView, scorer: Scorer
 ) -> Iterator[tuple[Region, ImageScores]]:
     """Score the render of a frame region by region, cut out by the true mask if it is known."""
-    mask = view.video.true_mask(frame.index)
-    frame = frame if mask is None else replace(frame, mask=mask)
+    frame = view.video.truly_cut(frame)
     pairs = [
         (render_frame(avatar, frame.pose, frame.camera, on), cut_out(frame, on))
         for on in (WHITE, BLACK)

@@ -190,9 +190,7 @@ def measure(
     for name, key in grown.items() if refined is not None else ():
         frames[f"frames_worse{name}"] = (frames[key] > frames[f"{key}_stage1"]).float()
     true = truth.pose, truth.shape, truth.cameras
-    frames |= {
-        "iou_truth": silhouette_iou(video, truth.body, *true),
-    }
+    frames["iou_truth"] = silhouette_iou(video, truth.body, *true)
     return FrameFigures(frames, seconds, points="joints" if truth.foreign else "vertices")
 
 

@@ -91,7 +91,7 @@ def protocol_of(
         masks = ["refine"]
     elif poses.name == TRACKED_POSES:
         pictures, masks = [*pictures, "track"], ["track"]
-    normals = ["refine"] if "refine" in masks and video.has_normals else []
+    normals = ["refine"] if "refine" in masks and video.normals is not None else []
     return {
         "networks": scorer.networks(),
         "training_loss": f"VGG16, {options['vgg16']}" if options.get("vgg16") else "rand_vgg",

@@ -20,7 +20,7 @@ from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.geometry import with_axes
 from gva_mi.study.evaluate import SplitView
-from gva_mi.study.pictures import ShownAvatar, truly_cut, turntable
+from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box
 
 HEIGHT = 440  # pixels of a row
@@ -42,7 +42,7 @@ def overview(shown: ShownAvatar, video: Video, turned: int = 3) -> np.ndarray:
 
 
 def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarray]:
-    frame = truly_cut(video, (video.splits.test or video.splits.train)[0])
+    frame = video.truly_cut(video[(video.splits.test or video.splits.train)[0]])
     yield cut_out(frame)
     if frame.normals is not None:
         inside = frame.mask[..., None] > 0.5
@@ -56,7 +56,7 @@ def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarr
 
 def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:
     """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
-    frames = {k: truly_cut(view.video, k) for k in view.frames}
+    frames = {k: view.video.truly_cut(view.video[k]) for k in view.frames}
     boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
     if view.details is not None:
         found = [(k, box) for k in frames for what, box in view.details.boxes(k) if what == "hands"]

@@ -49,11 +49,11 @@ def pairs_of_subject(
     _require_all(rendered, set(range(len(video))) - set(video.absent), video.folder)
 
     def pair(number: int) -> PicturePair:
-        frame, mask = video[number], video.true_mask(number)
-        mask = frame.mask if mask is None else mask
-        picture = _on(color, in_8_bits(frame.image), mask)
+        frame = video.truly_cut(video[number])
+        picture = _on(color, in_8_bits(frame.image), frame.mask)
         boxes = tuple(details.boxes(number))
-        return PicturePair(f"frame {number}", _on(color, rendered[number]()), picture, mask, boxes)
+        render = _on(color, rendered[number]())
+        return PicturePair(f"frame {number}", render, picture, frame.mask, boxes)
 
     return map(pair, rendered)
 

@@ -110,7 +110,7 @@ def _of_split(
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
     view = avatars[0].views[split]
     for k in spread(view.frames, count):
-        frame = truly_cut(view.video, k)
+        frame = view.video.truly_cut(view.video[k])
         for what, box in _boxes(view, frame):
             times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
             row = [box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)]
@@ -168,9 +168,3 @@ def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
         with torch.no_grad():
             views.append(in_8_bits(render(small, camera, background=torch.ones(3)).color.numpy()))
     return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))
-
-
-def truly_cut(video: Video, index: int) -> Frame:
-    """Return a frame, with the ground-truth mask where it is known."""
-    frame, mask = video[index], video.true_mask(index)
-    return frame if mask is None else replace(frame, mask=mask)

@@ -1,7 +1,7 @@
 """What the tests of several commands share."""
 
-import numpy as np
 import pytest
+from samples.scenes import few_gaussians
 
 from gva_mi.body.pose import save_poses
 
@@ -9,16 +9,7 @@ from gva_mi.body.pose import save_poses
 @pytest.fixture
 def scene(tmp_path):
     """A file with 8 Gaussians before a camera."""
-    import torch
-
-    from gva_mi.splat.scene import random_scene
-
-    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
-    c = s.camera
-    arrays = {k: v.numpy() for k, v in s.inputs().items()}
-    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
-    np.savez(tmp_path / "scene.npz", **arrays, **camera)
-    return tmp_path / "scene.npz"
+    return few_gaussians(tmp_path / "scene.npz")
 
 
 @pytest.fixture

@@ -50,8 +50,7 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     film, height = filmed
     command = ("avatar", film, "--height", height, "--quality", "draft", "--steps", 40)
     command += ("--out", tmp_path / "me")
-    code, said, err = cli(*command)
-    assert code == 0, err
+    cli.works(*command)
     me = tmp_path / "me"
     assert all((me / name).stat().st_size > 1000 for name in ("turntable.mp4", "walk.mp4"))
     found = json.loads((me / "subject/film_check.json").read_text())
@@ -63,12 +62,12 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     for name in ("full", "poses as refined", "poses fitted to the pictures"):
         assert whole[name, "held_out_range"] > 15 and whole[name, "test"] > 15
 
-    code, said, err = cli(*command)
-    assert code == 0 and said.count("was finished before") == 7, err
+    said = cli.works(*command)
+    assert said.count("was finished before") == 7
     (me / "report.html").unlink()
     shutil.rmtree(me / "run")
-    code, said, err = cli(*command, "--steps", 20, "--no-test-frames")
-    assert code == 0 and said.count("was finished before") == 3, err
+    said = cli.works(*command, "--steps", 20, "--no-test-frames")
+    assert said.count("was finished before") == 3
     rows = json.loads((me / "run/metrics.json").read_text())["rows"]
     assert {row["split"] for row in rows} == {"train"}
 
@@ -83,8 +82,7 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
 @pytest.mark.slow
 def test_a_film_drives_an_avatar(filmed, tmp_path, cli):
     film, height = filmed
-    code, said, err = cli("motion", film, tmp_path / "m.npz", "--height", height, "--fps", 20)
-    assert code == 0, err
+    cli.works("motion", film, tmp_path / "m.npz", "--height", height, "--fps", 20)
     pose, _ = load_poses(tmp_path / "m.npz")
     assert 2 * FRAMES - 3 <= len(pose) <= 2 * FRAMES
     assert np.abs(pose.transl[0].numpy()).max() < 1e-5  # at rest's place
@@ -106,8 +104,8 @@ def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
         people.append({"image_id": f"{k}.jpg", "keypoints": np.ravel(rows).tolist()})
     (tmp_path / "k.json").write_text(json.dumps(people))
     given = ("prepare", "film", film, tmp_path / "s", "--height", height)
-    code, said, err = cli(*given, "--keypoints", tmp_path / "k.json")
-    assert code == 0 and f"in {FRAMES} of {FRAMES} frames" in said, err
+    said = cli.works(*given, "--keypoints", tmp_path / "k.json")
+    assert f"in {FRAMES} of {FRAMES} frames" in said
     found = Landmarks.load(tmp_path / "s/landmarks.npz")
     seen = load_video(tmp_path / "s")
     joints = body(seen.pose, seen.shape).joints.detach().double().numpy()

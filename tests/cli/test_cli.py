@@ -72,14 +72,13 @@ def test_no_output_is_replaced_without_being_asked(subject, tmp_path, cli):
         ("fit", subject, "--out", tmp_path / "run"),
         ("synth", tmp_path / "run", *TINY),
     ):
-        code, _, err = cli(*command)
-        assert code == 2 and "--overwrite" in err and err.count("\n") == 1, err
+        err = cli.fails(*command)
+        assert "--overwrite" in err and err.count("\n") == 1, err
     for command in (
         ("demo", "--out", tmp_path / "thesis", "--overwrite", *TINY),
         ("synth", tmp_path / "thesis", "--overwrite", *TINY),
     ):
-        code, _, err = cli(*command)
-        assert code == 2 and "did not make it" in err
+        assert "did not make it" in cli.fails(*command)
     assert files(tmp_path) == before
 
 
@@ -112,8 +111,8 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     np.savez("body.npz", v_template=np.zeros((10, 3)))
     for command, sentence in BAD:
-        code, _, err = cli(*command)
-        assert code == 2 and sentence in err, err
+        err = cli.fails(*command)
+        assert sentence in err, err
         assert err.count("\n") == 1 and "Traceback" not in err
         assert files(tmp_path) == ["body.npz"]
 
@@ -272,8 +271,8 @@ def test_missing_memory_is_no_fault_of_a_file(error, monkeypatch, cli):
             raise error
 
     monkeypatch.setattr("gva_mi.__main__.load", command)
-    code, _, complaint = cli("check", "subject")
-    assert code == 2 and complaint.startswith("gva-mi: there is not enough memory (")
+    complaint = cli.fails("check", "subject")
+    assert complaint.startswith("gva-mi: there is not enough memory (")
     assert "body.npz" not in complaint
 
 

@@ -29,8 +29,7 @@ def motions(turning, tmp_path):
 
 def test_a_motion_of_another_program_drives_unchanged(run, motions, known, cli):
     path, out = run.parent / "amass.npz", run / "a.ply"
-    code, said, err = cli("export", run, "--poses", path, "--frame", 4, "--out", out)
-    assert code == 0, err
+    said = cli.works("export", run, "--poses", path, "--frame", 4, "--out", out)
     assert f"{path}: SMPL" in said and "6 frames at 30 a second, y up; now 6 at 30" in said
     pose = motions[4]
     pose.transl[:] -= motions.transl[0]
@@ -42,15 +41,12 @@ def test_a_motion_of_another_program_drives_unchanged(run, motions, known, cli):
 
 def test_each_command_resamples_it_to_its_own_rate(run, motions, cli, monkeypatch):
     path, out = run.parent / "aist.pkl", run.parent / "out"
-    code, said, err = cli("render", run, "--poses", path, "--out", out, *SMALL)
-    assert code == 0, err
+    said = cli.works("render", run, "--poses", path, "--out", out, *SMALL)
     assert "now 5 at 25, y up" in said and len(list(out.glob("*.png"))) == 5
 
     out = run.parent / "amass60.npz"
     motion = ("--poses", run.parent / "amass.npz", "--fps", 60, "--out", out)
-    code, said, err = cli("export", run, *motion)
-    assert code == 0, err
-    assert "6 frames at 30 a second, y up; now 11 at 60" in said
+    assert "6 frames at 30 a second, y up; now 11 at 60" in cli.works("export", run, *motion)
     with np.load(out) as file:
         assert len(file["poses"]) == 11 and float(file["mocap_frame_rate"]) == 60
 
@@ -59,8 +55,7 @@ def test_each_command_resamples_it_to_its_own_rate(run, motions, cli, monkeypatc
 
     monkeypatch.setattr("gva_mi.cli.view.pages", stopped)
     given = ("--poses", path, "--out", run.parent / "v", "--port", 0)
-    code, said, err = cli("view", run, *given)
-    assert code == 0, err
+    said = cli.works("view", run, *given)
     assert "6 frames at 30 a second, y up; now 6 at 30" in said and "open it in a browser" in said
 
 
@@ -73,8 +68,7 @@ def test_own_poses_are_neither_turned_nor_resampled(run, turning, cli):
     np.savez(run.parent / "named.npz", **named, fps=120.0)
     for name in ("own.npz", "named.npz"):
         out = run.parent / f"amass_{name}"
-        code, said, err = cli("export", run, "--poses", run.parent / name, "--out", out)
-        assert code == 0, err
+        said = cli.works("export", run, "--poses", run.parent / name, "--out", out)
         assert "a second" not in said
         with np.load(out) as file:
             assert len(file["poses"]) == 6
@@ -88,12 +82,10 @@ def test_hands_of_pca_components_need_their_body(run, turning, cli):
              "fps": 30}  # fmt: skip
     np.savez(run.parent / "pca.npz", **names)
     given = ("render", run, "--poses", run.parent / "pca.npz", *SMALL, "--out", run.parent / "out")
-    code, _, err = cli(*given)
-    assert code == 2 and "--body with the SMPL-X file whose hands_components they weigh" in err
+    assert "--body with the SMPL-X file whose hands_components they weigh" in cli.fails(*given)
     with np.load(BUILT_IN_BODY) as file:
         np.savez(run.parent / "body.npz", **file)
-    code, said, err = cli(*given, "--body", run.parent / "body.npz")
-    assert code == 0 and "and the body's is added" in said, err
+    assert "and the body's is added" in cli.works(*given, "--body", run.parent / "body.npz")
 
 
 BAD = (
@@ -108,14 +100,13 @@ def test_an_unreadable_motion_is_one_sentence(run, cli):
     for (arrays, words), command in zip(BAD, ("render", "export", "view"), strict=True):
         np.savez(path, **arrays)
         given = ("--out", out / "a.ply" if command == "export" else out)
-        code, _, err = cli(command, run, "--poses", path, *given)
-        assert code == 2 and words in err and str(path) in err and err.count("\n") == 1, err
+        err = cli.fails(command, run, "--poses", path, *given)
+        assert words in err and str(path) in err and err.count("\n") == 1, err
         assert not out.exists()
 
 
 def test_a_folder_is_no_motion_and_no_video_fits_another_program_s(run, motions, subject, cli):
-    code, _, err = cli("render", run, "--poses", run, "--out", run.parent / "out")
-    assert code == 2 and f"its motion is {run / 'poses.npz'}" in err
+    err = cli.fails("render", run, "--poses", run, "--out", run.parent / "out")
+    assert f"its motion is {run / 'poses.npz'}" in err
     given = ("--poses", run.parent / "amass.npz", "--subject", subject)
-    code, _, err = cli("view", run, *given)
-    assert code == 2 and "which no video can be shown beside; expected poses of" in err
+    assert "which no video can be shown beside; expected poses of" in cli.fails("view", run, *given)

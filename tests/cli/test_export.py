@@ -37,8 +37,7 @@ def test_gaussians_at_rest_in_a_frame_and_in_a_motion(run, dance, known, cli, tu
             ("--poses", dance, "--frame", 3): known(turning(5, 1.0)[0][3]),
         }
     for chosen, gaussians in expected.items():
-        code, out, err = cli("export", run, "--out", run / "a.ply", "--overwrite", *chosen)
-        assert code == 0, err
+        out = cli.works("export", run, "--out", run / "a.ply", "--overwrite", *chosen)
         assert ("of a person of another shape" in out) == ("--poses" in chosen), out
         found = load_ply(run / "a.ply")
         assert same(found, half_turned(gaussians)), chosen
@@ -51,8 +50,7 @@ def test_files_of_gaussians_become_each_other(run, cli):
         ("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply"), ("run", "d.spz"),
         ("a.ply", "e.spz"), ("e.spz", "f.ply"), ("a.ply", "g.Compressed.ply"),
     ):  # fmt: skip
-        code, _, err = cli("export", run.parent / source, "--out", run.parent / out)
-        assert code == 0, err
+        cli.works("export", run.parent / source, "--out", run.parent / out)
     assert (run.parent / "d.spz").read_bytes() == (run.parent / "e.spz").read_bytes()
     plain, again, packed = (load_ply(run.parent / f"{x}.ply") for x in ("a", "f", "g.Compressed"))
     assert (plain.means - again.means).abs().max() < 1e-5 and again.sh.shape == plain.sh.shape
@@ -68,8 +66,7 @@ def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
     for each in ("ply", "compressed.ply"):
         out = run.parent / f"as {each[:3]}"
         command = ("export", run, "--poses", dance, "--out", out, "--every", 2, "--each", each)
-        code, _, err = cli(*command)
-        assert code == 0, err
+        cli.works(*command)
         assert sorted(path.name for path in out.iterdir()) == [
             *(f"{k:06d}.{each}" for k in (0, 2, 4)), "export.json"
         ]  # fmt: skip
@@ -84,40 +81,34 @@ def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
 def test_an_interrupted_folder_is_resumed_with_the_same_bits(run, dance, cli):
     out = run.parent / "new"
     command = ("export", run, "--poses", dance, "--out", out, "--each", "spz", "--every", 2)
-    code, _, err = cli(*command)
-    assert code == 0, err
+    cli.works(*command)
     wanted = {path.name: path.read_bytes() for path in out.iterdir()}
     (out / "000002.spz").unlink()
-    code, said, err = cli(*command)
-    assert code == 0 and f"{out}: goes on, 2 of 3 files are there" in said, err
+    assert f"{out}: goes on, 2 of 3 files are there" in cli.works(*command)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
     (out / "000002.spz").unlink()
-    code, _, err = cli(*command[:-1], 4)  # another request
-    assert code == 2 and "give --overwrite" in err and not (out / "000002.spz").exists()
-    code, _, err = cli(*command)
-    assert code == 0, err
-    code, _, err = cli(*command)  # nothing is missing
-    assert code == 2 and "--overwrite" in err
+    err = cli.fails(*command[:-1], 4)  # another request
+    assert "give --overwrite" in err and not (out / "000002.spz").exists()
+    cli.works(*command)
+    err = cli.fails(*command)  # nothing is missing
+    assert "--overwrite" in err
 
 
 def test_poses_in_amass_form_and_a_surface_with_a_motion(run, dance, cli):
     for chosen, frames in (((), 3), (("--poses", dance, "--fps", 60), 5)):
-        code, _, err = cli("export", run, "--out", run / "amass.npz", "--overwrite", *chosen)
-        assert code == 0, err
+        cli.works("export", run, "--out", run / "amass.npz", "--overwrite", *chosen)
         with np.load(run / "amass.npz") as file:
             assert file["poses"].shape == (frames, 165) and file["betas"].shape == (10,)
             assert float(file["mocap_frame_rate"]) == (60 if chosen else 30)
     for chosen in ((), ("--poses", dance)):
-        code, _, err = cli("export", run, "--out", run / "a.glb", "--overwrite", *chosen)
-        assert code == 0, err
+        cli.works("export", run, "--out", run / "a.glb", "--overwrite", *chosen)
         content = (run / "a.glb").read_bytes()
         assert content[:4] == b"glTF" and (b'"animations"' in content) == bool(chosen)
 
 
 def test_an_avatar_without_its_body_needs_the_same_body(run, known, body, cli):
     shared = run.parent / "shared.npz"
-    code, _, err = cli("export", run, "--no-rig", "--out", shared)
-    assert code == 0, err
+    cli.works("export", run, "--no-rig", "--out", shared)
     assert shared.stat().st_size < (run / "avatar.npz").stat().st_size / 2
     with torch.no_grad():
         assert same(load_avatar(shared)(Pose.rest()), known(Pose.rest()))
@@ -126,10 +117,10 @@ def test_an_avatar_without_its_body_needs_the_same_body(run, known, body, cli):
     arrays["v_template"] = arrays["v_template"] * np.float32(1.01)
     np.savez(run.parent / "other.npz", **arrays)
     other = ("--body", run.parent / "other.npz")
-    code, _, err = cli("export", shared, "--out", run / "b.ply", *other)
-    assert code == 2 and "belongs to 'puppet'" in err and "not to 'other'" in err
-    code, _, err = cli("export", run, "--no-rig", "--out", run / "b.npz", *other)
-    assert code == 2 and f"made with another body ({digest(body)}) than other" in err
+    err = cli.fails("export", shared, "--out", run / "b.ply", *other)
+    assert "belongs to 'puppet'" in err and "not to 'other'" in err
+    err = cli.fails("export", run, "--no-rig", "--out", run / "b.npz", *other)
+    assert f"made with another body ({digest(body)}) than other" in err
     assert not list(run.glob("b.*"))
 
 
@@ -151,14 +142,14 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(run, monkeypatch, cli)
     there = lambda: sorted(p.relative_to(run.parent) for p in run.parent.rglob("*"))
     before = there()
     for arguments, sentence in BAD.values():
-        code, _, err = cli("export", "run", *arguments)
-        assert code == 2 and sentence in err and err.count("\n") == 1, err
+        err = cli.fails("export", "run", *arguments)
+        assert sentence in err and err.count("\n") == 1, err
         assert there() == before
-    code, _, err = cli("export", "run/avatar.npz", "--out", "a.ply", "--frame", 0)
-    assert code == 2 and "no poses were trained there; give --poses" in err
+    err = cli.fails("export", "run/avatar.npz", "--out", "a.ply", "--frame", 0)
+    assert "no poses were trained there; give --poses" in err
     assert cli("export", "run", "--out", "a.ply")[0] == 0
-    code, _, err = cli("export", "a.ply", "--out", "a.glb")
-    assert code == 2 and "Gaussians alone" in err and not (run.parent / "a.glb").exists()
+    err = cli.fails("export", "a.ply", "--out", "a.glb")
+    assert "Gaussians alone" in err and not (run.parent / "a.glb").exists()
 
 
 def test_exported_people_stand_upright_in_the_axes_of_each_format(run, known, cli):
@@ -166,8 +157,7 @@ def test_exported_people_stand_upright_in_the_axes_of_each_format(run, known, cl
     up = known.canonical.means.detach()[:, 1].numpy()
     places = {}
     for name in ("a.ply", "a.splat", "a.spz"):
-        code, _, err = cli("export", run, "--out", run / name, "--frame", 0)
-        assert code == 0, err
+        cli.works("export", run, "--out", run / name, "--frame", 0)
         places[name] = (run / name).read_bytes()
     ply = np.frombuffer(places["a.ply"].split(b"end_header\n", 1)[1], "<f4").reshape(len(up), -1)
     spz = np.zeros((len(up), 3, 4), "u1")
@@ -188,19 +178,19 @@ def test_gaussians_of_other_programs_lose_nothing_without_a_word(run, cli):
     g.means[[3, 5], 1] = torch.nan
     save_anyway(run / "b.ply", g)
     for suffix in (".spz", ".splat", ".ply", ".compressed.ply"):
-        code, out, err = cli("export", run / "b.ply", "--out", run / f"c{suffix}")
-        assert code == 0 and f"c{suffix}: 2 of 600 Gaussians hold NaN" in out, (out, err)
+        out = cli.works("export", run / "b.ply", "--out", run / f"c{suffix}")
+        assert f"c{suffix}: 2 of 600 Gaussians hold NaN" in out, out
     assert (
         len(load_ply(run / "c.ply")) == 598 and torch.isfinite(load_ply(run / "c.ply").means).all()
     )
     content = bytearray(gzip.decompress((run / "c.spz").read_bytes()))
     content[14] = 1  # antialiased
     (run / "d.SPZ").write_bytes(gzip.compress(bytes(content)))
-    code, out, err = cli("export", run / "d.SPZ", "--out", run / "d.ply", "--sh-degree", 0)
-    assert code == 0 and "is to be drawn antialiased" in out, (out, err)
+    out = cli.works("export", run / "d.SPZ", "--out", run / "d.ply", "--sh-degree", 0)
+    assert "is to be drawn antialiased" in out, out
     assert load_ply(run / "d.ply").sh.shape == (598, 1, 3)
-    code, _, err = cli("export", run, "--out", run / "e.splat", "--sh-degree", 3)
-    assert code == 2 and "--sh-degree is for" in err
+    err = cli.fails("export", run, "--out", run / "e.splat", "--sh-degree", 3)
+    assert "--sh-degree is for" in err
 
 
 def save_anyway(path, gaussians):

@@ -110,8 +110,8 @@ def test_a_read_only_folder_is_reported_before_the_work(tmp_path, cli, subject, 
     for name, line in COMMANDS.items():
         out = tmp_path / name
         out.mkdir()
-        code, _, err = cli(*line.replace("{}", str(out)).format(subject=subject, run=run).split())
-        assert code == 2 and "Read-only file system" in err and err.count("\n") == 1, (name, err)
+        err = cli.fails(*line.replace("{}", str(out)).format(subject=subject, run=run).split())
+        assert "Read-only file system" in err and err.count("\n") == 1, (name, err)
         assert not list(out.rglob("*.*")), name
 
 
@@ -133,8 +133,8 @@ def test_overwriting_a_folder_does_not_cost_an_input_that_lies_in_it(tmp_path, c
         f"fit {subject} --out {out} --poses {out}/poses.npz",
         f"prepare film {out} {out}",
     ):
-        code, _, err = cli(*words.split(), "--overwrite")
-        assert code == 2 and f"lies in {out}, which --overwrite would remove" in err
+        err = cli.fails(*words.split(), "--overwrite")
+        assert f"lies in {out}, which --overwrite would remove" in err
     assert (out / "poses.npz").read_bytes() == (subject / "poses.npz").read_bytes()
 
 
@@ -175,5 +175,5 @@ def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, run,
 
 def test_a_picture_of_another_kind_is_refused_at_once(tmp_path, cli):
     for command in ("body --sheet {}.jpg", "check nowhere --sheet {}.gif"):
-        code, _, err = cli(*command.format(tmp_path / "sheet").split())
-        assert code == 2 and "a picture's name ends in .png" in err and not list(tmp_path.iterdir())
+        err = cli.fails(*command.format(tmp_path / "sheet").split())
+        assert "a picture's name ends in .png" in err and not list(tmp_path.iterdir())

@@ -32,9 +32,7 @@ def subject(synthetic, tmp_path):
 def test_frames_without_evidence_are_listed_and_keep_their_pose(subject, cli):
     (subject / "masks/000001.png").unlink()
     (subject / "normals/000002.png").unlink()
-    code, out, err = cli("refine", subject, *SHORT)
-    assert code == 0, err
-    assert "frame 1 keeps its stage-1 pose: it has no mask" in out
+    assert "frame 1 keeps its stage-1 pose: it has no mask" in cli.works("refine", subject, *SHORT)
     record = json.loads((subject / "refinement.json").read_text())
     assert record["kept"]["1"] == "it has no mask" and 2 in record["without_normals"]
     before, after = (load_poses(subject / f"poses{x}.npz")[0] for x in ("", "_refined"))
@@ -47,8 +45,7 @@ def test_a_ground_truth_of_another_length_costs_the_figures_alone(subject, cli):
     path = subject / "truth/poses.npz"
     with np.load(path) as file:
         np.savez(path, **{name: x[:2] if x.ndim > 1 else x for name, x in file.items()})
-    code, out, err = cli("refine", subject, *SHORT)
-    assert code == 0, err
+    out = cli.works("refine", subject, *SHORT)
     assert "goes on and is not measured" in out and (subject / "poses_refined.npz").is_file()
     assert json.loads((subject / "refinement.json").read_text())["figures"]["vertex_mm"] is None
 
@@ -57,8 +54,7 @@ def test_a_ground_truth_of_another_length_costs_the_figures_alone(subject, cli):
 def test_normals_are_read_by_the_given_convention(subject, cli):
     found = {}
     for way in ("none", "icon"):
-        code, out, err = cli("refine", subject, *SHORT, "--normals", way, "--overwrite")
-        assert code == 0, err
+        out = cli.works("refine", subject, *SHORT, "--normals", way, "--overwrite")
         assert ("silhouettes alone" in out) == (way == "none")
         found[way] = load_poses(subject / "poses_refined.npz")[0].rotations.numpy()
     assert not np.array_equal(found["none"], found["icon"])
@@ -77,8 +73,8 @@ BAD = {
 def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     for command, sentence in BAD.values():
-        code, _, err = cli("refine", *command)
-        assert code == 2 and sentence in err and err.count("\n") == 1
+        err = cli.fails("refine", *command)
+        assert sentence in err and err.count("\n") == 1
 
 
 def test_the_content_of_held_out_frames_changes_nothing(subject, tmp_path, cli):
@@ -86,8 +82,7 @@ def test_the_content_of_held_out_frames_changes_nothing(subject, tmp_path, cli):
     other = shutil.copytree(subject, tmp_path / "other")
     for kind in ("masks", "normals"):
         shutil.copy(other / kind / "000000.png", other / kind / "000001.png")
-    code, _, err = cli("refine", subject, other, *SHORT, "--hold-out-test")
-    assert code == 0, err
+    cli.works("refine", subject, other, *SHORT, "--hold-out-test")
     found = [load_poses(folder / "poses_refined.npz")[0] for folder in (subject, other)]
     np.testing.assert_array_equal(found[0].rotations, found[1].rotations)
     np.testing.assert_array_equal(found[0].transl, found[1].transl)

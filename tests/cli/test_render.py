@@ -27,8 +27,7 @@ def pictures(folder):
 
 def test_trained_poses_are_seen_by_the_cameras_of_a_file(run, cli):
     cameras, out = run.parent / "cameras.npz", run.parent / "out"
-    code, said, err = cli("render", run, "--cameras", cameras, "--out", out, "--background", "red")
-    assert code == 0, err
+    said = cli.works("render", run, "--cameras", cameras, "--out", out, "--background", "red")
     assert pictures(out) == ["000000.png", "000001.png", "000002.png"] and "3 pictures" in said
     image = read_image(out / "000000.png", 3)
     assert image.shape == (48, 48, 3) and (image[0, 0] == (255, 0, 0)).all()
@@ -44,8 +43,7 @@ def test_the_default_is_a_turntable_and_alpha_is_transparent(run, cli):
 
     out = run.parent / "out"
     given = ("render", run, "--out", out, "--frames", 4, "--alpha", "--video", "--fps", 10, *SMALL)
-    code, _, err = cli(*given)
-    assert code == 0, err
+    cli.works(*given)
     assert len(pictures(out)) == 4 and not (out / "video.mp4").exists()
     wanted = [np.asarray(Image.open(out / name)) for name in pictures(out)]
     assert all(x.shape == (48, 32, 4) and x[0, 0, 3] == 0 and x[..., 3].max() > 200 for x in wanted)
@@ -65,8 +63,7 @@ def test_the_default_is_a_turntable_and_alpha_is_transparent(run, cli):
 def test_a_film_over_a_picture(run, cli):
     write_image(run.parent / "wall.png", np.full((10, 90, 3), (0, 0, 255), np.uint8))
     out = ("--out", run.parent / "out", "--background", run.parent / "wall.png", "--video")
-    code, _, err = cli("render", run, *out, "--path", "orbit", "--frames", 3, *SMALL)
-    assert code == 0, err
+    cli.works("render", run, *out, "--path", "orbit", "--frames", 3, *SMALL)
     images = Film(run.parent / "out/video.mp4")
     assert len(images) == 3 and images[0].shape == (48, 32, 3)
     assert np.abs(images[0][:3, :3].astype(int) - (0, 0, 255)).max() < 25
@@ -91,8 +88,8 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(run, camera, monkeypat
     np.savez("enormous.npz", **data | {"width": 2_000_000, "height": 2_000_000})
     np.savez("text.npz", **data | {"width": "wide"})
     for arguments, sentence in BAD.values():
-        code, _, err = cli("render", "run", "--out", "out", *arguments)
-        assert code == 2 and sentence in err and err.count("\n") == 1, err
+        err = cli.fails("render", "run", "--out", "out", *arguments)
+        assert sentence in err and err.count("\n") == 1, err
         assert not (run.parent / "out").exists()
 
 
@@ -104,27 +101,24 @@ def touched(folder):
 def test_an_interrupted_render_is_resumed_with_the_same_bits(alpha, film, run, cli):
     out = run.parent / "out"
     command = ("render", run, "--out", out, "--frames", 4, "--video", *alpha, *SMALL)
-    code, _, err = cli(*command)
-    assert code == 0, err
+    cli.works(*command)
     wanted, times = {path.name: path.read_bytes() for path in out.iterdir()}, touched(out)
     gone = {"000002.png", "000003.png", film}
     for name in gone:
         (out / name).unlink()
     (out / "000002.png.part").write_bytes(b"cut short")
-    code, said, err = cli(*command)
-    assert code == 0 and f"{out}: goes on, 2 of 5 files are there" in said, err
+    assert f"{out}: goes on, 2 of 5 files are there" in cli.works(*command)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
     assert {name for name, time in touched(out).items() if time != times[name]} == gone
-    code, _, err = cli(*command)  # nothing is missing
-    assert code == 2 and "already holds something; give --overwrite" in err
+    err = cli.fails(*command)  # nothing is missing
+    assert "already holds something; give --overwrite" in err
 
 
 def test_a_render_with_other_inputs_is_not_resumed(run, known, turning, cli):
     out, options = run.parent / "out", {"--poses": run / "poses.npz", "--turn": 0}
     command = lambda: ("render", run, "--out", out, "--path", "static", *SMALL,
                        *(word for pair in options.items() for word in pair))  # fmt: skip
-    code, _, err = cli(*command())
-    assert code == 0, err
+    cli.works(*command())
     (out / "000001.png").unlink()
     marker, avatar, poses = out / "render.json", run / "avatar.npz", run / "poses.npz"
     before = {path: path.read_bytes() for path in (marker, avatar, poses)}
@@ -145,12 +139,10 @@ def test_a_render_with_other_inputs_is_not_resumed(run, known, turning, cli):
         lambda: marker.write_text("[]") and {},
     ):  # fmt: skip
         options.update(change() or {})
-        code, _, err = cli(*command())
-        assert code == 2 and "already holds something; give --overwrite to replace it" in err
+        assert "already holds something; give --overwrite to replace it" in cli.fails(*command())
         assert not (out / "000001.png").exists()
         options.clear()
         options.update({"--poses": poses, "--turn": 0})
         for path, content in before.items():
             path.write_bytes(content)
-    code, _, err = cli(*command())
-    assert code == 0, err
+    cli.works(*command())

@@ -49,8 +49,7 @@ def done(monkeypatch):
 
 
 def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cli):
-    code, out, err = cli("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
-    assert code == 0, err
+    out = cli.works("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
     families = list(dict.fromkeys(case.family for case in HELD_OUT))
     lines = out.splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("error model "))
@@ -70,8 +69,7 @@ def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cl
 
 def test_the_avatars_table_has_a_row_for_each_variant(done, tmp_path, cli):
     avatar = ("study", "avatar", "--out", tmp_path, "--subjects", "bruno", "edgar")
-    code, out, err = cli(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
-    assert code == 0, err
+    out = cli.works(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
     lines = out.splitlines()
     head = lines.index("held-out subjects") + 1
     assert lines[head].split() == ["psnr", "test"]
@@ -101,8 +99,7 @@ def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
 
 def test_stage_1_alone_is_another_result_than_its_refinement(done, tmp_path, cli):
     limits = ("study", "refine", "--cases", "limits", "--out", tmp_path)
-    code, out, err = cli(*limits, "--stage", 1)
-    assert code == 0, err
+    out = cli.works(*limits, "--stage", 1)
     assert {variant for _, variant in done} == {"stage 1"} and "seed 140, room, held" not in out
     head = next(line for line in out.splitlines() if line.startswith("absolute, mm "))
     assert head.split()[2:6] == ["body,", "stage", "1", "body"]
@@ -134,25 +131,25 @@ def test_names_that_no_case_has_are_refused(done, tmp_path, cli):
     assert cli(*other, "--error-models", "lean")[0] == 0
     assert done and all(case.take.seed // 100 == 8 for case, _ in done)
     for argument, name in (("--subjects", "amira"), ("--error-models", "lost")):
-        code, _, err = cli(*refine, argument, name)
-        assert code == 2 and f"no '{name}'" in err and "these cases have:" in err
-    code, _, err = cli(*refine, "--subjects", "bruno", "--error-models", "focal")
-    assert code == 2 and "no case has both" in err
-    code, _, err = cli("study", "avatar", "--out", tmp_path, "--rows", "best")
-    assert code == 2 and "no 'best'; there are: as printed, " in err
+        err = cli.fails(*refine, argument, name)
+        assert f"no '{name}'" in err and "these cases have:" in err
+    err = cli.fails(*refine, "--subjects", "bruno", "--error-models", "focal")
+    assert "no case has both" in err
+    err = cli.fails("study", "avatar", "--out", tmp_path, "--rows", "best")
+    assert "no 'best'; there are: as printed, " in err
 
 
 def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli, monkeypatch):
     lacks = property(lambda case: "anny" if case.take.figure == "anny" else None)
     monkeypatch.setattr(StudyCase, "lacks", lacks)
-    code, out, _ = cli("study", "refine", "--out", tmp_path, "--error-models", "mixed")
-    assert code == 0 and "because the package anny is not installed" in out
+    out = cli.works("study", "refine", "--out", tmp_path, "--error-models", "mixed")
+    assert "because the package anny is not installed" in out
     assert all(case.take.figure != "anny" for case, _ in done) and len(done) == 1
 
 
 def test_an_older_study_is_named_and_can_be_overwritten(done, tmp_path, cli):
     (tmp_path / "refine.json").write_text('{"cases": []}')
     refine = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
-    code, _, err = cli(*refine)
-    assert code == 2 and "another version of gva-mi wrote this study" in err and not done
+    err = cli.fails(*refine)
+    assert "another version of gva-mi wrote this study" in err and not done
     assert cli(*refine, "--overwrite")[0] == 0

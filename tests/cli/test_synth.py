@@ -22,8 +22,8 @@ def recording(tmp_path_factory):
 
 def test_a_recording_gets_another_error_model(recording, tmp_path, cli):
     out = tmp_path / "other"
-    code, printed, _ = cli("synth", out, "--like", recording, "--family", "lean", "--seed", 3)
-    assert code == 0 and "family lean, seed 3" in printed
+    printed = cli.works("synth", out, "--like", recording, "--family", "lean", "--seed", 3)
+    assert "family lean, seed 3" in printed
     assert json.loads((out / "noise.json").read_text())["levels"]["mask"] == 1
     assert (out / "frames/000001.png").samefile(recording / "frames/000001.png")
 
@@ -33,12 +33,12 @@ def test_options_of_the_recording_are_refused(recording, tmp_path, cli):
         ("--frames", 3, "--frames is fixed by the recording"),
         ("--family", "pink", "no family 'pink' of noise; there are: bursts, white"),
     ):
-        code, _, err = cli("synth", tmp_path / "other", "--like", recording, option, value)
-        assert code == 2 and said in err and err.count("\n") == 1
+        err = cli.fails("synth", tmp_path / "other", "--like", recording, option, value)
+        assert said in err and err.count("\n") == 1
         assert not (tmp_path / "other").exists()
 
 
 def test_a_recording_is_not_replaced_by_itself(recording, cli):
     for option, reason in (((), "is the recording itself"), (("--overwrite",), "would remove")):
-        code, _, err = cli("synth", recording, "--like", recording, *option)
-        assert code == 2 and reason in err and (recording / "synth.json").exists()
+        err = cli.fails("synth", recording, "--like", recording, *option)
+        assert reason in err and (recording / "synth.json").exists()

@@ -37,8 +37,7 @@ def avatar(known, tmp_path):
 
 
 def test_tracking_moves_poses_to_the_pictures(person, avatar, cli):
-    code, out, err = cli("track", avatar, person, *SHORT)
-    assert code == 0, err
+    out = cli.works("track", avatar, person, *SHORT)
     found, _ = load_poses(person / "poses_photometric.npz")
     record = json.loads((person / "photometric.json").read_text())
     errors = record["errors_mm"]
@@ -49,16 +48,15 @@ def test_tracking_moves_poses_to_the_pictures(person, avatar, cli):
     assert record["figures"]["loss"] < record["figures"]["loss_start"]
     video = load_video(person, person / "poses_photometric.npz")
     assert torch.equal(video.pose.transl, found.transl)
-    code, _, err = cli("track", avatar, person, *SHORT)
-    assert code == 2 and "--overwrite" in err and err.count("\n") == 1
+    err = cli.fails("track", avatar, person, *SHORT)
+    assert "--overwrite" in err and err.count("\n") == 1
 
 
 @pytest.mark.slow
 def test_a_video_without_ground_truth_is_tracked(person, avatar, cli):
     shutil.rmtree(person / "truth")
     (person / "masks/000002.png").unlink()
-    code, out, err = cli("track", avatar, person, *SHORT)
-    assert code == 0, err
+    out = cli.works("track", avatar, person, *SHORT)
     assert "frame 2 keeps its pose: it has no mask" in out and " mm" not in out
     assert json.loads((person / "photometric.json").read_text())["errors_mm"] == {}
 
@@ -71,13 +69,11 @@ def test_trained_poses_of_another_video_are_not_used(person, avatar, cli):
     run_folder.prepare(run / "fit", {}, first, resume=False)
     for name in ("avatar.npz", "poses.npz"):
         shutil.copy(run / name, run / "fit")
-    code, out, err = cli("track", run / "fit", person, "--passes", 1)
-    assert code == 0 and "another video" not in out, err
+    assert "another video" not in cli.works("track", run / "fit", person, "--passes", 1)
     record = json.loads((person / "photometric.json").read_text())
     assert record["start"] == str(run / "fit/poses.npz")
     shutil.copy(person / "frames/000001.png", person / "frames/000000.png")
-    code, out, err = cli("track", run / "fit", person, "--passes", 1, "--overwrite")
-    assert code == 0, err
+    out = cli.works("track", run / "fit", person, "--passes", 1, "--overwrite")
     assert "was fitted to another video (other frames)" in out
     record = json.loads((person / "photometric.json").read_text())
     assert record["start"] == str(person / "poses.npz")
@@ -94,8 +90,7 @@ def test_test_frames_are_fitted_only_on_request(video, body, subject, tmp_path, 
     fit(video, body, options, tmp_path)
     rows = {}
     for arguments in ((), ("--fit-poses",)):
-        code, out, err = cli("evaluate", tmp_path, subject, *arguments)
-        assert code == 0, err
+        out = cli.works("evaluate", tmp_path, subject, *arguments)
         rows[arguments] = json.loads((tmp_path / "metrics.json").read_text())["rows"]
         assert (
             (FITTED in out)

@@ -21,7 +21,7 @@ def rewrite(path, **changes):
 
 def test_a_subject_comes_back_as_it_was_written(subject):
     video = load_video(subject)
-    assert len(video) == 3 and video.size == (8, 6) and not video.has_normals
+    assert len(video) == 3 and video.size == (8, 6) and video.normals is None
     frame = video[1]
     expected = read_image(subject / "frames/000001.png", 3) / np.float32(255)
     assert np.array_equal(frame.image, expected)
@@ -81,8 +81,8 @@ def test_absent_frames_belong_to_no_split(subject):
 def test_normals_may_be_missing_for_some_frames(subject):
     np.save(subject_file(subject, "normals/000002.npy"), np.tile((0.0, 0.0, -1.0), (6, 8, 1)))
     video = load_video(subject)
-    assert video.has_normals and [f.normals is None for f in video.frames()] == [True, True, False]
-    assert not load_video(subject, normals="none").has_normals
+    assert video.normals and [f.normals is None for f in video.frames()] == [True, True, False]
+    assert load_video(subject, normals="none").normals is None
 
 
 def subject_file(subject, name):

@@ -3,18 +3,17 @@
 import shutil
 
 import numpy as np
-import torch
+from samples.scenes import few_gaussians
 
 from gva_mi.body.pose import save_poses
 from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera, look_at
-from gva_mi.splat.scene import random_scene
 
 
 def prepare(page, folder, known, turning):
     """Write what a page needs beside the results of README's commands."""
     dance(folder)
-    scene(folder)
+    few_gaussians(folder / "scene.npz")
     if page in ("export.md", "motions.md"):  # an avatar that visibly moves
         shutil.rmtree(folder / "run")
         known.save(folder / "run/avatar.npz")
@@ -39,15 +38,6 @@ def dance(folder):
     poses[:, 50] = np.linspace(0, 0.5, 9)
     amass = {"poses": poses, "trans": np.zeros((9, 3)), "betas": np.zeros(16)}
     np.savez(folder / "dance.npz", **amass, mocap_framerate=60.0)
-
-
-def scene(folder):
-    """Write a scene of 8 Gaussians and a camera."""
-    s = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=20, height=16)
-    c = s.camera
-    arrays = {k: v.numpy() for k, v in s.inputs().items()}
-    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
-    np.savez(folder / "scene.npz", **arrays, **camera)
 
 
 def two_more(folder):

@@ -1,20 +1,21 @@
 """Whatever a file holds, its reader ends with one sentence, in bounded time and memory.
 
-Damaged files come from a seeded generator (mutations.py) and good ones (seeds.py and its
-neighbours). The quick test takes 12 files of the main readers, ``pytest -m slow tests/fuzz`` 400 of
-every reader.
+Damaged files come from a seeded generator and good ones (samples/mutations.py and the seeds beside
+it). The quick test takes 12 files of the main readers, ``pytest -m slow tests/fuzz`` 400 of every
+reader.
 """
 
 import random
 import resource
-import runpy
 import shutil
 import signal
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+from samples.importer_seeds import importers
+from samples.mutations import mutated
+from samples.seeds import seeds as good_files
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.datasets import DATASETS
@@ -30,18 +31,10 @@ SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader
 
 
-def module(name):
-    return SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name(f"{name}.py"))))
-
-
-mutated = module("mutations").mutated
-
-
 @pytest.fixture(scope="module")
 def seeds(subject, known):
     """For each reader, a function that writes its good files and one that reads them."""
-    ours = module("seeds").seeds(subject, known)
-    return ours | module("importers").importers()
+    return good_files(subject, known) | importers()
 
 
 @contextmanager

@@ -6,20 +6,12 @@ import numpy as np
 import pytest
 import torch
 from drjit.llvm import TensorXf64
+from samples.scenes import draw, scene
 
 from gva_mi.splat import drjit_render as native
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.scene import random_scene
 from gva_mi.splat.torch_render import render
-
-
-def scene(**kwargs):
-    return random_scene(torch.Generator().manual_seed(0), **kwargs)
-
-
-def draw(s):
-    return render(s.gaussians, s.camera, s.options, s.background)
 
 
 def draw_drjit(s):

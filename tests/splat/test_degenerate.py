@@ -5,20 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from samples.scenes import double, draw, scene
 
-from gva_mi.gradcheck import random_scene, tangent_image
+from gva_mi.gradcheck import tangent_image
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.torch_render import render
-
-
-def scene(**kwargs):
-    return random_scene(torch.Generator().manual_seed(0), **kwargs)
-
-
-def double(*values):
-    return torch.tensor(values, dtype=torch.float64)
-
 
 CAMERA = scene().camera
 EYE = torch.tensor(CAMERA.position.copy())
@@ -55,10 +47,6 @@ def made(name, dtype=torch.float64, **kwargs):
     first = {k: v if k == "background" else v[:n] for k, v in s.inputs().items()}
     s = s.with_inputs(first | {k: v.reshape(n, *first[k].shape[1:]) for k, v in arrays.items()})
     return s.with_camera_inputs().to(dtype)
-
-
-def draw(s):
-    return render(s.gaussians, s.camera, s.options, s.background)
 
 
 @pytest.mark.parametrize("name", SCENES)

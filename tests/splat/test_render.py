@@ -6,27 +6,15 @@ import drjit as dr
 import numpy as np
 import pytest
 import torch
+from samples.scenes import double, draw, scene
 
 from gva_mi.gradcheck import tangent_image
 from gva_mi.splat import Screen, reference, render
 from gva_mi.splat.kernels import passes
-from gva_mi.splat.scene import random_scene
-
-
-def scene(seed=0, **kwargs):
-    return random_scene(torch.Generator().manual_seed(seed), **kwargs)
-
-
-def double(*values):
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def changed(s, **arrays):
     return s.with_inputs(s.inputs() | arrays)
-
-
-def draw(s, **kwargs):
-    return render(s.gaussians, s.camera, s.options, s.background, **kwargs)
 
 
 def assert_same(a, b, atol=1e-12):

@@ -48,5 +48,5 @@ def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_bod
     video = load_video(tmp_path / "filmed")
     truth = load_ground_truth(video.truth, built_in_body)
     errors = means(pose_errors(built_in_body, (video.pose, video.shape), truth))
-    assert video.kind == "film" and len(video.landmarks) == 12 and not video.has_normals
+    assert video.kind == "film" and len(video.landmarks) == 12 and video.normals is None
     assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120

@@ -9,6 +9,7 @@ import torch
 
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.core.errors import InputError
+from gva_mi.data.normals import NormalMaps
 from gva_mi.data.video import load_video, save_cameras
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.run_folder import METRICS
@@ -106,14 +107,12 @@ def test_trained_poses_have_a_line_of_their_own(metrics):
         ("poses_photometric.npz", None, (["stage 1", "track"], ["track"], [])),
     ],
 )
-def test_the_protocol_lists_who_has_seen_the_test_frames(
-    poses, refinement, seen, video, tmp_path, monkeypatch
-):
+def test_the_protocol_lists_who_has_seen_the_test_frames(poses, refinement, seen, video, tmp_path):
     if refinement is not None:
         (tmp_path / "refinement.json").write_text(
             json.dumps({"figures": {}, "test_frames": refinement})
         )
-    monkeypatch.setattr(type(video), "has_normals", True)
+    video = replace(video, normals=NormalMaps(tmp_path, "perspective", None))
     options = {"vgg16": None}
     found = protocol_of(Scorer(Weights()), video, tmp_path / poses, options)
     assert tuple(found["seen"].values()) == seen and found["masks"] == "the video's"

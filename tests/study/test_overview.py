@@ -7,7 +7,7 @@ import numpy as np
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 from gva_mi.study.overview import HEIGHT, overview
-from gva_mi.study.pictures import ShownAvatar, truly_cut
+from gva_mi.study.pictures import ShownAvatar
 
 
 def test_frames_are_cut_by_the_true_mask_where_it_is_known(subject, tmp_path):
@@ -16,8 +16,8 @@ def test_frames_are_cut_by_the_true_mask_where_it_is_known(subject, tmp_path):
     true[::2] = 1
     write_image(folder / "truth/masks/000003.png", true)
     video = load_video(folder)
-    assert np.array_equal(truly_cut(video, 3).mask, true)
-    assert np.array_equal(truly_cut(video, 2).mask, video[2].mask)
+    assert np.array_equal(video.truly_cut(video[3]).mask, true)
+    assert np.array_equal(video.truly_cut(video[2]).mask, video[2].mask)
 
 
 def test_new_poses_are_shown_beside_their_ground_truth(known, studio, body):

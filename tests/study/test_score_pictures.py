@@ -69,14 +69,13 @@ def test_renders_are_paired_by_number_and_put_on_the_background(tmp_path, cli):
         write_image(tmp_path / f"renders/r_{k}.png", layer)
     folders = [str(tmp_path / name) for name in ("renders", "truth")]
     masked = ("--masks", str(tmp_path / "masks"), "--out", str(tmp_path / "scores.json"))
-    code, out, err = cli("score", *folders, *masked)
-    assert code == 0, err
+    cli.works("score", *folders, *masked)
     rows = json.loads((tmp_path / "scores.json").read_text())["rows"]
     strict = {row["region"]: row for row in rows if row["protocol"] == "strict"}
     assert strict["whole"]["count"] == 2 and strict["mask"]["psnr"] > 50 < strict["whole"]["psnr"]
     write_image(tmp_path / "renders/r_7.png", truth)
-    code, _, err = cli("score", *folders)
-    assert code == 2 and "has no frame 7" in err and err.count("\n") == 1
+    err = cli.fails("score", *folders)
+    assert "has no frame 7" in err and err.count("\n") == 1
 
 
 def test_a_subject_brings_masks_and_boxes_of_hands(subject, tmp_path, cli):
@@ -86,8 +85,7 @@ def test_a_subject_brings_masks_and_boxes_of_hands(subject, tmp_path, cli):
         mask = video.true_mask(frame.index)
         known = frame if mask is None else replace(frame, mask=mask)
         write_image(tmp_path / f"{frame.index}.png", cut_out(known))
-    code, out, err = cli("score", str(tmp_path), str(subject))
-    assert code == 0, err
+    out = cli.works("score", str(tmp_path), str(subject))
     figures = [line.split() for line in out.splitlines()[1:]]
     assert {"whole", "box", "mask", "hands"} <= {line[0] for line in figures}
     assert all(float(line[2]) > 58 for line in figures)

@@ -43,7 +43,7 @@ def assert_overlay(mask, pixels):
 
 def test_the_folder_opens_as_a_video(noisy, body):
     video = load_video(noisy)
-    assert len(video) == 3 and video.size == (64, 64) and video.has_normals
+    assert len(video) == 3 and video.size == (64, 64) and video.normals
     assert video.truth == noisy / "truth"
     require_same_body(noisy, body)
     for k, image in enumerate(Film(noisy / "video.mp4")):

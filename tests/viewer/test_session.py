@@ -103,8 +103,7 @@ def test_render_reads_the_saved_cameras_of_keyframes(
     known.save(tmp_path / "avatar.npz")
     save_poses(tmp_path / "poses.npz", motion, turning(1)[1], stage=2)
     files = ("--poses", tmp_path / "poses.npz", "--cameras", path, "--out", tmp_path / "renders")
-    code, _, err = cli("render", tmp_path / "avatar.npz", *files)
-    assert code == 0, err
+    cli.works("render", tmp_path / "avatar.npz", *files)
     panel.now = State(frame=2, seen_from="keyframes")
     opened.step({7: page}, 1.0)
     found = page.shown[-1][0]

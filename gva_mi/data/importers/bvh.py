@@ -15,6 +15,7 @@ import numpy as np
 
 from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_bytes
 
 _CHANNEL = re.compile(r"([xyz])(position|rotation)", re.IGNORECASE)
 _MOTION = re.compile(r"^\s*MOTION\s*$", re.MULTILINE | re.IGNORECASE)
@@ -54,10 +55,7 @@ class BvhClip:
 
 def read_bvh(path: Path) -> BvhClip:
     """Read a file."""
-    try:
-        text = path.read_bytes().decode("utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; expected {_EXPECTED}") from None
+    text = read_bytes(path, _EXPECTED).decode("utf-8-sig", errors="replace")
     head, *tail = _MOTION.split(text, maxsplit=1)
     names, parents, offsets, channels = _hierarchy(path, head)
     found = _FRAMES.match(tail[0]) if tail else None

@@ -8,6 +8,7 @@ from collections import OrderedDict, defaultdict
 
 import numpy as np
 import pytest
+from samples.joblib_files import joblib_dump
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.pickles.reader import read_objects
@@ -66,7 +67,7 @@ def test_objects_in_arrays(tmp_path):
 
 
 @pytest.mark.parametrize("pack", [bytes, zlib.compress, gzip.compress], ids=["plain", "zlib", "gz"])
-def test_joblib(tmp_path, pack, joblib_dump):
+def test_joblib(tmp_path, pack):
     value = {np.int64(0): {"pose": ARRAY, "again": ARRAY, "f": np.asfortranarray(ARRAY * 2)}}
     value["objects"] = np.array([{"a": 1}, None], dtype=object)
     found = reread(tmp_path, pack(joblib_dump(value)))

@@ -1,20 +1,16 @@
 """Each fault is named by a problem of its own, and a good folder has none."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from samples.broken_cases import poses
+from samples.faults import FAULTS
 
 from gva_mi import InputError
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.silhouettes import accepts
-
-spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
-faults = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(faults)
-FAULTS = faults.FAULTS
 
 ALSO = {  # problems that follow from a fault, beside the one that names it
     "poses in millimetres": {"jumps"},
@@ -60,9 +56,8 @@ def test_several_faults_are_named_in_one_pass(subject, built_in_body):
 
 
 def test_frames_with_another_person_are_listed(subject, built_in_body):
-    faults.change(
-        subject / "poses.npz", transl=lambda x: x + np.float32(1.2) * (np.arange(8) == 5)[:, None]
-    )
+    away = np.float32(1.2) * (np.arange(8) == 5)[:, None]
+    poses(transl=lambda x: x + away)(subject)
     report, _, _ = check_subject(subject, built_in_body)
     outside = next(p for p in report.problems if p.what == "poses outside the masks")
     assert outside.severity == "doubtful" and outside.frames == (5,) and not report.errors
@@ -70,7 +65,7 @@ def test_frames_with_another_person_are_listed(subject, built_in_body):
 
 def test_poses_that_are_never_in_the_masks_are_an_error(subject, built_in_body):
     sides = np.where(np.arange(8) % 2, 1.3, -1.3)[:, None] * [[1, 0, 0]]
-    faults.change(subject / "poses.npz", transl=lambda x: (x + sides).astype("f4"))
+    poses(transl=lambda x: (x + sides).astype("f4"))(subject)
     report, _, _ = check_subject(subject, built_in_body)
     assert {p.what for p in report.errors} == {"poses outside the masks"}
 
@@ -98,18 +93,15 @@ def test_a_gain_has_to_be_sure_and_worth_a_word():
 
 def test_the_command_prints_writes_and_ends_with_its_code(subject, cli):
     out, sheet = subject.parent / "found.json", subject.parent / "sheet.png"
-    code, said, err = cli("check", subject)
-    assert code == 0 and "8 frames, 0 errors, 0 doubtful; mean IoU" in said, err
+    assert "8 frames, 0 errors, 0 doubtful; mean IoU" in cli.works("check", subject)
     FAULTS["splits"](subject)
     code, said, err = cli("check", subject, "--json", out, "--sheet", sheet)
     assert code == 1 and "splits" in said and "what to do" in said
     found = json.loads(out.read_text())
     assert [f["what"] for f in found["findings"]] == ["splits"] and found["frames"] == 8
     assert sheet.stat().st_size
-    code, _, err = cli("check", subject, "--json", out)
-    assert code == 2 and "--overwrite" in err
-    code, _, err = cli("check", Path("nowhere"))
-    assert code == 2 and "nowhere: no such folder" in err
+    assert "--overwrite" in cli.fails("check", subject, "--json", out)
+    assert "nowhere: no such folder" in cli.fails("check", Path("nowhere"))
 
 
 def test_the_sheet_shows_both_outlines(whole, built_in_body):

@@ -1,17 +1,12 @@
 """Faults of synthetic subjects in clothes, with hair, whose poses err as an estimator's do."""
 
-import importlib.util
 import shutil
-from pathlib import Path
 
 import pytest
+from samples import faults
 
 from gva_mi.data.check import check_subject
 from gva_mi.synthetic import SynthOptions, make_subject
-
-spec = importlib.util.spec_from_file_location("faults", Path(__file__).with_name("faults.py"))
-faults = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(faults)
 
 SUBJECTS = {  # seed: motion, error model of stage 1
     51: ("turn", "mixed"), 52: ("everyday", "bursts"), 53: ("walk", "lean"), 54: ("half", "slow"),

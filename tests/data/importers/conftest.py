@@ -1,29 +1,18 @@
 """A motion that is known: somebody who walks, in a world with y up; and how a camera sees it."""
 
-import importlib.util
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from samples import data_sets as filmed
+from samples.data_sets import FRAMES, HEIGHT, WIDTH
+from samples.estimates import of_smpl
 
 from gva_mi.body.rotations import composed, to_matrices
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-
-spec = importlib.util.spec_from_file_location("filmed", Path(__file__).with_name("filmed.py"))
-data_sets = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(data_sets)
-
-WIDTH, HEIGHT, FRAMES = data_sets.WIDTH, data_sets.HEIGHT, data_sets.FRAMES
-
-
-@pytest.fixture(scope="session")
-def filmed():
-    """The module filmed.py."""
-    return data_sets
 
 
 @pytest.fixture(scope="session")
@@ -51,7 +40,7 @@ def seen(walk):
 
 
 @pytest.fixture
-def world(seen, filmed):
+def world(seen):
     """In a world that TURN and MOVE take to the camera: roots (T, 3) and pelvises (T, 3)."""
     rotations, places = seen
     R = filmed.matrices(filmed.TURN)
@@ -66,12 +55,11 @@ def thetas(seen, world):
 
 
 @pytest.fixture
-def prepared(tmp_path, cli, filmed):
+def prepared(tmp_path, cli):
     """Prepare a data set for the puppet: the subject's folder, and what was said."""
 
     def run(source, *more, kind="auto"):
-        code, said, err = cli("prepare", kind, source, tmp_path / "s", *filmed.BUILT_IN_BODY, *more)
-        assert code == 0, err
+        said = cli.works("prepare", kind, source, tmp_path / "s", *filmed.BUILT_IN_BODY, *more)
         return tmp_path / "s", said
 
     return run
@@ -84,9 +72,9 @@ def wham(tmp_path):
     def write(**people):
         found = {}
         for name, (rotations, transl, *frames) in people.items():
-            pose = np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
+            pose = of_smpl(rotations).reshape(-1, 72)
             found[np.int64(name[1:])] = {
-                "pose": pose.reshape(-1, 72), "trans": transl, "betas": np.zeros((len(pose), 10)),
+                "pose": pose, "trans": transl, "betas": np.zeros((len(pose), 10)),
                 "frame_ids": np.array(frames[0]) if frames else np.arange(len(pose)),
             }  # fmt: skip
         (tmp_path / "wham_output.pkl").write_bytes(pickle.dumps(found))

@@ -4,14 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from samples.rotations import matrices
 
 from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 BODY = TargetBody.read(None)
 AS_IT_IS = MotionOptions(fps=30, hands="flat")
@@ -216,5 +214,5 @@ def test_damaged_files_are_described(tmp_path, dance, cli):
     folded = {n: (p, np.abs(x)) for n, (p, x) in CMU.items()}
     with pytest.raises(InputError, match="nobody stands in its pose of zero angles nor in any"):
         read_motion(write(tmp_path / "c.bvh", folded, turns, path), BODY, AS_IT_IS)
-    code, said, err = cli("motion", tmp_path / "a.bvh", tmp_path / "a.npz")
-    assert code == 0 and "20 frames at 30 a second, y up; now 16 at 25" in said, err
+    said = cli.works("motion", tmp_path / "a.bvh", tmp_path / "a.npz")
+    assert "20 frames at 30 a second, y up; now 16 at 25" in said

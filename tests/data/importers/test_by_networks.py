@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from samples.networks import onnx_file, onnx_graph
 
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
@@ -94,10 +95,9 @@ def test_masks_by_segment_anything(tmp_path, cli, monkeypatch, people, joints, w
     drawn = draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     out = tmp_path / "subject"
     given = ["--body", "puppet", "--frames", tmp_path / "shots", "--person", "0"]
-    code, said, err = cli(
+    said = cli.works(
         "prepare", "auto", wham_file, out, *given, "--masks", "sam", "--sam-checkpoint", tmp_path
     )
-    assert code == 0, err
     assert "frames where the network found nobody: 4" in said
     video = load_video(out)
     assert set(video.absent) == {4}
@@ -112,8 +112,8 @@ def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham
     given = [wham_file, tmp_path / "s", "--body", "puppet", "--frames", tmp_path / "shots"]
 
     def refused(words, *more):
-        code, _, err = cli("prepare", "wham", *given, *more)
-        assert code == 2 and words in err and err.count("\n") <= 2, err
+        err = cli.fails("prepare", "wham", *given, *more)
+        assert words in err and err.count("\n") <= 2, err
         assert not (tmp_path / "s").exists()
 
     refused("--masks sam needs --sam-checkpoint; expected a folder", "--masks", "sam")
@@ -121,21 +121,20 @@ def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham
     refused("it needs --masks sam", "--sam-checkpoint", tmp_path / "x.pth")
 
 
-def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file, normal_network):
+def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
     prompts = prompts_of(people[0], [], joints, (WIDTH, HEIGHT))
     drawn = draw(tmp_path / "shots", prompts)
     np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) != 2)[:, None, None])
-    normal_network(tmp_path / "normals.onnx")
+    onnx_file(tmp_path / "normals.onnx")
     given = [
         "--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy",
         "--person", "0", "--normals", tmp_path / "normals.onnx", "--normals-size", "96", "128",
     ]  # fmt: skip
     out = tmp_path / "subject"
-    code, _, err = cli("prepare", "wham", wham_file, out, *given)
-    assert code == 2 and "--normals needs --normals-convention" in err
-    code, said, err = cli("prepare", "wham", wham_file, out, *given,
+    err = cli.fails("prepare", "wham", wham_file, out, *given)
+    assert "--normals needs --normals-convention" in err
+    said = cli.works("prepare", "wham", wham_file, out, *given,
                           "--normals-convention", "opengl")  # fmt: skip
-    assert code == 0, err
     assert "normals of 4 frames by normals.onnx, opengl" in said
     video = load_video(out)
     assert set(video.absent) == {2} and not (out / "normals/000002.png").exists()
@@ -148,9 +147,7 @@ def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file, normal_n
         assert np.abs(middle - (0.6, -y, -np.sqrt(1 - 0.36 - y * y))).max() < 0.02
 
 
-def test_icon_s_network_is_given_the_posed_body(
-    tmp_path, cli, people, joints, wham_file, network_file
-):
+def test_icon_s_network_is_given_the_posed_body(tmp_path, cli, people, joints, wham_file):
     """A network that answers with the body's own normals: those that Mitsuba's camera sees."""
     pytest.importorskip("mitsuba")
     from gva_mi.mesh.mesh_scene import MeshScene
@@ -158,19 +155,19 @@ def test_icon_s_network_is_given_the_posed_body(
     drawn = draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) == 0)[:, None, None])
     picture = ("FLOAT", [1, 3, 160, 120])
-    network_file(
+    onnx_graph(
         tmp_path / "icon.onnx",
         [("Identity", [f"T_{name}"], [name], {}) for name in ("normal_F", "normal_B")],
         {"image": picture, "T_normal_F": picture, "T_normal_B": picture},
         ["normal_F", "normal_B"],
     )
     out = tmp_path / "subject"
-    code, said, err = cli(
+    said = cli.works(
         "prepare", "wham", wham_file, out, "--body", "puppet", "--frames", tmp_path / "shots",
         "--masks", tmp_path / "masks.npy", "--person", "0", "--normals", tmp_path / "icon.onnx",
         "--normals-convention", "icon", "--normals-output", "normal_F",
     )  # fmt: skip
-    assert code == 0 and "normals of 1 frames by icon.onnx, icon" in said, err
+    assert "normals of 1 frames by icon.onnx, icon" in said
     body, video = load_body(), load_video(out)
     vertices = body(video.pose[:1], video.shape).vertices[0]
     seen = MeshScene(body.faces, vertices).render(vertices, video.cameras[0]).numpy()

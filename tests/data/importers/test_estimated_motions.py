@@ -1,30 +1,19 @@
 """What pose estimators saw, as motions: in their world, or before a camera that stands still."""
 
-import pickle
 import zlib
 
 import numpy as np
 import pytest
 import torch
+from samples.data_sets import SMPL
+from samples.estimates import dumped, of_smpl
+from samples.joblib_files import joblib_dump
+from samples.rotations import matrices, same
 
-from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
-
-
-def same(found, wanted, tolerance=2e-6):
-    """Equal as rotations: an axis-angle is known but for whole turns."""
-    return np.abs(matrices(found) - matrices(wanted)).max() < tolerance
-
-
-def dumped(path, value):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(pickle.dumps(value))
-    return path
 
 
 def turned(R, rotations):
@@ -35,7 +24,6 @@ def turned(R, rotations):
 
 
 DOWN = np.diag([1.0, -1.0, -1.0])  # from a world with y up to the axes of a camera
-SMPL_PELVIS = np.array([-0.0018, -0.2233, 0.0282])
 OF_ESTIMATORS = MotionOptions(fps=30, source_fps=30, hands="flat")
 
 
@@ -53,13 +41,9 @@ def before_camera(walk):
     return rotations, places, turned(DOWN, rotations), places @ DOWN
 
 
-def as_smpl(rotations):
-    return np.concatenate([rotations[:, :22], np.ones((len(rotations), 2, 3))], axis=1)
-
-
-def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk, joblib_dump):
+def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk):
     rotations, transl = walk(6)
-    poses = as_smpl(rotations).reshape(6, 72)
+    poses = of_smpl(rotations).reshape(6, 72)
     person = lambda rows: {
         "pose": 0 * poses[rows], "trans": 0 * transl[rows], "betas": np.zeros((len(rows), 10)),
         "pose_world": poses[rows].astype("f4"), "trans_world": transl[rows].astype("f4"),
@@ -101,8 +85,8 @@ def test_tram_follows_its_cameras_path(tmp_path, before_camera):
     seen = turned(R.swapaxes(1, 2), rotations)
     pelvis = np.einsum("tji,tj->ti", R, places - T)
     track = {
-        "pred_rotmat": torch.as_tensor(matrices(as_smpl(seen)), dtype=torch.float32),
-        "pred_trans": torch.as_tensor(pelvis - SMPL_PELVIS, dtype=torch.float32)[:, None],
+        "pred_rotmat": torch.as_tensor(matrices(of_smpl(seen)), dtype=torch.float32),
+        "pred_trans": torch.as_tensor(pelvis - SMPL, dtype=torch.float32)[:, None],
         "pred_shape": torch.zeros(6, 10), "frame": torch.arange(6),
     }  # fmt: skip
     (tmp_path / "run/hps").mkdir(parents=True)
@@ -123,7 +107,7 @@ def test_tram_follows_its_cameras_path(tmp_path, before_camera):
 
 
 def romp(rotations, places):
-    thetas, transl = as_smpl(rotations).reshape(6, 72), places - SMPL_PELVIS
+    thetas, transl = of_smpl(rotations).reshape(6, 72), places - SMPL
     results = {
         f"{k}.png": {"smpl_thetas": thetas[k : k + 1], "smpl_betas": np.zeros((1, 10)),
                      "cam_trans": transl[k : k + 1]}

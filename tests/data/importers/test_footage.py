@@ -113,8 +113,8 @@ def test_prepare_reports_a_varying_rate(tmp_path, cli, estimate):
     mask = np.zeros((5, *SIZE), bool)
     mask[:, 8:20, 10:30] = True
     np.save(tmp_path / "masks.npy", mask)
-    code, said, err = cli(*estimate, "--frames", path, "--masks", tmp_path / "masks.npy")
-    assert code == 0 and "rate varies: its pictures are 40 to 120 ms apart" in said, err
+    said = cli.works(*estimate, "--frames", path, "--masks", tmp_path / "masks.npy")
+    assert "rate varies: its pictures are 40 to 120 ms apart" in said
     assert len(list((tmp_path / "s/frames").iterdir())) == 5
 
 
@@ -139,6 +139,6 @@ def test_masks_of_labels_or_of_one_value_are_refused(name, tmp_path, cli, estima
         Image.fromarray(values).save(tmp_path / f"labels/{k}.png")
     np.save(tmp_path / "labels.npy", np.stack([values] * 5).astype(np.int64))
     for given in (tmp_path / "labels", tmp_path / "labels.npy"):
-        code, _, err = cli(*estimate, *footage[2:4], "--masks", given)
-        assert code == 2 and f"{given}: " in err and words in err, err
+        err = cli.fails(*estimate, *footage[2:4], "--masks", given)
+        assert f"{given}: " in err and words in err, err
         assert err.count("\n") <= 2 and not (tmp_path / "s").exists()

@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from samples.rotations import matrices
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
-from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.hand_merge import merge_hands
@@ -16,8 +16,6 @@ from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
 from gva_mi.data.video import load_video
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 FRAMES = 40
 MIRRORED = np.diag([-1.0, 1.0, 1.0])
@@ -183,15 +181,14 @@ def test_prepare_and_motion_take_hands(tmp_path, seen, cli, wham, footage, walk)
     rotations, transl = walk(5)
     source = wham(_0=(rotations, transl + [0, 0, 4.0]))
     hamer_info(tmp_path / "hands.pkl", seen)
-    code, said, err = cli("prepare", "wham", source, tmp_path / "s", *footage,
+    said = cli.works("prepare", "wham", source, tmp_path / "s", *footage,
                           "--hands", tmp_path / "hands.pkl", "--wrists", "hands")  # fmt: skip
-    assert code == 0, err
     assert "in 5 left and 5 right" in said and "flat" not in said
     found = matrices(load_video(tmp_path / "s").pose.rotations)
     assert np.abs(found[:, RIGHT_HAND] - seen[0][1, :5]).max() < 1e-5
-    code, said, err = cli("motion", source, tmp_path / "m.npz", "--source-fps", 30, "--fps", 30,
+    said = cli.works("motion", source, tmp_path / "m.npz", "--source-fps", 30, "--fps", 30,
                           "--hands", tmp_path / "hands.pkl")  # fmt: skip
-    assert code == 0 and "in 5 left and 5 right" in said, err
+    assert "in 5 left and 5 right" in said
     poses = np.load(tmp_path / "m.npz")
     hand = matrices(poses["left_hand_pose"].reshape(5, 15, 3))
     assert np.abs(hand - seen[0][0, :5]).max() < 1e-5

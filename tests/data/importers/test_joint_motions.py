@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+from samples.rotations import matrices
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.joints import joint_places
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 BODY = TargetBody.read(None)
 AS_IT_IS = MotionOptions(fps=20, hands="flat")

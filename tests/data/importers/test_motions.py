@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import roma
 import torch
+from samples.rotations import matrices, same
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape, load_poses
-from gva_mi.body.rotations import to_matrices
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.joints import joint_places
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -35,11 +33,6 @@ def read(tmp_path):
         return read_motion(path, TargetBody.read(None), options)
 
     return save_and_read
-
-
-def same(found, wanted, tolerance=2e-6):
-    """Equal as rotations: an axis-angle is known but for whole turns."""
-    return np.abs(matrices(found) - matrices(wanted)).max() < tolerance
 
 
 def test_amass_in_every_width(read, walk):
@@ -169,12 +162,10 @@ def test_hands_as_pca_are_of_the_given_body(tmp_path, walk, cli):
     few = {k: x[:9] if "components" in k else x for k, x in arrays.items()}
     np.savez(tmp_path / "few.npz", **few)
     motion = ("motion", tmp_path / "pca.npz", tmp_path / "out.npz")
-    code, _, err = cli(*motion)
-    assert code == 2 and "--body with the SMPL-X file whose hands_components they weigh" in err
-    code, _, err = cli(*motion, "--body", tmp_path / "few.npz")
-    assert code == 2 and "components of a PCA need the body" in err and "(5, 12)" in err
-    code, said, err = cli(*motion, "--body", tmp_path / "body.npz")
-    assert code == 0 and "and the body's is added" in said, err
+    assert "--body with the SMPL-X file whose hands_components they weigh" in cli.fails(*motion)
+    err = cli.fails(*motion, "--body", tmp_path / "few.npz")
+    assert "components of a PCA need the body" in err and "(5, 12)" in err
+    assert "and the body's is added" in cli.works(*motion, "--body", tmp_path / "body.npz")
     fingers = [x @ arrays[f"hands_components{s}"][:12] + arrays[f"hands_mean{s}"]
                for x, s in zip(c, "lr", strict=True)]  # fmt: skip
     pose, shape = load_poses(tmp_path / "out.npz")
@@ -233,19 +224,16 @@ def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, 
     rotations, transl = walk(3)
     np.savez(tmp_path / "amass.npz", poses=rotations, trans=transl, mocap_frame_rate=30)
     out = tmp_path / "poses.npz"
-    code, said, err = cli("motion", tmp_path / "amass.npz", out, "--fps", 30)
-    assert code == 0, err
+    said = cli.works("motion", tmp_path / "amass.npz", out, "--fps", 30)
     assert "y up" in said and f"3 poses: {out}" in said
     assert same(load_poses(out)[0].rotations, rotations)
-    code, _, err = cli("motion", tmp_path / "amass.npz", out)
-    assert code == 2 and "exists already" in err
-    code, _, err = cli("motion", tmp_path / "amass.npz", tmp_path / "b.npz", "--fps", 0)
-    assert code == 2 and "--fps must be a number from 0.001" in err and err.count("\n") == 1
+    assert "exists already" in cli.fails("motion", tmp_path / "amass.npz", out)
+    err = cli.fails("motion", tmp_path / "amass.npz", tmp_path / "b.npz", "--fps", 0)
+    assert "--fps must be a number from 0.001" in err and err.count("\n") == 1
     known.save(tmp_path / "avatar.npz")
     save_cameras(tmp_path / "cameras.npz", [camera])
-    code, _, err = cli("render", tmp_path / "avatar.npz", "--poses", out, "--cameras",
+    cli.works("render", tmp_path / "avatar.npz", "--poses", out, "--cameras",
                        tmp_path / "cameras.npz", "--out", tmp_path / "renders")  # fmt: skip
-    assert code == 0, err
     assert len(list((tmp_path / "renders").glob("*.png"))) == 3
 
 

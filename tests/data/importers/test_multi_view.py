@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from samples import data_sets as filmed
 
 from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import write_image
@@ -13,7 +14,7 @@ from gva_mi.data.views import held_out_views
 
 
 @pytest.mark.parametrize("stem", ["{:06d}", "CoreView_313_Camera_(2)_{:04d}_2019"])
-def test_zju_mocap(tmp_path, filmed, seen, thetas, world, prepared, stands, cli, stem):
+def test_zju_mocap(tmp_path, seen, thetas, world, prepared, stands, cli, stem):
     source = filmed.zju(tmp_path / "CoreView", thetas, world[1], stem=stem, first=7, cameras=(2, 1))
     folder, said = prepared(source, "--camera", "1")
     assert "zju, SMPL" in said and "camera 1 of 2; --camera takes another" in said
@@ -32,11 +33,11 @@ def test_zju_mocap(tmp_path, filmed, seen, thetas, world, prepared, stands, cli,
 
 
 @pytest.fixture
-def two_cameras(tmp_path, filmed, thetas, world):
+def two_cameras(tmp_path, thetas, world):
     return filmed.zju(tmp_path / "CoreView", thetas, world[1], cameras=(1, 2))
 
 
-def sees(filmed, held, pelvises):
+def sees(held, pelvises):
     """Held-out cameras project and place the person's pelvis where the second camera sees it."""
     with torch.no_grad():
         place = load_body()(held.pose, held.shape).joints[:, 0].double().numpy()
@@ -47,21 +48,21 @@ def sees(filmed, held, pelvises):
         assert abs((camera.T_camera_world @ np.append(place[k], 1))[2] - there[k, 2]) < 1e-5
 
 
-def test_other_cameras_see_the_person_where_they_are(filmed, two_cameras, world, prepared):
+def test_other_cameras_see_the_person_where_they_are(two_cameras, world, prepared):
     folder, said = prepared(two_cameras, "--views", "1", "--view-frames", 3)
     assert "3 views held out, of cameras 1" in said
     held = held_out_views(load_video(folder))
     about = json.loads((folder / "views/views.json").read_text())
     assert about == {"frames": [0, 2, 4], "cameras": ["1"] * 3}
-    sees(filmed, held, world[1][[0, 2, 4]])
+    sees(held, world[1][[0, 2, 4]])
     assert np.array_equal(held[1].mask > 0.5, np.roll(filmed.MASK, 8, 1) > 0)
 
 
-def test_missing_views_are_refused(filmed, two_cameras, tmp_path, cli):
+def test_missing_views_are_refused(two_cameras, tmp_path, cli):
     def refused(words, *more):
         given = ("zju", two_cameras, tmp_path / "b", *filmed.BUILT_IN_BODY)
-        code, _, err = cli("prepare", *given, "--views", *more)
-        assert code == 2 and words in err and err.count("\n") <= 2, err
+        err = cli.fails("prepare", *given, "--views", *more)
+        assert words in err and err.count("\n") <= 2, err
         assert not (tmp_path / "b").exists()
 
     refused("has no other camera '0' to hold out; it has 1", "0")
@@ -72,7 +73,7 @@ def test_missing_views_are_refused(filmed, two_cameras, tmp_path, cli):
 
 
 @pytest.mark.parametrize("form", ["list", "annots"])
-def test_easymocap(tmp_path, filmed, seen, thetas, world, prepared, stands, form):
+def test_easymocap(tmp_path, seen, thetas, world, prepared, stands, form):
     """A list of people, or one under ``annots`` with poses without the root."""
     poses = thetas[:, 3:] if form == "annots" else thetas * (np.arange(72) > 2)
     people = (*filmed.about_origin(thetas, world[1]), poses)
@@ -84,7 +85,7 @@ def test_easymocap(tmp_path, filmed, seen, thetas, world, prepared, stands, form
 
 
 @pytest.mark.parametrize("form", ["SMPL-X", "SMPL+H"])
-def test_easymocap_with_hands(tmp_path, filmed, seen, thetas, world, prepared, cli, stands, form):
+def test_easymocap_with_hands(tmp_path, seen, thetas, world, prepared, cli, stands, form):
     rotations = seen[0].copy()
     if form == "SMPL+H":
         rotations[:, 22:25] = 0
@@ -97,11 +98,11 @@ def test_easymocap_with_hands(tmp_path, filmed, seen, thetas, world, prepared, c
     assert f"easymocap, {form}, 5 frames" in said
     stands(folder, rotations, seen[1], filmed.K, joints=55)
     pca = filmed.easymocap(tmp_path / "pca", (*people[:2], poses[:, :78]))
-    code, _, err = cli("prepare", "auto", pca, tmp_path / "b", *filmed.BUILT_IN_BODY)
-    assert code == 2 and "'poses' has 78 numbers a frame; expected axis-angle, 165" in err
+    err = cli.fails("prepare", "auto", pca, tmp_path / "b", *filmed.BUILT_IN_BODY)
+    assert "'poses' has 78 numbers a frame; expected axis-angle, 165" in err
 
 
-def test_views_of_cameras_of_different_sizes(tmp_path, filmed, thetas, world, prepared):
+def test_views_of_cameras_of_different_sizes(tmp_path, thetas, world, prepared):
     """EasyMocap; one camera's pictures are larger than those of the first that is held out."""
     people = (*filmed.about_origin(thetas, world[1]), thetas * (np.arange(72) > 2))
     source = filmed.easymocap(tmp_path / "scene", people)
@@ -119,10 +120,10 @@ def test_views_of_cameras_of_different_sizes(tmp_path, filmed, thetas, world, pr
     assert "2 views held out, of cameras 2" in said
     assert "left out, of another size of pictures: cameras 3" in said
     assert json.loads((folder / "views/views.json").read_text())["frames"] == [0, 3]
-    sees(filmed, held_out_views(load_video(folder)), world[1][[0, 3]])
+    sees(held_out_views(load_video(folder)), world[1][[0, 3]])
 
 
-def test_avatarrex(tmp_path, filmed, seen, world, prepared, stands):
+def test_avatarrex(tmp_path, seen, world, prepared, stands):
     """A picture that was lost is left out, with its pose."""
     source = filmed.avatarrex(tmp_path / "avatarrex_zzr", seen[0], *world, lost=(2,))
     folder, said = prepared(source)

@@ -4,17 +4,15 @@ import pickle
 
 import numpy as np
 import pytest
+from samples.rotations import matrices
 
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import find_body
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
-
-matrices = lambda x: to_matrices(np.asarray(x))  # also of tensors
 
 T = 6
 

@@ -72,8 +72,7 @@ def close(folder, frames, degrees):
 def test_maps_of_every_convention(convention, kind, maps, given, cli, tmp_path):
     folder = maps(lambda k: f"shot2_normal_{k + 8}.{kind}", convention)
     more = ("--normals", folder, "--normals-convention", convention)
-    code, said, err = cli(*given, *more)
-    assert code == 0 and f"normals of 5 frames from maps, {convention}" in said, err
+    assert f"normals of 5 frames from maps, {convention}" in cli.works(*given, *more)
     about = json.loads((tmp_path / "s/normals.json").read_text())
     assert about == {"convention": convention}
     close(tmp_path / "s", range(FRAMES), 1.0 if kind == "png" else 0.05)
@@ -130,16 +129,14 @@ BAD = {
 @pytest.mark.parametrize("what", BAD)
 def test_bad_maps_are_refused_in_one_sentence(what, maps, given, cli, tmp_path):
     more = ("--normals", spoiled(maps, what), "--normals-convention", "perspective")
-    code, _, err = cli(*given, *more)
-    assert code == 2 and BAD[what] in err and err.count("\n") <= 2, err
+    err = cli.fails(*given, *more)
+    assert BAD[what] in err and err.count("\n") <= 2, err
     assert not (tmp_path / "s").exists()
 
 
 def test_options_of_networks_are_refused_for_a_folder(maps, given, cli, tmp_path):
     folder = maps(lambda k: f"{k + 8}.png")
-    code, _, err = cli(*given, "--normals", folder)
-    assert code == 2 and "--normals needs --normals-convention" in err
+    assert "--normals needs --normals-convention" in cli.fails(*given, "--normals", folder)
     more = ("--normals-convention", "icon", "--normals-size", 96, 96)
-    code, _, err = cli(*given, "--normals", folder, *more)
-    assert code == 2 and "--normals-size is for a network, and" in err
+    assert "--normals-size is for a network, and" in cli.fails(*given, "--normals", folder, *more)
     assert not (tmp_path / "s").exists()

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from samples import data_sets as filmed
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
@@ -17,7 +18,7 @@ WIDTH, HEIGHT, FRAMES = 64, 48, 5
 
 
 @pytest.mark.parametrize("form", ["thetas", "parts"])
-def test_instantavatar(tmp_path, filmed, seen, thetas, world, prepared, stands, form):
+def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
     source = tmp_path / "male-3-casual"
     for k, shot in enumerate(filmed.shots()):
         write_image(source / f"images/image_{k:04d}.png", shot)
@@ -49,7 +50,7 @@ def lens_of(k):
 
 
 @pytest.fixture
-def exavatar(tmp_path, filmed, seen):
+def exavatar(tmp_path, seen):
     """Of frames 3, 4, 6, 7 and 9 of a video; 12 is not fitted."""
     folder = tmp_path / "subject_1"
     rotations, transl = seen
@@ -103,23 +104,22 @@ def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
     with np.load(BUILT_IN_BODY) as arrays:  # with SMPL-X's pelvis
         moved = arrays["v_template"] + np.array([0.0031, -0.3514, 0.0120])
         np.savez(path, **{**arrays, "v_template": moved})
-    code, said, err = cli("prepare", "auto", exavatar, tmp_path / "s", "--body", path)
-    assert code == 0, err
+    said = cli.works("prepare", "auto", exavatar, tmp_path / "s", "--body", path)
     kept = load_body(path).num_betas
     assert f"the first {kept} betas are kept, which this body's file has" in said
     found = load_video(tmp_path / "s").shape.betas.numpy()
     assert np.allclose(found, np.linspace(-1, 1, 100)[:kept].astype(np.float32))
 
 
-def test_a_folder_that_is_no_data_set_is_refused(tmp_path, filmed, cli):
+def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):
     (tmp_path / "x").mkdir()
     assert dataset_of(tmp_path / "x") is None
     for kind, words in (
         ("auto", "brings no frames of its own; give --frames"),
         ("zju", "not of the kind zju; expected a folder with annots.npy"),
     ):
-        code, _, err = cli("prepare", kind, tmp_path / "x", tmp_path / "s", *filmed.BUILT_IN_BODY)
-        assert code == 2 and words in err
+        err = cli.fails("prepare", kind, tmp_path / "x", tmp_path / "s", *filmed.BUILT_IN_BODY)
+        assert words in err
 
 
 D = np.array([0.12, -0.05, 0.01, -0.008, 0.02])
@@ -143,9 +143,7 @@ def straightened(K):
     return K[0, 0] * bent_x + K[0, 2] - 0.5, K[1, 1] * bent_y + K[1, 2] - 0.5
 
 
-def test_pictures_masks_and_normals_become_those_of_a_pinhole(
-    tmp_path, filmed, thetas, world, prepared
-):
+def test_pictures_masks_and_normals_become_those_of_a_pinhole(tmp_path, thetas, world, prepared):
     """Also normals that are arrays: they become pictures."""
     distorted = {"D": D[:, None], "images": [ramp()] * FRAMES}
     source, maps = filmed.zju(tmp_path / "x", thetas, world[1], **distorted), tmp_path / "maps"
@@ -171,7 +169,7 @@ def test_pictures_masks_and_normals_become_those_of_a_pinhole(
         undistort("x", filmed.K, np.zeros(3), (WIDTH, HEIGHT))
 
 
-def test_links_in_a_data_set_are_followed(tmp_path, filmed, thetas, world, prepared, cli):
+def test_links_in_a_data_set_are_followed(tmp_path, thetas, world, prepared, cli):
     """A link is the user's own, such as to a larger disk."""
     source = filmed.zju(tmp_path / "x", thetas, world[1])
     (source / "Camera_B1").rename(tmp_path / "larger disk")
@@ -182,5 +180,5 @@ def test_links_in_a_data_set_are_followed(tmp_path, filmed, thetas, world, prepa
     folder, _ = prepared(source)
     assert not any(path.is_symlink() for path in folder.rglob("*"))
     (tmp_path / "mask.png").unlink()
-    code, _, err = cli("prepare", "zju", source, tmp_path / "b", *filmed.BUILT_IN_BODY)
-    assert code == 2 and f"{mask}: no such file" in err and err.count("\n") <= 2
+    err = cli.fails("prepare", "zju", source, tmp_path / "b", *filmed.BUILT_IN_BODY)
+    assert f"{mask}: no such file" in err and err.count("\n") <= 2

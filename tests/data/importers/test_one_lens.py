@@ -1,10 +1,10 @@
 """A long lens, another one in each frame: thresholds and paths in metres are those before one."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
+from samples.data_sets import SMPL, SMPLX
+from samples.estimates import without_hands
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
@@ -17,7 +17,6 @@ from gva_mi.data.importers.tracks import Track, every_frame
 from gva_mi.splat import Camera
 
 SIZE = (900, 900)
-SMPLX = np.array([0.0031, -0.3514, 0.0120])  # the pelvis
 BOXES = np.array([(374, 0), (406, -47), (378, -6), (395, 20), (360, 5), (390, 40)])  # width, aside
 
 
@@ -54,24 +53,8 @@ def test_the_same_picture_before_another_lens():
 
 
 def written(folder, K, pelvises, kind="smplerx"):
-    """A person who stands still, in SMPLer-X's form, or OSX's."""
-    up = [np.pi, 0.0, 0.0]
-    for k, (lens, place) in enumerate(zip(K, pelvises - SMPLX, strict=True), 1):
-        about = {"focal": lens[[0, 1], [0, 1]].tolist(), "princpt": lens[:2, 2].tolist()}
-        if kind == "osx":
-            person = {"root_pose": up, "body_pose": [0.0] * 63, "lhand_pose": [0.0] * 45,
-                      "rhand_pose": [0.0] * 45, "jaw_pose": [0.0] * 3, "shape": [0.0] * 10,
-                      "expr": [0.0] * 10, "trans": place.tolist()}  # fmt: skip
-            folder.mkdir(exist_ok=True)
-            (folder / f"{k}_0.json").write_text(json.dumps({"smplx_param": person,
-                                                            "cam_param": about}))  # fmt: skip
-            continue
-        (folder / "smplx").mkdir(parents=True, exist_ok=True)
-        (folder / "meta").mkdir(exist_ok=True)
-        np.savez(folder / f"smplx/{k:05d}_0.npz", global_orient=[up], body_pose=np.zeros((21, 3)),
-                 betas=np.zeros((1, 10)), transl=place[None])  # fmt: skip
-        (folder / f"meta/{k:05d}_0.json").write_text(json.dumps(about))
-    return folder
+    """A person who stands still."""
+    return without_hands(kind, folder, K, np.tile([np.pi, 0, 0], (len(K), 1)), pelvises - SMPLX)
 
 
 @pytest.mark.parametrize("kind", ["smplerx", "osx"])
@@ -91,12 +74,11 @@ def test_who_stands_still_is_one_person_and_does_not_move(kind, tmp_path):
 def test_a_lens_a_frame_of_parameters_by_name_is_no_motion(tmp_path):
     """As of SMPLer-X, in one file with K, or with CLIFF's names and one axis."""
     pose = {"pose": np.tile([np.pi] + 71 * [0.0], (6, 1))}
-    pelvis = np.array([-0.0018, -0.2233, 0.0282])
-    np.savez(tmp_path / "K.npz", **pose, transl=STANDS - pelvis, K=lenses())
+    np.savez(tmp_path / "K.npz", **pose, transl=STANDS - SMPL, K=lenses())
     K = np.array([np.diag([focal, focal, 1]) for focal in lenses()[:, 0, 0]])
     K[:, :2, 2] = 500  # as if of pictures of 1000 by 1000, whose size no file says
     places = seen_alike(STANDS, lenses(), K)
-    np.savez(tmp_path / "focal.npz", **pose, global_t=places - pelvis, focal_l=K[:, 0, 0])
+    np.savez(tmp_path / "focal.npz", **pose, global_t=places - SMPL, focal_l=K[:, 0, 0])
     for name in ("K.npz", "focal.npz"):
         options = MotionOptions(fps=30, source_fps=30)
         motion = read_motion(tmp_path / name, TargetBody.read(None), options)

@@ -7,6 +7,9 @@ import pytest
 import roma
 import torch
 from PIL import Image
+from samples import data_sets as filmed
+from samples.data_sets import SMPLX as MEAN
+from samples.estimates import without_hands
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
@@ -14,7 +17,6 @@ from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 
-MEAN = np.array([0.0031, -0.3514, 0.0120])  # SMPL-X's pelvis
 GROWS = np.array([0.4, 0.04, -0.02])  # metres a beta moves it
 ROOT, MOVE, BETAS = np.array([3.0, 0.1, 0.2]), np.array([0.1, 0.2, 3.0]), np.array([2.0] + [0] * 9)
 K = np.array([[80.0, 0, 24], [0, 80, 32], [0, 0, 1]])
@@ -65,21 +67,11 @@ def gvhmr(folder):
 
 
 def smplerx(folder):
-    for name in ("smplx", "meta"):
-        (folder / name).mkdir()
-    np.savez(folder / "smplx/00001_0.npz", global_orient=ROOT[None], body_pose=np.zeros((21, 3)),
-             betas=BETAS[None], transl=MOVE[None])  # fmt: skip
-    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
-    (folder / "meta/00001_0.json").write_text(json.dumps(about))
-    return "smplerx", folder
+    return "smplerx", without_hands("smplerx", folder, K[None], ROOT[None], MOVE[None], BETAS)
 
 
 def osx(folder):
-    person = {"root_pose": ROOT.tolist(), "body_pose": [0.0] * 63, "shape": BETAS.tolist(),
-              "trans": MOVE.tolist()}  # fmt: skip
-    about = {"focal": [80.0, 80.0], "princpt": [24.0, 32.0]}
-    (folder / "0.json").write_text(json.dumps({"smplx_param": person, "cam_param": about}))
-    return "osx", folder
+    return "osx", without_hands("osx", folder, K[None], ROOT[None], MOVE[None], BETAS)
 
 
 @pytest.mark.parametrize("write", [parameters, gvhmr, smplerx, osx])
@@ -89,8 +81,8 @@ def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     (tmp_path / "source").mkdir()
     kind, source = write(tmp_path / "source")
     given = [] if lens is None else ["--lens", lens]
-    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", smplx, *shot, *given)
-    assert code == 0 and "place and betas are the source's own" in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "s", "--body", smplx, *shot, *given)
+    assert "place and betas are the source's own" in said
     arrays = np.load(smplx)
     points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
     pelvis = arrays["J_regressor"][0] @ points
@@ -107,14 +99,13 @@ def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     assert np.abs(camera(posed.joints)[0] - place).max() < 1e-5
 
 
-def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx, filmed):
+def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx):
     """EasyMocap's x = R(Rh) b + Th: all of it, also at betas that move the pelvis."""
     T = filmed.FRAMES
     people = np.tile(ROOT, (T, 1)), np.tile(MOVE, (T, 1)), np.zeros((T, 165))
     wrap = lambda person: [{**person, "shapes": [BETAS.tolist()]}]
     source = filmed.easymocap(tmp_path / "scene", people, wrap=wrap)
-    code, said, err = cli("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
-    assert code == 0, err
+    cli.works("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
     arrays = np.load(smplx)
     points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
     R = filmed.matrices(filmed.TURN)
@@ -128,12 +119,12 @@ def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx, film
 
 def test_another_body_is_told_that_the_pelvis_is_the_mean_persons(tmp_path, cli, shot):
     kind, source = parameters(tmp_path)
-    code, said, err = cli("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
-    assert code == 0 and "betas of SMPL-X do not carry over" in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
+    assert "betas of SMPL-X do not carry over" in said
     assert "the pelvis is the mean person's, as the source's SMPL-X is not at hand" in said
     np.savez(source, **{**np.load(source), "betas": np.zeros(10)})
-    code, said, err = cli("prepare", kind, source, tmp_path / "b", "--body", "puppet", *shot)
-    assert code == 0 and "the mean person's" not in said, err
+    said = cli.works("prepare", kind, source, tmp_path / "b", "--body", "puppet", *shot)
+    assert "the mean person's" not in said
 
 
 def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
@@ -146,8 +137,8 @@ def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
     for about, kept in ((None, False), ({"body": fingerprint(load_body())}, True)):
         if about:
             (folder / "synth.json").write_text(json.dumps(about))
-        code, said, err = cli(*given, "--overwrite")
-        assert code == 0 and ("do not carry over" in said) != kept, err
+        said = cli.works(*given, "--overwrite")
+        assert ("do not carry over" in said) != kept
         found = load_video(tmp_path / "s")
         for x, wanted in ((found.shape.betas, face.flip(0)), (found.pose.expression[0], face)):
             assert torch.allclose(x, wanted if kept else torch.zeros(10), atol=1e-6)
@@ -166,9 +157,8 @@ def test_poses_that_are_not_where_the_masks_are_raise_a_doubt(tmp_path, cli):
         poses = np.zeros((1, 72))
         poses[:, :3] = root
         np.savez(tmp_path / "p.npz", poses=poses, trans=[place], betas=np.zeros(10))
-        code, said, err = cli("prepare", "auto", tmp_path / "p.npz", tmp_path / "s", "--body",
+        said = cli.works("prepare", "auto", tmp_path / "p.npz", tmp_path / "s", "--body",
                               "puppet", *shot, "--overwrite")  # fmt: skip
-        assert code == 0, err
         return said
 
     assert "doubtful: " in said_of((np.pi / 2, 0, 0), (0.0, 0.2, 1.3))  # z up

@@ -19,32 +19,29 @@ def test_the_folder_says_what_it_was_made_of_and_is_not_replaced(
     wham, tmp_path, cli, seen, footage
 ):
     file = wham(_0=seen)
-    code, said, err = cli("prepare", "auto", file, tmp_path / "s", *footage)
-    assert code == 0, err
+    said = cli.works("prepare", "auto", file, tmp_path / "s", *footage)
     assert "wham, SMPL, 5 frames of 64x48" in said and "betas of SMPL do not carry over" in said
     about = json.loads((tmp_path / "s/prepare.json").read_text())
     assert about["kind"] == "wham" and about["form"] == "SMPL"
     assert about["body"]["name"] == "puppet" and about["body"]["vertices"] > 1000
-    code, _, err = cli("prepare", "auto", file, tmp_path / "s", *footage)
-    assert code == 2 and "--overwrite" in err
+    assert "--overwrite" in cli.fails("prepare", "auto", file, tmp_path / "s", *footage)
 
 
 def test_the_longest_track_is_taken_and_gaps_are_filled(wham, tmp_path, cli, seen, footage):
     rotations, transl = seen
     part = [0, 1, 3]
     file = wham(_0=(rotations[part], transl[part], part), _7=(rotations[:2], transl[:2]))
-    code, said, err = cli("prepare", "wham", file, tmp_path / "s", *footage)
-    assert code == 0, err
+    said = cli.works("prepare", "wham", file, tmp_path / "s", *footage)
     assert "person 0, seen longest of 0 (3 frames), 7 (2 frames)" in said
     assert "frames without a pose, interpolated: 2" in said and "left out: 4" in said
     video = load_video(tmp_path / "s")
     assert set(video.absent) == {4}
     middle = to_matrices(video.pose.rotations[2, 1:22].numpy())
     assert np.abs(middle - to_matrices(rotations[2, 1:22])).max() < 1e-3
-    code, _, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "3")
-    assert code == 2 and "has no person '3'; it has 0 (3 frames), 7 (2 frames)" in err
-    code, said, err = cli("prepare", "wham", file, tmp_path / "b", *footage, "--person", "7")
-    assert code == 0 and "left out: 2-4" in said, err
+    err = cli.fails("prepare", "wham", file, tmp_path / "b", *footage, "--person", "3")
+    assert "has no person '3'; it has 0 (3 frames), 7 (2 frames)" in err
+    said = cli.works("prepare", "wham", file, tmp_path / "b", *footage, "--person", "7")
+    assert "left out: 2-4" in said
 
 
 def test_the_masks_choose_the_(wham, tmp_path, cli, seen, footage):
@@ -54,38 +51,37 @@ def test_the_masks_choose_the_(wham, tmp_path, cli, seen, footage):
     mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
     mask[:, :, 22:48] = True
     np.save(tmp_path / "masks.npy", mask)
-    code, said, err = cli("prepare", "wham", file, tmp_path / "s", *footage)
-    assert code == 0 and "person 7, most inside the masks, of 0 (5 frames, " in said, err
+    said = cli.works("prepare", "wham", file, tmp_path / "s", *footage)
+    assert "person 7, most inside the masks, of 0 (5 frames, " in said
     assert json.loads((tmp_path / "s/prepare.json").read_text())["person"] == "7"
 
 
 def test_later_steps_take_the_body_that_was_prepared_for(wham, tmp_path, cli, seen, footage):
     file, subject = wham(_0=seen), tmp_path / "s"
-    code, _, err = cli("prepare", "wham", file, subject, *footage[2:])
-    assert code == 2 and "--body" in err and not subject.exists()
+    err = cli.fails("prepare", "wham", file, subject, *footage[2:])
+    assert "--body" in err and not subject.exists()
     with np.load(BUILT_IN_BODY) as arrays:
         other = dict(arrays)
     np.savez(tmp_path / "taller.npz", **other | {"v_template": 1.02 * other["v_template"]})
     taller = ["--body", tmp_path / "taller.npz"]
-    code, said, err = cli("prepare", "wham", file, subject, *taller, *footage[2:])
-    assert code == 0, err
+    said = cli.works("prepare", "wham", file, subject, *taller, *footage[2:])
     assert "retargeted to the body taller: rotations and the pelvis's place" in said
     before = sorted(subject.rglob("*"))
     require_same_body(subject, load_body(body_of(subject)))
-    code, _, err = cli("refine", subject, "--body", "puppet")
-    assert code == 2 and err.count("\n") == 1
+    err = cli.fails("refine", subject, "--body", "puppet")
+    assert err.count("\n") == 1
     assert "prepared for another body, taller (" in err and "expected --body with" in err
     (tmp_path / "taller.npz").unlink()
-    code, _, err = cli("refine", subject)
-    assert code == 2 and err.count("\n") == 1
+    err = cli.fails("refine", subject)
+    assert err.count("\n") == 1
     assert f"was prepared for the body {tmp_path}/taller.npz, which is gone" in err
     assert sorted(subject.rglob("*")) == before
 
 
 def test_bad_sources_are_refused_in_one_sentence(wham, tmp_path, cli, seen, footage):
     def refused(words, *arguments):
-        code, _, err = cli("prepare", *arguments)
-        assert code == 2 and words in err and err.count("\n") <= 2, err
+        err = cli.fails("prepare", *arguments)
+        assert words in err and err.count("\n") <= 2, err
         assert not (tmp_path / "s").exists()
 
     file, out = tmp_path / "x.pkl", tmp_path / "s"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from samples.networks import onnx_file, onnx_graph
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
@@ -21,11 +22,9 @@ def person():
 
 @pytest.mark.parametrize("kind", ["normals", "encoded"])
 @pytest.mark.parametrize("sides", [("h", "w"), SIZE[::-1]])
-def test_the_network_s_input_and_output_are_in_its_convention(
-    kind, sides, person, normal_network, tmp_path
-):
+def test_the_network_s_input_and_output_are_in_its_convention(kind, sides, person, tmp_path):
     """Red 170, as in the middle of the person, is (170/255 − 0.5) / 0.5 for the network."""
-    path = normal_network(tmp_path / "normals.onnx", sides, kind=kind)
+    path = onnx_file(tmp_path / "normals.onnx", sides, kind=kind)
     asked = SIZE if sides == ("h", "w") else (64, 64)  # the file's own size is what counts
     crop, normals = NormalNetwork(path, NormalsSpec("perspective", asked)).see(*person)
     assert crop.width * SIZE[1] == pytest.approx(crop.height * SIZE[0], rel=0.05)
@@ -37,8 +36,8 @@ def test_the_network_s_input_and_output_are_in_its_convention(
     assert np.abs(normals[place[1], place[0], :2] - (red, green)).max() < 0.04
 
 
-def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
-    path = normal_network(tmp_path / "normals.onnx")
+def test_with_icon_the_background_is_the_mean(person, tmp_path):
+    path = onnx_file(tmp_path / "normals.onnx")
     _, whole = NormalNetwork(path, NormalsSpec("opengl", SIZE)).see(*person)
     _, alone = NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
     assert np.abs(whole[16, 1, 0]) > 0.3 and np.abs(alone[16, 1, :2]).max() < 0.01
@@ -49,7 +48,7 @@ def test_with_icon_the_background_is_the_mean(person, normal_network, tmp_path):
     assert shifted[16, 12, 1] == pytest.approx(min(0.6, (green - 0.4) / 0.25), abs=0.05)
 
 
-def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_path):
+def test_one_of_several_outputs_is_chosen_by_its_name(person, tmp_path):
     """A file of MoGe-2's form: numbers of patches in, normals (1, h, w, 3) beside other arrays.
 
     24 by 32 pixels hold 3.9 patches of 14 by 14: its input is 4, and it answers x = 0.4, y = 0.
@@ -65,7 +64,7 @@ def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_
         ("Transpose", ["planes"], ["normal"], {"perm": [0, 2, 3, 1]}),
         ("Transpose", ["image"], ["points"], {"perm": [0, 2, 3, 1]}),
     ]
-    path = network_file(
+    path = onnx_graph(
         tmp_path / "scene.onnx", nodes,
         {"image": ("FLOAT", [1, 3, "h", "w"]), "num_tokens": ("INT64", [])}, ["points", "normal"],
         {"tenth": np.float32(0.1), "nothing": np.float32(0), "height": np.float32(0.84**0.5)},
@@ -78,7 +77,7 @@ def test_one_of_several_outputs_is_chosen_by_its_name(person, network_file, tmp_
 
 
 @pytest.mark.parametrize("inputs", ["T_normal_F", "T_normal_F T_normal_B", "six channels"])
-def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, network_file, tmp_path):
+def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, tmp_path):
     """Networks that answer with what they are given of the body's front, or its back."""
     front, back = (np.zeros((SIZE[1], SIZE[0], 3)) for _ in range(2))
     front[..., 2], back[..., 0] = 1, np.linspace(-1, -0.9, SIZE[0])
@@ -90,7 +89,7 @@ def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, network_f
     given = picture | {name: ("FLOAT", [1, 3, "h", "w"]) for name in names if not cut}
     nodes = [*cut, ("Identity", [names[-1]], ["answer"], {})]
     constants = {"three": [3], "six": [6], "one": [1]}
-    path = network_file(tmp_path / "icon.onnx", nodes, given, ["answer"], constants)
+    path = onnx_graph(tmp_path / "icon.onnx", nodes, given, ["answer"], constants)
     network = NormalNetwork(path, NormalsSpec("icon", SIZE))
     assert network.needs_body
     _, normals = network.see(*person, lambda crop: (front, back))
@@ -98,7 +97,7 @@ def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, network_f
     assert np.allclose(normals, expected, atol=1e-6)
 
 
-def test_a_bad_network_is_refused_in_one_sentence(person, normal_network, tmp_path):
+def test_a_bad_network_is_refused_in_one_sentence(person, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:
             NormalNetwork(path, NormalsSpec("icon", SIZE)).see(*person)
@@ -108,10 +107,10 @@ def test_a_bad_network_is_refused_in_one_sentence(person, normal_network, tmp_pa
     for suffix, words in (("pt", "expected a file .onnx"), ("onnx", "no ONNX network ")):
         (tmp_path / f"text.{suffix}").write_text("hello")
         refused(tmp_path / f"text.{suffix}", words)
-    many = normal_network(tmp_path / "many.onnx", channels=5)
+    many = onnx_file(tmp_path / "many.onnx", channels=5)
     refused(many, "many.onnx: fails .*expected a network that takes")
     for kind, words in (
         ("xy", r"answers with float32 \(1, 2, 32, 24\)"), ("nothing", "which are no normals"),
         ("unknown", "which are no normals"),
     ):  # fmt: skip
-        refused(normal_network(tmp_path / f"{kind}.onnx", kind=kind), words)
+        refused(onnx_file(tmp_path / f"{kind}.onnx", kind=kind), words)

@@ -3,10 +3,8 @@
 Folders of several cameras hold out views, so that the files of all of their cameras are read.
 """
 
-import runpy
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -15,15 +13,14 @@ from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
-
-DATA = Path(__file__).parents[1] / "data"
-load = lambda name: SimpleNamespace(**runpy.run_path(str(DATA / name)))
+from samples import data_sets as filmed
+from samples.estimates import WRITTEN
+from samples.networks import onnx_file
 
 
 def importers():
     """All of them by name."""
-    estimators, filmed = load("importers/test_estimators.py"), load("importers/filmed.py")
-    onnx_file, built_in = load("conftest.py").onnx_file, TargetBody.read(None)
+    built_in = TargetBody.read(None)
     rotations = np.full((filmed.FRAMES, 55, 3), 0.1)
     rotations[:, 0] = [np.pi, 0, 0]
     places = np.tile([0.0, 0, 4], (filmed.FRAMES, 1))
@@ -33,7 +30,7 @@ def importers():
         where = []
 
         def write(folder):
-            source, *_ = estimators.WRITTEN[name](folder, rotations, places)
+            source, *_ = WRITTEN[name](folder, rotations, places)
             where[:] = [source.relative_to(folder)]
 
         info = VideoInfo((filmed.WIDTH, filmed.HEIGHT), 40.0)

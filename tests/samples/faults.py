@@ -10,21 +10,7 @@ import numpy as np
 
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image, write_image
-
-
-def change(path, **changes):
-    """Replace arrays of an .npz by functions of them."""
-    with np.load(path) as file:
-        found = dict(file)
-    np.savez(path, **found | {key: change(found[key]) for key, change in changes.items()})
-
-
-def cameras(**changes):
-    return lambda folder: change(folder / "cameras.npz", **changes)
-
-
-def poses(**changes):
-    return lambda folder: change(folder / "poses.npz", **changes)
+from samples.broken_cases import both, cameras, poses, text
 
 
 def each_pose(change_rows):
@@ -75,14 +61,6 @@ def pictures(new):
             write_image(path, np.ascontiguousarray(new(read_image(path, 3))))
 
     return write
-
-
-def both(*ways):
-    return lambda folder: [way(folder) for way in ways]
-
-
-def text(path, content):
-    return lambda folder: (folder / path).write_text(content)
 
 
 def poses_in_millimetres(folder):

@@ -41,6 +41,7 @@ from gva_mi.study.refinement import load_refinement
 from gva_mi.study.tables import refine_cells
 from gva_mi.synthetic import SynthOptions, describe_errors
 from gva_mi.synthetic.provenance import recorded_options
+from samples.scenes import save_scene
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
@@ -192,10 +193,7 @@ def seeds(subject, avatar):
         save_ply(folder / "a.ply", scene.gaussians)
         save_splat(folder / "a.splat", scene.gaussians)
         save_spz(folder / "a.spz", scene.gaussians)
-        c = scene.camera
-        camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
-        arrays = {k: v.numpy() for k, v in scene.inputs().items()}
-        np.savez(folder / "a.npz", **arrays, **camera)
+        save_scene(folder / "a.npz", scene)
         save_compressed_ply(folder / "compressed.ply", scene.gaussians)
         (folder / "text.ply").write_text(TEXT_PLY)
 

@@ -1,0 +1,1 @@
+"""Sample files and subjects that tests of several folders write or break."""

@@ -69,7 +69,9 @@ def test_single_frames_are_independent(clip, coarse):
 def test_any_number_of_workers_finds_the_same_bits(alone, clip, coarse, count):
     calls = []
     with workers(count) as pool:
-        found = list(refine_all(subjects(clip), coarse, lambda *a: calls.append(a), pool))
+        found = list(
+            refine_all(subjects(clip), coarse, lambda *a, **figures: calls.append(a), pool)
+        )
     assert_same(alone, found)
     assert calls == sorted(calls) and calls[-1][0] == calls[-1][1]
 

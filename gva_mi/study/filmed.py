@@ -57,7 +57,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
             save_cameras(folder / "truth" / CAMERAS, [camera] * len(video))
         seen: dict[int, np.ndarray] = {}
         keep = lambda k, silhouette: seen.update({k: in_8_bits(silhouette)})
-        landmarks, _ = with_backs(watch_film(pictures, keep).landmarks)
+        landmarks, _ = with_backs(watch_film(pictures, keep).landmarks, FPS)
         film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
         landmarks.save(folder / LANDMARKS)
         solved = solve_film(

@@ -150,7 +150,7 @@ def test_constant_turns_cost_in_each_frame_if_the_person_turns(with_turns, round
 
 
 def test_constant_turns_of_a_known_estimator_are_held_from_first_to_last(with_turns, monkeypatch):
-    """They cost ``constant_turn_energy``; those of an inferred one cost as tilts by chance do."""
+    """They cost ``constant_turn_energy``; an inferred one has the camera-locked tilt instead."""
     pose, turns = turning_round(64, 1.0), same_turn(64, "left_hip")
     for errors in (None, film_errors(FPS)):
         held = with_turns(pose, turns, errors)

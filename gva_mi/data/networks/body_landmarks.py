@@ -34,15 +34,15 @@ _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
 _PEAK = 0.5  # least probability in the window for this
+_ARM = ("elbow", "wrist", "pinky", "index", "thumb")
+_LEG = ("knee", "ankle", "heel", "foot_index")
 _PARTS = [  # each arm, each leg, the trunk
-    [BODY.index(f"{side}_{part}") for side in sides for part in parts]
-    for parts, *each in (
-        (("elbow", "wrist", "pinky", "index", "thumb"), ["left"], ["right"]),
-        (("knee", "ankle", "heel", "foot_index"), ["left"], ["right"]),
-        (("shoulder", "hip"), ["left", "right"]),
+    [BODY.index(f"{side}_{name}") for side in sides for name in names]
+    for sides, names in (
+        (["left"], _ARM), (["right"], _ARM), (["left"], _LEG), (["right"], _LEG),
+        (["left", "right"], ("shoulder", "hip")),
     )
-    for sides in each
-]
+]  # fmt: skip
 _APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
 
 

@@ -1,17 +1,19 @@
 """Frames in which a network took a person's back for the front: left and right are exchanged.
 
-Seen from behind, with long hair or a hood, a person looks much as from the front, and a network may
-name the left arm and leg the right ones, sure of itself, for some frames. Then all limbs seem to
-change sides from one frame to the next, which nobody can. As in :mod:`gva_mi.pose.swaps`, each
-frame is as given, ``s_k = 0``, or exchanged, ``s_k = 1``, and the states minimise
+From behind, a person with long hair or a hood looks much as from the front. A network may then give
+the left arm and leg the names of the right ones, with high confidence, for some frames. In the
+landmarks all limbs jump to the other side of the body from one frame to the next, and jump back
+later. As in :mod:`gva_mi.pose.swaps`, each frame is as given, ``s_k = 0``, or exchanged,
+``s_k = 1``, and the states minimise
 
-1. ``Σ_k (w Σ_p t_2(|x_k+1,p - x_k,p| / σ S) + f_k s_k) + Σ_k (a s_k + b [s_k-1 < s_k])``
+1. ``Σ_k (w Σ_p t_2(|x_k+1,p - x_k,p| / σ S Δt_k) + f_k s_k) + Σ_k (a s_k + b [s_k-1 < s_k])``
 
 with the places ``x`` of shoulders, hips and limbs in the picture, left and right by the states, the
-person's height ``S``, and Student's t distribution ``t``. ``f`` is large where the face was found.
+person's height ``S`` in pixels, the time ``Δt`` between two frames, and the cost ``t`` of Student's
+t distribution. ``f`` is large where the face was found.
 
-Depths of such a frame are those of a person who looks at the camera, and are left out. If a network
-errs from one profile to the other, no limb jumps, and the frames stay as they are.
+The network's depths of such a frame are those of a person who looks at the camera. They are
+removed. If the network errs from one profile to the other, no limb jumps: this is not found.
 """
 
 from __future__ import annotations
@@ -26,19 +28,20 @@ from gva_mi.pose.film.landmark_noise import FREEDOM
 from gva_mi.pose.swaps import TOGETHER, least_states
 
 PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-STEP = 0.03  # σ: of the person's height, from one frame to the next
+SPEED = 0.9  # σ: of limbs in the picture, heights of the person a second
 EACH = 0.3  # a, nats: mistakes last, so a frame says little
 SEEN_FACE = 5.0  # f, nats, of a frame with a face
 _OTHER = {"left": "right", "right": "left"}
 
 
-def with_backs(landmarks: Landmarks) -> tuple[Landmarks, list[int]]:
+def with_backs(landmarks: Landmarks, fps: float) -> tuple[Landmarks, list[int]]:
     """Return landmarks whose left and right are exchanged where needed, and in which frames.
 
     Args:
         landmarks: T frames; names without a side, and frames without the person, stay.
+        fps: frames a second.
     """
-    frames = _mistaken(landmarks)
+    frames = _mistaken(landmarks, fps)
     if not frames:
         return landmarks, []
     names = list(landmarks.names)
@@ -52,7 +55,7 @@ def with_backs(landmarks: Landmarks) -> tuple[Landmarks, list[int]]:
     return replace(landmarks, **found), frames
 
 
-def _mistaken(landmarks: Landmarks) -> list[int]:
+def _mistaken(landmarks: Landmarks, fps: float) -> list[int]:
     """Return the frames whose states are exchanged (eq. 1)."""
     wanted = [f"{side}_{part}" for side in _OTHER for part in PARTS]
     if not set(wanted) <= set(landmarks.names):
@@ -64,10 +67,9 @@ def _mistaken(landmarks: Landmarks) -> list[int]:
     x = x[seen]
     height = np.median(np.ptp(x[..., 1], axis=1))
     crossed = np.roll(x, len(PARTS), axis=1)
-    gaps = np.diff(seen)[:, None]
+    usual = SPEED * height * np.diff(seen)[:, None] / fps
     same, changed = (
-        _cost(np.linalg.norm(x[1:] - before[:-1], axis=-1) / (STEP * height * gaps))
-        for before in (x, crossed)
+        _cost(np.linalg.norm(x[1:] - before[:-1], axis=-1) / usual) for before in (x, crossed)
     )
     motion = np.stack([np.stack([same, changed], -1), np.stack([changed, same], -1)], -2)
     data = np.zeros((len(seen), 2))

@@ -232,9 +232,9 @@ def motion_of_film(
             watched.landmarks, options.keypoints, pictures.numbers, pictures.scale
         )
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, *said))
-    landmarks, backs = with_backs(watched.landmarks)
+    landmarks, backs = with_backs(watched.landmarks, pictures.fps)
     if backs:
-        said = f"frames where the back was taken for the front, and corrected: {listed(backs)}"
+        said = f"frames where the network took the back for the front: {listed(backs)}; corrected"
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, said))
     solved = solve_film(
         watched.landmarks,

@@ -124,7 +124,7 @@ def prior_from_corrections(
         updated_process(before.pelvis, _by_joint(noise, PELVIS), turns[:, PELVIS], root),
         updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, JOINTS], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
-        before.tilt and TiltPrior.of(stage1, pose.rotations),
+        None if before.tilt is None else TiltPrior.of(stage1, pose.rotations),
         known=before.known,
     )
 

@@ -1,13 +1,18 @@
 """Frames in which a network takes the back for the front are found, and nothing else is."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.data.networks.watch import WatchedFilm
+from gva_mi.pose.film import prepare_film
 from gva_mi.pose.film.front_back import PARTS, with_backs
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
-N = 60
+N, FPS = 60, 30.0
 PLACES = {  # half the distance between left and right, and height, of a person of 400 pixels
     "shoulder": (45, 330), "elbow": (70, 260), "wrist": (90, 200), "hip": (30, 200),
     "knee": (28, 100), "ankle": (25, 0),
@@ -50,7 +55,7 @@ def exchanged(landmarks, frames):
 @pytest.mark.parametrize("frames", [BACK, range(30, 31), [*range(20, 24), *range(33, 40)]])
 def test_frames_that_take_the_back_for_the_front_are_exchanged_without_their_depths(frames):
     true, frames = turning(), list(frames)
-    found, mistaken = with_backs(exchanged(true, frames))
+    found, mistaken = with_backs(exchanged(true, frames), FPS)
     assert mistaken == frames
     for name in ("pixels", "confidence", "spread"):
         np.testing.assert_array_equal(getattr(found, name), getattr(true, name))
@@ -62,7 +67,7 @@ def test_frames_that_take_the_back_for_the_front_are_exchanged_without_their_dep
 @pytest.mark.parametrize("rounds", [0.0, 0.5, 1.0, 3.0])
 def test_a_person_who_turns_even_quickly_stays_as_seen(rounds):
     true = turning(rounds)
-    found, mistaken = with_backs(true)
+    found, mistaken = with_backs(true, FPS)
     assert mistaken == [] and found is true
 
 
@@ -70,7 +75,7 @@ def test_lost_frames_stay_and_the_frames_around_them_are_compared():
     true = turning()
     true.pixels[[5, 30, 31]] = np.nan
     seen = [k for k in BACK if k not in (30, 31)]
-    found, mistaken = with_backs(exchanged(true, list(BACK)))
+    found, mistaken = with_backs(exchanged(true, list(BACK)), FPS)
     assert mistaken == seen
     np.testing.assert_array_equal(found.pixels[seen], true.pixels[seen])
 
@@ -80,7 +85,7 @@ def test_frames_with_a_face_are_the_front():
     true = turning(0.0)
     hidden = list(range(20, 60))
     true.pixels[np.ix_(hidden, [NAMES.index(name) for name in FACE])] = np.nan
-    _, mistaken = with_backs(exchanged(true, hidden))
+    _, mistaken = with_backs(exchanged(true, hidden), FPS)
     assert mistaken == hidden
 
 
@@ -89,4 +94,18 @@ def test_points_without_limbs_stay():
     few = [NAMES.index(name) for name in FACE]
     face = Landmarks(FACE, *(getattr(true, f)[:, few] for f in ("pixels", "confidence")),
                      true.spread[:, few], true.metric[:, few])  # fmt: skip
-    assert with_backs(face) == (face, [])
+    assert with_backs(face, FPS) == (face, [])
+
+
+def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):
+    true, solved = turning(), []
+    wrong = WatchedFilm(exchanged(true, list(BACK)), ["too dark"])
+    pictures = SimpleNamespace(pictures=[np.zeros((4, 4, 3))], focal35=26, fps=FPS, notes=[])
+    monkeypatch.setattr(prepare_film, "read_film", lambda *_: pictures)
+    monkeypatch.setattr(prepare_film, "watch_film", lambda *_: wrong)
+    monkeypatch.setattr(prepare_film, "solve_film", lambda found, *_, **__: solved.append(found))
+    monkeypatch.setattr(prepare_film, "with_face", lambda *_: (None, []))
+    motion = prepare_film.motion_of_film(Path("film.mp4"), prepare_film.FilmOptions(), None)
+    np.testing.assert_array_equal(solved[0].pixels, true.pixels)
+    assert motion.watched.landmarks is solved[0]
+    assert motion.notes[0] == "too dark" and "26-36" in motion.notes[1], motion.notes

@@ -145,16 +145,18 @@ class Avatar(nn.Module):
         """Return the Gaussians of one pose, in the world."""
         return self.animate(pose).gaussians
 
-    def animate(self, pose: Pose) -> Animated:
+    def animate(self, pose: Pose, sh: Tensor | None = None) -> Animated:
         """Return the Gaussians of one pose and the residual that went into them.
 
         Args:
             pose: one frame. Expression coefficients that the body does not have are ignored.
+            sh: colours of the Gaussians, in the shape of ``canonical.sh``; None: those.
 
         Returns:
-            Differentiable in all parameters, and in the pose.
+            Differentiable in all parameters, in the pose, and in the colours.
         """
         skeleton, G = self.posed_skeleton(pose), self.canonical
+        sh = G.sh if sh is None else sh
         if self.options.residual.enabled:
             residual = self.residual(G.means, G.weights, self.followed(pose)[0])
         else:
@@ -163,17 +165,19 @@ class Avatar(nn.Module):
         T = skeleton.T_world_rest
         if not self.options.stretch:
             A, _ = lbs_transforms(G.sparse_weights, T[:, :3].flatten(1), means)
-            sh = self._color(lit(G.sh, A, light_vector(self.light)))
+            lit_sh = lit(sh, A, light_vector(self.light))
             means, quats = apply_lbs(A, means, G.quats)
-            return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=sh), residual)
-        own = means, G.quats, G.scales, G.sh, self.light
-        means, covars, sh = skin_gaussians(G.sparse_weights, T, *own)
-        gaussians = Gaussians(means, None, None, G.opacities, sh=self._color(sh), covars=covars)
+            colors = self._color(sh, lit_sh)
+            return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=colors), residual)
+        own = means, G.quats, G.scales, sh, self.light
+        means, covars, lit_sh = skin_gaussians(G.sparse_weights, T, *own)
+        colors = self._color(sh, lit_sh)
+        gaussians = Gaussians(means, None, None, G.opacities, sh=colors, covars=covars)
         return Animated(gaussians, residual)
 
-    def _color(self, lit: Tensor) -> Tensor:
+    def _color(self, sh: Tensor, lit_sh: Tensor) -> Tensor:
         """Return the harmonics to render: of the colours in the light, or those of the view."""
-        return lit if self.options.color == "light" else self.canonical.sh
+        return lit_sh if self.options.color == "light" else sh
 
     def posed_skeleton(self, pose: Pose) -> PosedSkeleton:
         """Pose blend shapes and skeleton, for the Gaussians and for the rig's surface.

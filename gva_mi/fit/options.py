@@ -50,10 +50,11 @@ class Rates:
     log_scales: Rate = 5e-3
     logit_opacities: Rate = 5e-2
     sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
-    # Share of the slopes that each step takes away (decoupled weight decay). A person who turns
-    # before a lamp never shows the back in the light of the front: slopes alone give its colour.
+    # Share of the slopes' difference from Lambert's law that each step takes away (decoupled weight
+    # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: Share = 0.0
     light: Rate = 2e-3  # direction of the light
+    strength: Rate = 5e-3  # of the light, see gva_mi.fit.lambert
     residual: Rate = 1e-3  # weights of the pose-conditioned MLP
 
 

@@ -3,7 +3,7 @@
 Each step uses one training frame of the video:
 
 1. lower the learning rate of the means
-2. avatar(pose) → Gaussians, MLP(θ)                                          Eq. 5, 6
+2. avatar(pose) → Gaussians, MLP(θ)                      Eq. 5, 6, :mod:`gva_mi.fit.lambert`
 3. render them on a background of a random colour, and on the picture's own
    along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
 4. compare with the person on the same background                            Eq. 9
@@ -36,6 +36,7 @@ from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
 from gva_mi.fit import checkpoint, run_folder
 from gva_mi.fit.colors import seen_colors
+from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import NOISE, FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
@@ -102,7 +103,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 checkpoint.save_state(out, run.state())
-        run.clamp_scales()  # also those that the last step split
+        run.finish()
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -155,12 +156,15 @@ class Run:
         self.poses = TrainedPoses(
             video.pose, video.cameras, rig, options.poses, options.steps, as_given=video.stage != 1
         )
-        self.optimizer = _optimizer(self.avatar, options.rates)
+        self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
+        self.optimizer = _optimizer(self.avatar, self.lambert, options.rates)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
             self.poses.load_state(state["poses"])
             self.optimizer.load_state_dict(state["optimizer"])
+            if self.lambert is not None:
+                self.lambert.load_state(state["lambert"])
             self.gradients.total, self.gradients.views = state["gradients"]
 
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
@@ -183,7 +187,7 @@ class Run:
         """Take one step of descent on one frame; return its losses."""
         options = self.options
         self._lower_learning_rate()
-        animated = self.avatar.animate(self.poses(sample.frame))
+        animated = self.avatar.animate(self.poses(sample.frame), self.colors())
         target, screen = sample.target(animated.gaussians), Screen()
         image = render(animated.gaussians, target.camera, options.splat, screen=screen)
         weights = options.loss
@@ -208,7 +212,7 @@ class Run:
 
     def add_and_remove_gaussians(self, out: Path) -> None:
         """Run density control or re-initialisation if the schedule says so."""
-        options, schedule = self.options, self.options.schedule
+        options, schedule, before = self.options, self.options.schedule, self.avatar.canonical
         if schedule.densifies(self.step, options.steps):
             generator = torch_state(options.seed, RandomStream.DENSIFY, self.step)
             densify(self.avatar, self.optimizer, self.gradients, options.densify, generator)
@@ -217,6 +221,9 @@ class Run:
             self._reinitialise(out)
         elif schedule.rebinds_weights(self.step):
             self.avatar.rebind_weights()
+        moved = self.avatar.canonical is not before or schedule.rebinds_weights(self.step)
+        if self.lambert is not None and moved:
+            self.lambert.follow(self.avatar)
 
     def _reinitialise(self, out: Path) -> None:
         """Put the Gaussians back on the surface, where enough of them are opaque to show one."""
@@ -231,6 +238,17 @@ class Run:
         self.avatar.set_skin_weights(new.skin)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
 
+    def colors(self) -> Tensor:
+        """Return the colours of the Gaussians, whose own slopes are differences from a law."""
+        sh = self.avatar.canonical.sh
+        return sh if self.lambert is None else self.lambert(sh)
+
+    @torch.no_grad()
+    def finish(self) -> None:
+        """Give the avatar its colours, and clamp the scales that the last step split."""
+        self.avatar.canonical.sh.copy_(self.colors())
+        self.clamp_scales()
+
     def clamp_scales(self) -> None:
         """Clamp the scales of the Gaussians to the resolution of the pictures."""
         self.avatar.canonical.clamp_scales(self.options.min_scale * self._pixel)
@@ -240,6 +258,7 @@ class Run:
         return {
             "step": self.step,
             "avatar": self.avatar.record(),
+            "lambert": None if self.lambert is None else self.lambert.state(),
             "poses": self.poses.state(),
             "optimizer": self.optimizer.state_dict(),
             "gradients": [self.gradients.total, self.gradients.views],
@@ -255,7 +274,7 @@ class Run:
                 group["lr"] = rates.means ** (1 - done) * rates.means_end**done
 
 
-def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
+def _optimizer(avatar: Avatar, lambert: Lambert | None, rates: Rates) -> torch.optim.Adam:
     """Make Adam with one named group, and one learning rate, per kind of parameter."""
     # With 3DGS's tiny epsilon, Gaussians that are seldom seen learn their colour as fast as others.
     groups = [
@@ -267,4 +286,6 @@ def _optimizer(avatar: Avatar, rates: Rates) -> torch.optim.Adam:
             {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
         )
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
+    if lambert is not None:
+        groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
     return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

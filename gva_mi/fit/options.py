@@ -132,8 +132,9 @@ class FitOptions:
         A first fit improves the poses, if poses are trained. In the band where masks are uncertain,
         a Gaussian in the colours of the background before it costs nothing
         (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
-        Colours depend on the light only as far as all frames agree on it. Options that differ from
-        the usual ones stay.
+        Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
+        Hands keep their turn at the wrist: training leaves it farther off than the refinement does.
+        Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error
         return replace(
@@ -141,6 +142,7 @@ class FitOptions:
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
             mask_error=self.mask_error if chosen else FILM_MASK_ERROR,
             still_camera=True,
+            poses=replace(self.poses, wrists=False),
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or FILM_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or FILM_ALPHA),
         )

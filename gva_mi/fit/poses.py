@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.core.options import Metres, Turn, Within, options_of
 from gva_mi.fit.faces import Face
@@ -48,6 +48,7 @@ from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera
 
+WRISTS = [JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
 LEARN_AT = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
 DECAY = 0.1  # what is left of the step sizes at the end
 
@@ -57,6 +58,8 @@ class PoseOptions:
     """Options of poses trained along with an avatar."""
 
     trained: bool = True  # False: poses stay as they were given
+    # False: hands do not turn at the wrist; few pixels show where a hand is, but not its turn.
+    wrists: bool = True
     # Steps of the fit per step of the poses.
     every: Annotated[int, Within(1, 1_000_000)] = 8
     prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
@@ -221,5 +224,5 @@ class _Clip:
         return [self.corrections.turns, self.corrections.moves, *(p.u for p in self.face.parts)]
 
     def _optimiser(self, options: PoseOptions) -> VectorAdam:
-        shared = self.face.leaves(self._arms, options)
-        return optimiser(self.corrections, self._arms, options, shared=shared)
+        shared, still = self.face.leaves(self._arms, options), [] if options.wrists else WRISTS
+        return optimiser(self.corrections, self._arms, options, unseen=still, shared=shared)

@@ -7,7 +7,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.fit.poses import PoseOptions, TrainedPoses
+from gva_mi.fit.poses import WRISTS, PoseOptions, TrainedPoses
 from gva_mi.pose.stage1 import turns_between
 
 STEPS = 300
@@ -63,6 +63,18 @@ def trained_to(
             loss.backward()
         poses.step(step + 1, frame)
     return poses
+
+
+@pytest.mark.parametrize("wrists", [True, False])
+def test_hands_turn_at_the_wrist_unless_they_may_not(wrists, truth, known, camera):
+    options = replace(OPTIONS, wrists=wrists)
+    poses = TrainedPoses(truth, [camera] * FRAMES, known.rig, options, STEPS, as_given=True)
+    for step in range(30):
+        (poses(step % FRAMES).rotations[0, [ELBOW, *WRISTS]] - 1).abs().sum().backward()
+        poses.step(step + 1, step % FRAMES)
+    moved = (poses.all().rotations - truth.rotations).norm(dim=2).amax(0)
+    assert moved[ELBOW] > 0.01
+    assert (moved[WRISTS] > 0.01).all() if wrists else (moved[WRISTS] == 0).all()
 
 
 def away(pose, truth):

@@ -17,8 +17,8 @@ Differences from the paper (``surface="alpha"`` and ``random`` of the options ar
 * At rest, the surface would join the legs, and arms and trunk. It is made with the limbs spread
   (:mod:`gva_mi.avatar.spread_limbs`).
 * Laplacian smoothing shrinks, arms most. Taubin's filter keeps the volume.
-* What bridges holes would also bridge the gaps between fingers. Fingers are bare skin, which the
-  body model knows best: there, points are drawn on the body's own surface.
+* What bridges holes would also bridge the gaps between fingers. There, points are drawn on the
+  body's own surface (:mod:`gva_mi.avatar.fingers`).
 * Points spread by curvature alone are a centimetre apart, which leaves an eye two or three of them.
   Faces, which viewers look at first, get more.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
@@ -44,12 +44,13 @@ from gva_mi.avatar.canonical import (
     disc_quats,
     require_count,
 )
+from gva_mi.avatar.fingers import finger_weights, with_fingers
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 from gva_mi.avatar.rig import Rig
 from gva_mi.avatar.skin_weights import Skin, diffused
 from gva_mi.avatar.spread_limbs import SpreadLimbs
 from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
-from gva_mi.body.pose import EYES, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import EYES
 from gva_mi.core.options import Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 
@@ -169,20 +170,6 @@ def mesh_gaussians(
     return SurfaceMesh(spread.at_rest(found.vertices), found.faces)
 
 
-def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
-    """Replace the fingers of a surface by those of the rest body."""
-    from scipy.spatial import cKDTree
-
-    body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
-    finger = _finger_weights(rig.weights).numpy() > 0.5
-    if not finger.any():
-        return surface
-    bridged = finger[cKDTree(body).query(surface.vertices[surface.faces].mean(1))[1]]
-    own = faces[finger[faces].all(1)] + len(surface.vertices)
-    both = np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])
-    return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
-
-
 def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
     """Return the wanted density of points at the vertices of a surface, (V,), 1 where it is flat.
 
@@ -244,14 +231,9 @@ def regaussian(
 
 def _filler(rig: Rig, depth: float) -> SurfaceMesh:
     """Return the rest body moved inside by ``depth``; fingers, which are thinner, by less."""
-    inwards = depth * (1 - 0.75 * _finger_weights(rig.weights))
+    inwards = depth * (1 - 0.75 * finger_weights(rig.weights))
     shrunk = rig.vertices - inwards[:, None] * vertex_normals(rig.vertices, rig.faces)
     return SurfaceMesh(shrunk.double().numpy(), rig.faces.numpy())
-
-
-def _finger_weights(weights: Tensor) -> Tensor:
-    """Return the share of each row (N, 55) that belongs to fingers, (N,)."""
-    return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
 
 
 def _spin(quats: Tensor, half: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ Each step uses one training frame of the video:
 5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
    decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
-   bind them to the outer skin again
+   hold those of fingers; bind all to the outer skin again
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
+from gva_mi.avatar.fingers import hold_fingers
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
@@ -220,6 +221,8 @@ class Run:
         if schedule.reinitialises(self.step, options.steps):
             self._reinitialise(out)
         elif schedule.rebinds_weights(self.step):
+            if options.reinit.surface == "offset":  # an alpha shape, as printed, joins fingers
+                hold_fingers(self.avatar)
             self.avatar.rebind_weights()
         moved = self.avatar.canonical is not before or schedule.rebinds_weights(self.step)
         if self.lambert is not None and moved:

@@ -29,7 +29,7 @@ from gva_mi.splat.kernels.records import Footprint
 from gva_mi.splat.kernels.schedule import BLOCKS, SIMD, lists_by_length
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
-LONG = 64  # pairs per lane from which on it pays to schedule the adjoint's lists again
+LONG = 64  # pairs per lane from which on the background's gradient is added up in the new order
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
 SLACK = 1e-3  # pixels; widens an ellipse against rounding
 
@@ -88,8 +88,9 @@ class Lists:
 
     ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
     slots: Array  # (capacity,) index in ids of each pair, in the order of emission
-    first: Array  # (N,) first pair of each Gaussian in the order of emission
-    counts: Array  # (N,) tiles each Gaussian touches
+    order: Array  # (N,) Gaussians in the order of emission, front to back
+    first: Array  # (N,) the first pair of each of these in that order
+    counts: Array  # (N,) tiles each of these touches
     tile: Array  # (lanes,) tile of each lane of the compositing kernel
     start: Array  # (lanes,) its list in ids: first
     end: Array  # (lanes,) and one past the last
@@ -219,24 +220,27 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     return tile, start, end, real
 
 
-def walked(lists: Lists, stop: Array) -> Lists:
-    """Cut each list where its lane stopped, and schedule long lists again.
+def walked(lists: Lists, stop: Array) -> tuple[Lists, Array]:
+    """Cut each list where its lane stopped, and schedule the lists again.
 
-    In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
-    equally long, would wait for one another.
+    Pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were equally long,
+    would wait for one another.
 
     Args:
         lists: as compositing walked them.
         stop: (lanes,) as ``blend`` returned it.
+
+    Returns:
+        The lists, and the rank of each lane, (lanes,), in sums over all lanes, whose last bits
+        depend on the order.
     """
     lanes = dr.width(stop)
-    if dr.width(lists.ids) < LONG * lanes:
-        return replace(lists, end=stop)
     lane = lists_by_length(stop - lists.start, lanes)
     of_lanes = lists.tile, lists.start, stop, lists.real
     tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
-    dr.eval(tile, start, end, real)
-    return replace(lists, tile=tile, start=start, end=end, real=real)
+    rank = lane if dr.width(lists.ids) < LONG * lanes else dr.arange(type(lane), lanes)
+    dr.eval(tile, start, end, real, rank)
+    return replace(lists, tile=tile, start=start, end=end, real=real), rank
 
 
 def make_lists(
@@ -253,7 +257,7 @@ def make_lists(
     sorted_counts = dr.gather(U, counts, order)
     sums = dr.cumsum(dr.uint64_array_t(U)(sorted_counts))
     start = U(sums) - sorted_counts
-    dr.eval(start)
+    dr.eval(start, sorted_counts)
     pairs = int(sums[n - 1])
     if pairs == 0:
         return None
@@ -271,7 +275,4 @@ def make_lists(
     ids, begin, end, slots = _ranges(
         tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
     )
-    first = packets.memory(U, n)
-    dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
-    dr.eval(first)
-    return Lists(ids, slots, first, counts, *_schedule(begin, end))
+    return Lists(ids, slots, order, start, sorted_counts, *_schedule(begin, end))

@@ -29,7 +29,7 @@ from gva_mi.splat.kernels.records import Footprint
 from gva_mi.splat.kernels.schedule import BLOCKS, SIMD, lists_by_length
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
-LONG = 64  # pairs per lane from which on the background's gradient is added up in the new order
+LONG = 32  # pairs per lane from which on it pays to schedule the adjoint's lists again
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
 SLACK = 1e-3  # pixels; widens an ellipse against rounding
 
@@ -157,11 +157,13 @@ def _emit(
 ) -> tuple[Array, Array]:
     """Step 3: one lane per Gaussian, front to back; one pair per turn of the inner loop.
 
-    The result is the tile and the Gaussian of ``size`` pairs; the padding's tile is ``last``.
+    The result is ``size`` pairs, the Gaussian in the lower half and the tile in the upper half of
+    one integer, and the tiles alone; the padding's tile is ``last``.
     """
-    U, I = type(order), type(grid.width)
-    tile, ids = last + dr.zeros(U, size), dr.empty(U, size)
-    dr.eval(tile)
+    U, I, Pair = type(order), type(grid.width), dr.uint64_array_t(type(order))
+    of = lambda tile, gaussian: (Pair(tile) << 32) | Pair(gaussian)
+    pairs = of(last, dr.zeros(U, size))
+    dr.eval(pairs)
     g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
 
@@ -170,22 +172,22 @@ def _emit(
         before = row * grid.columns
 
         def write(column: Array, k: Array) -> tuple[Array, Array]:
-            dr.scatter(tile, U(before + column), k, mode=NoConflicts)
-            dr.scatter(ids, order, k, mode=NoConflicts)
+            dr.scatter(pairs, of(U(before + column), order), k, mode=NoConflicts)
             return column + 1, k + 1
 
         within = lambda column, k: column < end
         return row + 1, dr.while_loop((I(begin), U(k)), within, write, mode="symbolic")[1]
 
     dr.while_loop((I(first), U(start)), lambda row, k: row < last, body, mode="symbolic")
-    dr.eval(tile, ids)
-    return tile, ids
+    dr.eval(pairs)
+    tile = U(pairs >> 32)
+    dr.eval(tile)
+    return pairs, tile
 
 
 @Frozen
 def _ranges(
-    tile: Array,
-    emitted: Array,
+    pairs: Array,
     permutation: Array,
     last: Array,
     start: Array,
@@ -194,9 +196,10 @@ def _ranges(
     size: int,
 ) -> tuple[Array, ...]:
     """Step 4, after the sort: make the lists, their ranges, and the inverse permutation."""
-    U = type(tile)
+    U = type(permutation)
     k, slots = dr.arange(U, size), dr.empty(U, size)
-    ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
+    pair = dr.gather(type(pairs), pairs, permutation)
+    ids, here = U(pair), U(pair >> 32)
     dr.eval(ids, here)
     before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
     fresh = (k <= last) & (before != here)
@@ -221,26 +224,30 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
 
 
 def walked(lists: Lists, stop: Array) -> tuple[Lists, Array]:
-    """Cut each list where its lane stopped, and schedule the lists again.
+    """Cut each list where its lane stopped, and schedule long lists again.
 
-    Pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were equally long,
-    would wait for one another.
+    In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
+    equally long, would wait for one another.
 
     Args:
         lists: as compositing walked them.
         stop: (lanes,) as ``blend`` returned it.
 
     Returns:
-        The lists, and the rank of each lane, (lanes,), in sums over all lanes, whose last bits
-        depend on the order.
+        The lists, and the rank of each lane, (lanes,), in sums over all lanes: their last bits
+        depend on the order, which only lists of twice that length change.
     """
-    lanes = dr.width(stop)
+    lanes, pairs = dr.width(stop), dr.width(lists.ids)
+    rank = dr.arange(type(stop), lanes)
+    dr.eval(rank)
+    if pairs < LONG * lanes:
+        return replace(lists, end=stop), rank
     lane = lists_by_length(stop - lists.start, lanes)
     of_lanes = lists.tile, lists.start, stop, lists.real
     tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
-    rank = lane if dr.width(lists.ids) < LONG * lanes else dr.arange(type(lane), lanes)
-    dr.eval(tile, start, end, real, rank)
-    return replace(lists, tile=tile, start=start, end=end, real=real), rank
+    dr.eval(tile, start, end, real)
+    lists = replace(lists, tile=tile, start=start, end=end, real=real)
+    return lists, lane if pairs < 2 * LONG * lanes else rank
 
 
 def make_lists(
@@ -267,12 +274,12 @@ def make_lists(
             f"32-bit indices hold: make the picture or the Gaussians smaller"
         )
     size, tiles = capacity(pairs), layout.tiles
-    tile, ids = _emit(footprints, order, start, grid, dr.opaque(U, tiles - 1), size=size)
+    emitted, tile = _emit(footprints, order, start, grid, dr.opaque(U, tiles - 1), size=size)
 
     permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
     begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
     dr.make_opaque(begin, end)
     ids, begin, end, slots = _ranges(
-        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
+        emitted, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
     )
     return Lists(ids, slots, order, start, sorted_counts, *_schedule(begin, end))

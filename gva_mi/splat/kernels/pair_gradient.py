@@ -60,16 +60,20 @@ class PairGradientSums:
 
 
 def sum_slots(
-    lists: Lists, slots: packets.Packets, format: RecordFormat, sums: packets.Packets
+    lists: Lists,
+    places: Array,
+    slots: packets.Packets,
+    format: RecordFormat,
+    sums: packets.Packets,
 ) -> None:
     """Add up each Gaussian's slots, one after the other, and store them in its row of ``sums``.
 
-    Lanes are Gaussians in the order of emission, so that a packet reads ``lists.slots`` in order.
+    Lanes are Gaussians in the order of emission, so that a packet reads ``lists.places`` in order.
     """
     zero = dr.zeros(type(slots[0]), dr.width(lists.order))
 
     def body(k: Array, *total: Array) -> tuple[Array, ...]:
-        pair = dr.gather(type(k), lists.slots, k)
+        pair = dr.gather(type(k), places, k)
         slot = packets.load(slots, PairGradient, format, pair).pack()
         return (k + 1, *(a + b for a, b in zip(total, slot, strict=True)))
 

@@ -123,10 +123,8 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
         return _gradients_of_nothing(saved, grad, requested)
     slots, formats, by_background = composite_adjoint(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
-    counts = saved.projected.counts
-    found = _gaussians_adjoint(
-        saved.inputs, saved.view, saved.lists, counts, slots, formats=formats, **constants
-    )
+    given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
+    found = _gaussians_adjoint(*given, slots, formats=formats, **constants)
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
@@ -199,6 +197,7 @@ def _gaussians_adjoint(
     inputs: Inputs,
     view: CameraArrays,
     lists: Lists,
+    places: Array,
     counts: Array,
     slots: list[packets.Packets],
     *,
@@ -210,7 +209,7 @@ def _gaussians_adjoint(
     target = GradientMemory.empty(inputs, rows, plan.color_width, requested)
     memory = [packets.empty(PairGradient, part, rows, inputs.float_type) for part in formats]
     for part, sums, format in zip(slots, memory, formats, strict=True):
-        sum_slots(lists, part, format, sums)
+        sum_slots(lists, places, part, format, sums)
     dr.eval(memory)  # two kernels: a single one would run out of registers
     rows_of = zip(memory, formats, strict=True)
     parts = [packets.load(sums, PairGradient, part, inputs.index()) for sums, part in rows_of]

@@ -87,7 +87,7 @@ class Lists:
     """Every tile's Gaussians, front to back."""
 
     ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
-    slots: Array  # (capacity,) index in ids of each pair, in the order of emission
+    emitted: Array  # (capacity,) place of each of these pairs in the order of emission
     order: Array  # (N,) Gaussians in the order of emission, front to back
     first: Array  # (N,) the first pair of each of these in that order
     counts: Array  # (N,) tiles each of these touches
@@ -95,6 +95,14 @@ class Lists:
     start: Array  # (lanes,) its list in ids: first
     end: Array  # (lanes,) and one past the last
     real: Array  # (lanes,) False for lanes that only fill up packets: an empty list, tile 0
+
+    def places(self) -> Array:
+        """Return the index in ``ids`` of each pair in the order of emission, (capacity,)."""
+        U, pairs = type(self.ids), dr.width(self.ids)
+        places = packets.memory(U, pairs)
+        dr.scatter(places, dr.arange(U, pairs), self.emitted, mode=dr.ReduceMode.Permute)
+        dr.eval(places)
+        return places
 
 
 def capacity(count: int) -> int:
@@ -195,9 +203,9 @@ def _ranges(
     *,
     size: int,
 ) -> tuple[Array, ...]:
-    """Step 4, after the sort: make the lists, their ranges, and the inverse permutation."""
+    """Step 4, after the sort: make the lists and their ranges."""
     U = type(permutation)
-    k, slots = dr.arange(U, size), dr.empty(U, size)
+    k = dr.arange(U, size)
     pair = dr.gather(type(pairs), pairs, permutation)
     ids, here = U(pair), U(pair >> 32)
     dr.eval(ids, here)
@@ -206,9 +214,8 @@ def _ranges(
     dr.scatter(start, k, here, active=fresh, mode=NoConflicts)  # the first list starts at 0
     dr.scatter(end, k, before, active=fresh, mode=NoConflicts)
     dr.scatter(end, k + 1, here, active=k == last, mode=NoConflicts)
-    dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
-    dr.eval(ids, start, end, slots)
-    return ids, start, end, slots
+    dr.eval(ids, start, end)
+    return ids, start, end
 
 
 def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
@@ -279,7 +286,5 @@ def make_lists(
     permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
     begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
     dr.make_opaque(begin, end)
-    ids, begin, end, slots = _ranges(
-        emitted, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
-    )
-    return Lists(ids, slots, order, start, sorted_counts, *_schedule(begin, end))
+    ids, begin, end = _ranges(emitted, permutation, dr.opaque(U, pairs - 1), begin, end, size=size)
+    return Lists(ids, permutation, order, start, sorted_counts, *_schedule(begin, end))

@@ -65,7 +65,7 @@ def test_equal_depths_keep_their_order():
 
 def test_every_slot_has_one_writer():
     saved = forward(random_scene(torch.Generator().manual_seed(0)))
-    slots = saved.lists.slots.numpy()
+    slots = saved.lists.places().numpy()
     assert sorted(slots.tolist()) == list(range(len(slots)))
     order, first, counts = (getattr(saved.lists, k).numpy() for k in ("order", "first", "counts"))
     owner = np.concatenate([slots[f : f + n] for f, n in zip(first, counts, strict=True)])

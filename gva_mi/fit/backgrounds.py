@@ -30,6 +30,7 @@ from torch.autograd.function import FunctionCtx
 from gva_mi.data.crop import Box
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.packets import store_rows
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.tiles import capacity
@@ -128,8 +129,7 @@ def _compare(
     grad = [dr.select(x > 0, unit, dr.select(x < 0, -unit, 0)) for x in off]
     error, by_color = unit * sum(dr.abs(x) for x in off), dr.empty(F, 3 * size)
     by_alpha = -sum(g * F(b) for g, b in zip(grad, background, strict=True))
-    for c, value in enumerate(grad):
-        dr.scatter(by_color, value, 3 * lane + c)
+    store_rows(by_color, grad, lane)
     found = [error, by_color, by_alpha]
     dr.eval(found)
     return found

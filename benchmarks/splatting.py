@@ -27,6 +27,7 @@ STAGES = {  # a stage's name, and the function that is it
     "tile lists": (tiles, "make_lists"),
     "composite": (composite, "blend"),
     "composite, adjoint": (composite, "blend_adjoint"),
+    "places of the pairs": (tiles.Lists, "places"),
     "sum and project, adjoint": (passes, "_gaussians_adjoint"),
 }
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)

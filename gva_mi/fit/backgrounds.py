@@ -30,9 +30,10 @@ from torch.autograd.function import FunctionCtx
 from gva_mi.data.crop import Box
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
-from gva_mi.jit.packets import memory
+from gva_mi.jit.packets import store_rows
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.jit.tensors import tensor_of
+from gva_mi.splat.kernels.tiles import capacity
 
 
 @dataclass(frozen=True)
@@ -96,18 +97,17 @@ class _AbsoluteError(torch.autograd.Function):
         ctx: FunctionCtx, color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float
     ) -> Tensor:
         C, A = flat_array(color), flat_array(alpha)
-        target = [memory(type(A), width * alpha.numel()) for width in (1, 3, 1)]
-        found = _compare(C, A, *_arrays(cutout, part), dr.opaque(type(A), 1 / count), target)
+        unit, size = dr.opaque(type(A), 1 / count), capacity(alpha.numel())
+        error, *found = _compare(C, A, *_arrays(cutout, part), unit, size=size)
         dr.sync_thread()
-        error, by_color, by_alpha = (tensor_of(x) for x in found)
-        ctx.by_color, ctx.by_alpha = by_color.view(color.shape), by_alpha.view(alpha.shape)
-        return error.sum()
+        pairs = zip(found, (color, alpha), strict=True)
+        ctx.by = [tensor_of(x, given.numel()).view(given.shape) for x, given in pairs]
+        return tensor_of(error).sum()
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor | None, ...]:
-        found = ctx.by_color, ctx.by_alpha
-        return *(found if grad == 1 else (grad * x for x in found)), None, None, None
+        return *(ctx.by if grad == 1 else (grad * x for x in ctx.by)), None, None, None
 
 
 @Frozen
@@ -118,21 +118,21 @@ def _compare(
     color: list[Float],
     place: list[Array],
     unit: Array,
-    target: list[Array],
+    *,
+    size: int,
 ) -> list[Array]:
-    """Write eq. 4 of each pixel, and eq. 5."""
+    """Evaluate eq. 4 of each pixel, and eq. 5 in memory for ``size`` pixels."""
     F, lane = type(A), dr.arange(UInt32, dr.width(A))
     wanted, background, _ = _composite(pixels, color, place, lane)
     through, C = 1 - A, load_columns(C, 3, lane)
     off = [dr.fma(through, F(b), c) - F(t) for c, b, t in zip(C, background, wanted, strict=True)]
     grad = [dr.select(x > 0, unit, dr.select(x < 0, -unit, 0)) for x in off]
-    error, by_color, by_alpha = target
-    dr.scatter(error, unit * sum(dr.abs(x) for x in off), lane)
-    for c, value in enumerate(grad):
-        dr.scatter(by_color, value, 3 * lane + c)
-    dr.scatter(by_alpha, -sum(g * F(b) for g, b in zip(grad, background, strict=True)), lane)
-    dr.eval(target)
-    return target
+    error, by_color = unit * sum(dr.abs(x) for x in off), dr.empty(F, 3 * size)
+    by_alpha = -sum(g * F(b) for g, b in zip(grad, background, strict=True))
+    store_rows(by_color, grad, lane)
+    found = [error, by_color, by_alpha]
+    dr.eval(found)
+    return found
 
 
 def _composite(

@@ -230,8 +230,10 @@ def _reached(means: Array, sizes: Array, view: Array, *, n: int, columns: int) -
     # Off centre, a ball looks longer by the secant of its angle.
     reach = REACH * radius * dr.sqrt(1 + x * x + y * y) / z * dr.maximum(fx, fy) + BORDER
     before, places = z > SplatOptions.near, (fx * x + cx, fy * y + cy)
-    found = [dr.min(dr.select(before, at - reach, dr.inf)) for at in places]
-    found += [dr.max(dr.select(before, at + reach, -dr.inf)) for at in places]
+    low = [dr.select(before, at - reach, dr.inf) for at in places]
+    high = [dr.select(before, at + reach, -dr.inf) for at in places]
+    dr.eval(low, high)  # together: else each reduction computes its own
+    found = [*map(dr.min, low), *map(dr.max, high)]
     dr.eval(found)
     return found
 

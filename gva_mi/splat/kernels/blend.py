@@ -136,6 +136,7 @@ def blend(
 def blend_adjoint(
     splats: packets.Packets,
     lists: Lists,
+    rank: Array,
     grid: Grid,
     background: list[Array],
     saved_pixels: SavedPixels,
@@ -151,7 +152,7 @@ def blend_adjoint(
 
     Args:
         splats, grid, background, format, options: as :func:`blend` took them.
-        lists: what it walked of them (``tiles.walked``).
+        lists, rank: what it walked of them, and the rank of each lane (``tiles.walked``).
         saved_pixels: as :func:`blend` returned them.
         grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
@@ -159,7 +160,7 @@ def blend_adjoint(
             channels if the gradients made of them are not requested.
 
     Returns:
-        The pairs' slots, and D floats per lane.
+        The pairs' slots, and D floats per lane, in the order of their ranks.
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
@@ -171,7 +172,7 @@ def blend_adjoint(
         for c in range(len(background))
     ]
     share = [dr.select(lists.real, s, 0) for s in share]
-    packets.store_rows(grad_background, share, dr.arange(U, dr.width(lists.tile)))
+    packets.store_rows(grad_background, share, rank)
     columns = PairGradient.columns(slot_format)
     slots = [dr.zeros(F, pairs * width) for width in packets.widths(columns)]
 

@@ -59,20 +59,29 @@ class PairGradientSums:
         return PairGradient(self.m0, self.m1, self.m2, self.absolute, color, depth)
 
 
-def sum_slots(lists: Lists, slots: packets.Packets, format: RecordFormat) -> PairGradient:
-    """Add up each Gaussian's slots, one after the other."""
-    columns = PairGradient.columns(format)
-    zero = dr.zeros(type(slots[0]), dr.width(lists.counts))
+def sum_slots(
+    lists: Lists,
+    places: Array,
+    slots: packets.Packets,
+    format: RecordFormat,
+    sums: packets.Packets,
+) -> None:
+    """Add up each Gaussian's slots, one after the other, and store them in its row of ``sums``.
 
-    def body(k: Array, *sums: Array) -> tuple[Array, ...]:
-        pair = dr.gather(type(k), lists.slots, k)
+    Lanes are Gaussians in the order of emission, so that a packet reads ``lists.places`` in order.
+    """
+    zero = dr.zeros(type(slots[0]), dr.width(lists.order))
+
+    def body(k: Array, *total: Array) -> tuple[Array, ...]:
+        pair = dr.gather(type(k), places, k)
         slot = packets.load(slots, PairGradient, format, pair).pack()
-        return (k + 1, *(a + b for a, b in zip(sums, slot, strict=True)))
+        return (k + 1, *(a + b for a, b in zip(total, slot, strict=True)))
 
     last = lists.first + lists.counts
-    state = (type(lists.first)(lists.first), *(zero * 1 for _ in range(columns)))
+    zeros = (zero * 1 for _ in range(PairGradient.columns(format)))
+    state = (type(lists.first)(lists.first), *zeros)
     state = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic", compress=False)
-    return PairGradient.unpack(state[1:], format)
+    packets.store(sums, PairGradient.unpack(state[1:], format), lists.order)
 
 
 def _add(a: Array | None, b: Array) -> Array:

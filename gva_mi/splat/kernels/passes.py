@@ -45,7 +45,7 @@ from gva_mi.splat.kernels.project import (
     project_tangent,
     splat_memory,
 )
-from gva_mi.splat.kernels.records import CameraGradient, Footprint, RecordFormat
+from gva_mi.splat.kernels.records import CameraGradient, Footprint, PairGradient, RecordFormat
 from gva_mi.splat.kernels.saved import Gradients, SavedState
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
@@ -123,9 +123,8 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
         return _gradients_of_nothing(saved, grad, requested)
     slots, formats, by_background = composite_adjoint(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
-    found = _gaussians_adjoint(
-        saved.inputs, saved.view, saved.lists, slots, formats=formats, **constants
-    )
+    given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
+    found = _gaussians_adjoint(*given, slots, formats=formats, **constants)
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
@@ -198,6 +197,8 @@ def _gaussians_adjoint(
     inputs: Inputs,
     view: CameraArrays,
     lists: Lists,
+    places: Array,
+    counts: Array,
     slots: list[packets.Packets],
     *,
     rows: int,
@@ -206,10 +207,14 @@ def _gaussians_adjoint(
     formats: tuple[RecordFormat, ...],
 ) -> GradientMemory:
     target = GradientMemory.empty(inputs, rows, plan.color_width, requested)
-    sums = [sum_slots(lists, part, format) for part, format in zip(slots, formats, strict=True)]
-    dr.eval(sums)  # two kernels: a single one would run out of registers
-    slot, drawn = chunks.add_slots(sums, plan.channels), lists.counts > 0
-    project_adjoint(inputs, plan, view, slot, drawn, target)
+    memory = [packets.empty(PairGradient, part, rows, inputs.float_type) for part in formats]
+    for part, sums, format in zip(slots, memory, formats, strict=True):
+        sum_slots(lists, places, part, format, sums)
+    dr.eval(memory)  # two kernels: a single one would run out of registers
+    rows_of = zip(memory, formats, strict=True)
+    parts = [packets.load(sums, PairGradient, part, inputs.index()) for sums, part in rows_of]
+    slot = chunks.add_slots(parts, plan.channels)
+    project_adjoint(inputs, plan, view, slot, counts > 0, target)
     dr.eval(target)
     return target
 

@@ -29,7 +29,7 @@ from gva_mi.splat.kernels.records import Footprint
 from gva_mi.splat.kernels.schedule import BLOCKS, SIMD, lists_by_length
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
-LONG = 64  # pairs per lane from which on it pays to schedule the adjoint's lists again
+LONG = 32  # pairs per lane from which on it pays to schedule the adjoint's lists again
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
 SLACK = 1e-3  # pixels; widens an ellipse against rounding
 
@@ -87,13 +87,22 @@ class Lists:
     """Every tile's Gaussians, front to back."""
 
     ids: Array  # (capacity,) Gaussian of each pair, sorted by tile, then depth
-    slots: Array  # (capacity,) index in ids of each pair, in the order of emission
-    first: Array  # (N,) first pair of each Gaussian in the order of emission
-    counts: Array  # (N,) tiles each Gaussian touches
+    emitted: Array  # (capacity,) place of each of these pairs in the order of emission
+    order: Array  # (N,) Gaussians in the order of emission, front to back
+    first: Array  # (N,) the first pair of each of these in that order
+    counts: Array  # (N,) tiles each of these touches
     tile: Array  # (lanes,) tile of each lane of the compositing kernel
     start: Array  # (lanes,) its list in ids: first
     end: Array  # (lanes,) and one past the last
     real: Array  # (lanes,) False for lanes that only fill up packets: an empty list, tile 0
+
+    def places(self) -> Array:
+        """Return the index in ``ids`` of each pair in the order of emission, (capacity,)."""
+        U, pairs = type(self.ids), dr.width(self.ids)
+        places = packets.memory(U, pairs)
+        dr.scatter(places, dr.arange(U, pairs), self.emitted, mode=dr.ReduceMode.Permute)
+        dr.eval(places)
+        return places
 
 
 def capacity(count: int) -> int:
@@ -156,11 +165,13 @@ def _emit(
 ) -> tuple[Array, Array]:
     """Step 3: one lane per Gaussian, front to back; one pair per turn of the inner loop.
 
-    The result is the tile and the Gaussian of ``size`` pairs; the padding's tile is ``last``.
+    The result is ``size`` pairs, the Gaussian in the lower half and the tile in the upper half of
+    one integer, and the tiles alone; the padding's tile is ``last``.
     """
-    U, I = type(order), type(grid.width)
-    tile, ids = last + dr.zeros(U, size), dr.empty(U, size)
-    dr.eval(tile)
+    U, I, Pair = type(order), type(grid.width), dr.uint64_array_t(type(order))
+    of = lambda tile, gaussian: (Pair(tile) << 32) | Pair(gaussian)
+    pairs = of(last, dr.zeros(U, size))
+    dr.eval(pairs)
     g = packets.load(footprints, Footprint, None, order)
     first, last = _rows_touched(g, grid)
 
@@ -169,22 +180,22 @@ def _emit(
         before = row * grid.columns
 
         def write(column: Array, k: Array) -> tuple[Array, Array]:
-            dr.scatter(tile, U(before + column), k, mode=NoConflicts)
-            dr.scatter(ids, order, k, mode=NoConflicts)
+            dr.scatter(pairs, of(U(before + column), order), k, mode=NoConflicts)
             return column + 1, k + 1
 
         within = lambda column, k: column < end
         return row + 1, dr.while_loop((I(begin), U(k)), within, write, mode="symbolic")[1]
 
     dr.while_loop((I(first), U(start)), lambda row, k: row < last, body, mode="symbolic")
-    dr.eval(tile, ids)
-    return tile, ids
+    dr.eval(pairs)
+    tile = U(pairs >> 32)
+    dr.eval(tile)
+    return pairs, tile
 
 
 @Frozen
 def _ranges(
-    tile: Array,
-    emitted: Array,
+    pairs: Array,
     permutation: Array,
     last: Array,
     start: Array,
@@ -192,19 +203,19 @@ def _ranges(
     *,
     size: int,
 ) -> tuple[Array, ...]:
-    """Step 4, after the sort: make the lists, their ranges, and the inverse permutation."""
-    U = type(tile)
-    k, slots = dr.arange(U, size), dr.empty(U, size)
-    ids, here = dr.gather(U, emitted, permutation), dr.gather(U, tile, permutation)
+    """Step 4, after the sort: make the lists and their ranges."""
+    U = type(permutation)
+    k = dr.arange(U, size)
+    pair = dr.gather(type(pairs), pairs, permutation)
+    ids, here = U(pair), U(pair >> 32)
     dr.eval(ids, here)
     before = dr.gather(U, here, dr.select(k > 0, k - 1, 0))
     fresh = (k <= last) & (before != here)
     dr.scatter(start, k, here, active=fresh, mode=NoConflicts)  # the first list starts at 0
     dr.scatter(end, k, before, active=fresh, mode=NoConflicts)
     dr.scatter(end, k + 1, here, active=k == last, mode=NoConflicts)
-    dr.scatter(slots, k, permutation, mode=dr.ReduceMode.Permute)
-    dr.eval(ids, start, end, slots)
-    return ids, start, end, slots
+    dr.eval(ids, start, end)
+    return ids, start, end
 
 
 def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
@@ -219,7 +230,7 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     return tile, start, end, real
 
 
-def walked(lists: Lists, stop: Array) -> Lists:
+def walked(lists: Lists, stop: Array) -> tuple[Lists, Array]:
     """Cut each list where its lane stopped, and schedule long lists again.
 
     In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
@@ -228,15 +239,22 @@ def walked(lists: Lists, stop: Array) -> Lists:
     Args:
         lists: as compositing walked them.
         stop: (lanes,) as ``blend`` returned it.
+
+    Returns:
+        The lists, and the rank of each lane, (lanes,), in sums over all lanes: their last bits
+        depend on the order, which only lists of twice that length change.
     """
-    lanes = dr.width(stop)
-    if dr.width(lists.ids) < LONG * lanes:
-        return replace(lists, end=stop)
+    lanes, pairs = dr.width(stop), dr.width(lists.ids)
+    rank = dr.arange(type(stop), lanes)
+    dr.eval(rank)
+    if pairs < LONG * lanes:
+        return replace(lists, end=stop), rank
     lane = lists_by_length(stop - lists.start, lanes)
     of_lanes = lists.tile, lists.start, stop, lists.real
     tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
     dr.eval(tile, start, end, real)
-    return replace(lists, tile=tile, start=start, end=end, real=real)
+    lists = replace(lists, tile=tile, start=start, end=end, real=real)
+    return lists, lane if pairs < 2 * LONG * lanes else rank
 
 
 def make_lists(
@@ -253,7 +271,7 @@ def make_lists(
     sorted_counts = dr.gather(U, counts, order)
     sums = dr.cumsum(dr.uint64_array_t(U)(sorted_counts))
     start = U(sums) - sorted_counts
-    dr.eval(start)
+    dr.eval(start, sorted_counts)
     pairs = int(sums[n - 1])
     if pairs == 0:
         return None
@@ -263,15 +281,10 @@ def make_lists(
             f"32-bit indices hold: make the picture or the Gaussians smaller"
         )
     size, tiles = capacity(pairs), layout.tiles
-    tile, ids = _emit(footprints, order, start, grid, dr.opaque(U, tiles - 1), size=size)
+    emitted, tile = _emit(footprints, order, start, grid, dr.opaque(U, tiles - 1), size=size)
 
     permutation = dr.detail.block_mkperm(tile, size, 1 << (tiles - 1).bit_length())
     begin, end = dr.zeros(U, tiles), dr.zeros(U, tiles)
     dr.make_opaque(begin, end)
-    ids, begin, end, slots = _ranges(
-        tile, ids, permutation, dr.opaque(U, pairs - 1), begin, end, size=size
-    )
-    first = packets.memory(U, n)
-    dr.scatter(first, start, order, mode=dr.ReduceMode.Permute)
-    dr.eval(first)
-    return Lists(ids, slots, first, counts, *_schedule(begin, end))
+    ids, begin, end = _ranges(emitted, permutation, dr.opaque(U, pairs - 1), begin, end, size=size)
+    return Lists(ids, permutation, order, start, sorted_counts, *_schedule(begin, end))

@@ -65,12 +65,12 @@ def test_equal_depths_keep_their_order():
 
 def test_every_slot_has_one_writer():
     saved = forward(random_scene(torch.Generator().manual_seed(0)))
-    slots = saved.lists.slots.numpy()
+    slots = saved.lists.places().numpy()
     assert sorted(slots.tolist()) == list(range(len(slots)))
-    counts, first = saved.lists.counts.numpy(), saved.lists.first.numpy()
+    order, first, counts = (getattr(saved.lists, k).numpy() for k in ("order", "first", "counts"))
     owner = np.concatenate([slots[f : f + n] for f, n in zip(first, counts, strict=True)])
     ids = saved.lists.ids.numpy()
-    assert (ids[owner] == np.repeat(np.arange(len(counts)), counts)).all()
+    assert (ids[owner] == np.repeat(order, counts)).all()
     assert dr.width(saved.lists.ids) == tiles.capacity(int(counts.sum()))
 
 
@@ -85,9 +85,10 @@ def test_lists_scheduled_again_are_the_same_lists_up_to_where_they_stopped(monke
         )
         if real
     }
-    short = tiles.walked(saved.lists, saved.stop)
-    monkeypatch.setattr(tiles, "LONG", 0)
-    again = tiles.walked(saved.lists, saved.stop)
+    short, _ = tiles.walked(saved.lists, saved.stop)
+    monkeypatch.setattr(tiles, "LONG", len(saved.lists.ids) / len(saved.stop))
+    again, rank = tiles.walked(saved.lists, saved.stop)
     assert by_tile(again, again.end) == by_tile(short, short.end)
     assert by_tile(again, again.end) == by_tile(saved.lists, saved.stop)
     assert (again.tile.numpy() != saved.lists.tile.numpy()).any()
+    assert (again.tile.numpy() == saved.lists.tile.numpy()[rank.numpy()]).all()

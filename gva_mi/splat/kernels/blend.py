@@ -136,7 +136,6 @@ def blend(
 def blend_adjoint(
     splats: packets.Packets,
     lists: Lists,
-    rank: Array,
     grid: Grid,
     background: list[Array],
     saved_pixels: SavedPixels,
@@ -152,7 +151,7 @@ def blend_adjoint(
 
     Args:
         splats, grid, background, format, options: as :func:`blend` took them.
-        lists, rank: what it walked of them, and the rank of each lane (``tiles.walked``).
+        lists: what it walked of them (``tiles.walked``).
         saved_pixels: as :func:`blend` returned them.
         grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.
@@ -160,7 +159,7 @@ def blend_adjoint(
             channels if the gradients made of them are not requested.
 
     Returns:
-        The pairs' slots, and D floats per lane, in the order of their ranks.
+        The pairs' slots, and D floats per lane.
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
@@ -172,7 +171,7 @@ def blend_adjoint(
         for c in range(len(background))
     ]
     share = [dr.select(lists.real, s, 0) for s in share]
-    packets.store_rows(grad_background, share, rank)
+    packets.store_rows(grad_background, share, dr.arange(U, dr.width(lists.tile)))
     columns = PairGradient.columns(slot_format)
     slots = [dr.zeros(F, pairs * width) for width in packets.widths(columns)]
 

@@ -59,7 +59,7 @@ def composite_adjoint(
     plan, D = saved.plan, len(saved.background)
     colors = requested.colors or plan.harmonics  # harmonics reach the means too
     slots, slot_formats, sums = [], [], []
-    lists, rank = walked(saved.lists, saved.stop)
+    lists = walked(saved.lists, saved.stop)
     pictures = chunks.split_gradient(grad, D, len(plan.formats))
     parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
     for part, by_picture, behind, format in parts:
@@ -70,7 +70,6 @@ def composite_adjoint(
         memory, shares = blend_adjoint(
             part,
             lists,
-            rank,
             saved.grid,
             behind,
             saved.saved_pixels,

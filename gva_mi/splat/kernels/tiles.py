@@ -230,7 +230,7 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     return tile, start, end, real
 
 
-def walked(lists: Lists, stop: Array) -> tuple[Lists, Array]:
+def walked(lists: Lists, stop: Array) -> Lists:
     """Cut each list where its lane stopped, and schedule long lists again.
 
     In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
@@ -239,22 +239,15 @@ def walked(lists: Lists, stop: Array) -> tuple[Lists, Array]:
     Args:
         lists: as compositing walked them.
         stop: (lanes,) as ``blend`` returned it.
-
-    Returns:
-        The lists, and the rank of each lane, (lanes,), in sums over all lanes: their last bits
-        depend on the order, which only lists of twice that length change.
     """
-    lanes, pairs = dr.width(stop), dr.width(lists.ids)
-    rank = dr.arange(type(stop), lanes)
-    dr.eval(rank)
-    if pairs < LONG * lanes:
-        return replace(lists, end=stop), rank
+    lanes = dr.width(stop)
+    if dr.width(lists.ids) < LONG * lanes:
+        return replace(lists, end=stop)
     lane = lists_by_length(stop - lists.start, lanes)
     of_lanes = lists.tile, lists.start, stop, lists.real
     tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
     dr.eval(tile, start, end, real)
-    lists = replace(lists, tile=tile, start=start, end=end, real=real)
-    return lists, lane if pairs < 2 * LONG * lanes else rank
+    return replace(lists, tile=tile, start=start, end=end, real=real)
 
 
 def make_lists(

@@ -17,7 +17,7 @@ from gva_mi.avatar.offset_surface import SurfaceMesh
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 
-REACH = 0.005  # metres that a Gaussian of a finger may be off the body's surface
+REACH = 0.004  # metres that a Gaussian of a finger may be off the body's surface
 
 
 def finger_weights(weights: Tensor) -> Tensor:
@@ -39,18 +39,25 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
 
 
-@torch.no_grad()
-def hold_fingers(avatar: Avatar) -> None:
-    """Move Gaussians of fingers that have left the rest body back, to :data:`REACH` from it."""
-    from scipy.spatial import cKDTree
+class Fingers:
+    """The fingers of an avatar's rest body, and the Gaussians that must stay on them."""
 
-    rig, G = avatar.rig, avatar.canonical
-    body = rig.vertices[finger_weights(rig.weights) > 0.5]
-    mine = (finger_weights(G.weights) > 0.5).nonzero()[:, 0]
-    if not len(body) or not len(mine):
-        return
-    means = G.means[mine]
-    distance, nearest = cKDTree(body.double().numpy()).query(means.double().numpy())
-    distance, beneath = torch.from_numpy(distance).to(means), body[torch.from_numpy(nearest)]
-    share = (REACH / distance.clamp_min(1e-9)).clamp_max(1)[:, None]
-    G.means[mine] = beneath + share * (means - beneath)
+    def __init__(self, rig: Rig) -> None:
+        from scipy.spatial import cKDTree
+
+        self._surface = rig.vertices[finger_weights(rig.weights) > 0.5]
+        self._tree = cKDTree(self._surface.double().numpy()) if len(self._surface) else None
+
+    @torch.no_grad()
+    def hold(self, avatar: Avatar) -> None:
+        """Move Gaussians of fingers that have left the body back, to :data:`REACH` from it."""
+        G = avatar.canonical
+        mine = (finger_weights(G.weights) > 0.5).nonzero()[:, 0]
+        if self._tree is None or not len(mine):
+            return
+        means = G.means[mine]
+        distance, nearest = self._tree.query(means.double().numpy())
+        distance = torch.from_numpy(distance).to(means)
+        beneath = self._surface[torch.from_numpy(nearest)]
+        share = (REACH / distance.clamp_min(1e-9)).clamp_max(1)[:, None]
+        G.means[mine] = beneath + share * (means - beneath)

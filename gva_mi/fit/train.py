@@ -10,7 +10,7 @@ Each step uses one training frame of the video:
 5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
    decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
-   hold those of fingers; bind all to the outer skin again
+   bind them to the outer skin again; hold those of fingers
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
-from gva_mi.avatar.fingers import hold_fingers
+from gva_mi.avatar.fingers import Fingers
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
@@ -45,6 +45,8 @@ from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
 from gva_mi.splat import Screen, render
+
+HOLD_EVERY = 10  # steps between two checks that Gaussians of fingers are on the fingers
 
 
 def fit(
@@ -158,6 +160,8 @@ class Run:
             video.pose, video.cameras, rig, options.poses, options.steps, as_given=video.stage != 1
         )
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
+        # An alpha shape, as printed, joins the fingers.
+        self.fingers = Fingers(self.avatar.rig) if options.reinit.surface == "offset" else None
         self.optimizer = _optimizer(self.avatar, self.lambert, options.rates)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
@@ -221,12 +225,12 @@ class Run:
         if schedule.reinitialises(self.step, options.steps):
             self._reinitialise(out)
         elif schedule.rebinds_weights(self.step):
-            if options.reinit.surface == "offset":  # an alpha shape, as printed, joins fingers
-                hold_fingers(self.avatar)
             self.avatar.rebind_weights()
         moved = self.avatar.canonical is not before or schedule.rebinds_weights(self.step)
         if self.lambert is not None and moved:
             self.lambert.follow(self.avatar)
+        if self.fingers is not None and self.step % HOLD_EVERY == 0:
+            self.fingers.hold(self.avatar)
 
     def _reinitialise(self, out: Path) -> None:
         """Put the Gaussians back on the surface, where enough of them are opaque to show one."""

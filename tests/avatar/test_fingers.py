@@ -4,7 +4,7 @@ import copy
 
 import torch
 
-from gva_mi.avatar.fingers import REACH, finger_weights, hold_fingers
+from gva_mi.avatar.fingers import REACH, Fingers, finger_weights
 
 
 def test_gaussians_of_fingers_come_back_and_all_others_stay(known):
@@ -18,7 +18,7 @@ def test_gaussians_of_fingers_come_back_and_all_others_stay(known):
     off = lambda means: torch.cdist(means[finger], body).amin(1)
     far = off(before) > REACH
     assert far.any() and (~far).any()
-    hold_fingers(avatar)
+    Fingers(avatar.rig).hold(avatar)
     assert off(G.means.detach()).max() < REACH + 1e-4
     torch.testing.assert_close(G.means[finger][~far], before[finger][~far])
     assert torch.equal(G.means[~finger], before[~finger])

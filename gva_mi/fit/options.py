@@ -19,11 +19,6 @@ from gva_mi.splat import SplatOptions
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 
-# Adam's epsilon of means: about a tenth of the gradient of a Gaussian in plain view. Gaussians that
-# are hidden in all frames, as in an armpit, have a hundredth of it, all noise. With the 1e-15 of
-# 3DGS they move as far as others, and burst out of the surface once an arm is raised.
-NOISE = 1e-5
-
 # For films. Weight of the alpha term: where a mask may be wrong, the picture outvotes it only if
 # person and background differ by more than this, the mean over channels in [0, 1].
 FILM_ALPHA = 0.05

@@ -36,10 +36,11 @@ from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
 from gva_mi.fit import checkpoint, run_folder
+from gva_mi.fit.adam import lower_rate_of_means, make_adam
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
-from gva_mi.fit.options import NOISE, FitOptions, Rates
+from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import smallest_pixel
@@ -162,7 +163,7 @@ class Run:
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers.
         self.fingers = Fingers(self.avatar.rig) if options.reinit.surface == "offset" else None
-        self.optimizer = _optimizer(self.avatar, self.lambert, options.rates)
+        self.optimizer = make_adam(self.avatar, self.lambert, options.rates)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
@@ -191,7 +192,8 @@ class Run:
     def descend(self, sample: Sample, distance: Distance) -> dict[str, float]:
         """Take one step of descent on one frame; return its losses."""
         options = self.options
-        self._lower_learning_rate()
+        done = self.step / max(1, options.steps - 1)
+        lower_rate_of_means(self.optimizer, options.rates, done)
         animated = self.avatar.animate(self.poses(sample.frame), self.colors())
         target, screen = sample.target(animated.gaussians), Screen()
         image = render(animated.gaussians, target.camera, options.splat, screen=screen)
@@ -271,28 +273,3 @@ class Run:
             "gradients": [self.gradients.total, self.gradients.views],
             "history": self.history,
         }
-
-    def _lower_learning_rate(self) -> None:
-        """Lower the learning rate of the means exponentially over the run."""
-        rates = self.options.rates
-        done = self.step / max(1, self.options.steps - 1)
-        for group in self.optimizer.param_groups:
-            if group["name"] == "means":
-                group["lr"] = rates.means ** (1 - done) * rates.means_end**done
-
-
-def _optimizer(avatar: Avatar, lambert: Lambert | None, rates: Rates) -> torch.optim.Adam:
-    """Make Adam with one named group, and one learning rate, per kind of parameter."""
-    # With 3DGS's tiny epsilon, Gaussians that are seldom seen learn their colour as fast as others.
-    groups = [
-        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE if k == "means" else 1e-15}
-        for k, x in avatar.canonical.named_parameters()
-    ]
-    if avatar.options.residual.enabled:
-        groups.append(
-            {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
-        )
-    groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
-    if lambert is not None:
-        groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
-    return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)

@@ -12,7 +12,8 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.errors import InputError
-from gva_mi.fit import run_folder, train
+from gva_mi.fit import run_folder
+from gva_mi.fit.adam import make_adam
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
@@ -119,7 +120,7 @@ def test_the_naked_option_ignores_offsets(video, body, tmp_path):
 def test_gaussians_that_only_noise_pulls_stay_where_they_are(known):
     """Hidden Gaussians have a hundredth of the gradient of visible ones, and move by a fifth."""
     avatar = copy.deepcopy(known)
-    optimizer = train._optimizer(avatar, None, Rates())
+    optimizer = make_adam(avatar, None, Rates())
     start = avatar.canonical.means.detach().clone()
     for _ in range(20):
         avatar.canonical.means.grad = torch.full_like(start, 2e-4)

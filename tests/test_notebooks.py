@@ -90,8 +90,10 @@ def test_the_figures_of_lessons_are_todays_or_the_lesson_says_of_which_version()
     for path in FOLDER.glob("*.json"):
         made_with, kind = (json.loads(path.read_text())[name] for name in ("made_with", "kind"))
         version = made_with["results_version"]
-        said = f"version {version} of the {kind}" in path.with_suffix(".ipynb").read_text()
-        assert version == RESULTS_VERSIONS[kind] or said, path.name
+        lesson = path.with_suffix(".ipynb").read_text()
+        today = RESULTS_VERSIONS[kind]
+        said = f"version {version} of the {kind}" in lesson and f"since version {today}" in lesson
+        assert version == today or said, path.name
 
 
 def test_every_notebook_is_a_short_lesson_with_small_outputs():

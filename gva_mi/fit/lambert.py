@@ -25,7 +25,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
-STRENGTH = 1.0  # s at the start: with the light's share 0.3 of colours, a lamp in a bright room
+STRENGTH = 1.0  # s at the start: turned to the light, a colour is 0.3 brighter than its mean
 
 
 class Lambert(nn.Module):

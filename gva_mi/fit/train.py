@@ -218,7 +218,7 @@ class Run:
         return figures
 
     def add_and_remove_gaussians(self, out: Path) -> None:
-        """Run density control or re-initialisation if the schedule says so."""
+        """Run what is due: density control, re-initialisation, binding, and hold the fingers."""
         options, schedule, before = self.options, self.options.schedule, self.avatar.canonical
         if schedule.densifies(self.step, options.steps):
             generator = torch_state(options.seed, RandomStream.DENSIFY, self.step)

@@ -15,10 +15,10 @@ def test_gaussians_of_fingers_come_back_and_all_others_stay(known):
     with torch.no_grad():
         G.means[::2] += 0.02
     before = G.means.detach().clone()
-    off = lambda means: torch.cdist(means[finger], body).amin(1)
+    off = lambda means: (means[finger][:, None] - body).norm(dim=2).amin(1)
     far = off(before) > REACH
     assert far.any() and (~far).any()
     Fingers(avatar.rig).hold(avatar)
-    assert off(G.means.detach()).max() < REACH + 1e-4
+    assert off(G.means.detach()).max() < REACH + 1e-6
     torch.testing.assert_close(G.means[finger][~far], before[finger][~far])
     assert torch.equal(G.means[~finger], before[~finger])

@@ -10,7 +10,7 @@ Each step uses one training frame of the video:
 5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
    decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
-   bind them to the outer skin again; hold those of fingers
+   bind them to the outer skin again; hold those of fingers and armpits
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
-from gva_mi.avatar.fingers import Fingers
+from gva_mi.avatar.held import Held
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
@@ -47,7 +47,7 @@ from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
 from gva_mi.splat import Screen, render
 
-HOLD_EVERY = 10  # steps between two checks that Gaussians of fingers are on the fingers
+HOLD_EVERY = 10  # steps between two checks that Gaussians of fingers and armpits have not left
 
 
 def fit(
@@ -161,8 +161,8 @@ class Run:
             video.pose, video.cameras, rig, options.poses, options.steps, as_given=video.stage != 1
         )
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
-        # An alpha shape, as printed, joins the fingers.
-        self.fingers = Fingers(self.avatar.rig) if options.reinit.surface == "offset" else None
+        # An alpha shape, as printed, joins the fingers, and arms and trunk.
+        self.held = Held(rig) if options.reinit.surface == "offset" else None
         self.optimizer = make_adam(self.avatar, self.lambert, options.rates)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
@@ -218,7 +218,7 @@ class Run:
         return figures
 
     def add_and_remove_gaussians(self, out: Path) -> None:
-        """Run what is due: density control, re-initialisation, binding, and hold the fingers."""
+        """Run what is due: density control, re-initialisation, binding, and hold what must stay."""
         options, schedule, before = self.options, self.options.schedule, self.avatar.canonical
         if schedule.densifies(self.step, options.steps):
             generator = torch_state(options.seed, RandomStream.DENSIFY, self.step)
@@ -231,8 +231,8 @@ class Run:
         moved = self.avatar.canonical is not before or schedule.rebinds_weights(self.step)
         if self.lambert is not None and moved:
             self.lambert.follow(self.avatar)
-        if self.fingers is not None and self.step % HOLD_EVERY == 0:
-            self.fingers.hold(self.avatar)
+        if self.held is not None and self.step % HOLD_EVERY == 0:
+            self.held.hold(self.avatar)
 
     def _reinitialise(self, out: Path) -> None:
         """Put the Gaussians back on the surface, where enough of them are opaque to show one."""

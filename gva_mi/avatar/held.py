@@ -1,0 +1,86 @@
+"""Gaussians that must stay near the rest body: those of fingers, and those in armpits.
+
+Fingers are bare skin. What a video teaches of them is little and wrong: a finger is a few pixels
+wide, often hidden, and its pose is off by more than its width. Gaussians that follow such pictures
+leave the finger, take the colours of what is behind it, and tear off once the hand opens.
+
+In an armpit, skinning weights change from the trunk's to the arm's within a few centimetres. While
+the arms hang, what stands off the body there is hidden between arm and trunk. Once they rise, it
+hangs from both as a flap.
+
+So a Gaussian that has left the body comes back toward its nearest vertex v, to the distance
+
+    reach(v) = FINGER                               of fingers
+             = max(ARMPIT, looseness(v))            in armpits, where clothes may be loose
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.fingers import finger_weights
+from gva_mi.avatar.rig import Rig
+from gva_mi.body.pose import JOINTS
+from gva_mi.mesh.surface import vertex_normals
+
+FINGER, ARMPIT = 0.004, 0.015  # metres
+SHARED = 0.05  # product of the weights of trunk and arm in an armpit
+INTO_ARMPIT = 0.5  # cosine between normals of an armpit and the direction between side and down
+_TRUNK = [JOINTS.index(k) for k in ("spine1", "spine2", "spine3", "left_collar", "right_collar")]
+_ARMS = [JOINTS.index(k) for k in ("left_shoulder", "right_shoulder")]
+
+
+class Held:
+    """The parts of an avatar's rest body that Gaussians must not leave."""
+
+    def __init__(self, rig: Rig) -> None:
+        normals = vertex_normals(rig.vertices, rig.faces)
+        outward = torch.sign(rig.vertices[:, 0]) * normals[:, 0]  # at rest, arms are level
+        armpit = shared_weights(rig.weights) > SHARED
+        armpit &= (outward - normals[:, 1]) / 2**0.5 > INTO_ARMPIT
+        loose = rig.looseness.clamp_min(ARMPIT).where(armpit, torch.inf)
+        finger = finger_weights(rig.weights) > 0.5
+        bare = torch.full_like(rig.looseness[finger], FINGER)
+        self._parts = [
+            _Part(lambda weights: finger_weights(weights) > 0.5, rig.vertices[finger], bare),
+            _Part(lambda weights: shared_weights(weights) > SHARED / 2, rig.vertices, loose),
+        ]
+
+    def hold(self, avatar: Avatar) -> None:
+        """Move Gaussians that have left their part of the body back, to its reach."""
+        for part in self._parts:
+            part.hold(avatar)
+
+
+class _Part:
+    """Vertices (V, 3) at rest, metres, and how far off (V,) the Gaussians of a part may be.
+
+    ``mine`` chooses these by skinning weights (N, 55), as (N,) bool.
+    """
+
+    def __init__(self, mine: Callable[[Tensor], Tensor], vertices: Tensor, reach: Tensor) -> None:
+        from scipy.spatial import cKDTree
+
+        self._mine, self._vertices, self._reach = mine, vertices, reach
+        self._tree = cKDTree(vertices.double().numpy()) if len(vertices) else None
+
+    @torch.no_grad()
+    def hold(self, avatar: Avatar) -> None:
+        G = avatar.canonical
+        mine = self._mine(G.weights).nonzero()[:, 0]
+        if self._tree is None or not len(mine):
+            return
+        means = G.means[mine]
+        distance, nearest = (torch.from_numpy(x) for x in self._tree.query(means.double().numpy()))
+        beneath = self._vertices[nearest]
+        share = self._reach[nearest] / distance.to(means).clamp_min(1e-9)
+        G.means[mine] = beneath + share.clamp_max(1)[:, None] * (means - beneath)
+
+
+def shared_weights(weights: Tensor) -> Tensor:
+    """Return the product of the weights of trunk and upper arms, (N,), of rows (N, 55)."""
+    return weights[:, _TRUNK].sum(1) * weights[:, _ARMS].sum(1)

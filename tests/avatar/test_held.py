@@ -1,0 +1,70 @@
+"""Gaussians of fingers and armpits stay near the body."""
+
+import copy
+
+import pytest
+import torch
+
+from gva_mi.avatar.fingers import finger_weights
+from gva_mi.avatar.held import ARMPIT, FINGER, Held, shared_weights
+from gva_mi.body.pose import JOINTS
+from gva_mi.mesh.surface import vertex_normals
+
+
+@pytest.fixture
+def moved(known):
+    """An avatar of which every other Gaussian has left the body by 20 mm, and the means before."""
+    avatar = copy.deepcopy(known)
+    with torch.no_grad():
+        avatar.canonical.means[::2] += 0.02
+    return avatar, avatar.canonical.means.detach().clone()
+
+
+def _off(means, vertices):
+    """Return distances (N,) from the nearest vertices, and these."""
+    return (means[:, None] - vertices).norm(dim=2).min(1)
+
+
+def test_gaussians_of_fingers_come_back(moved):
+    avatar, before = moved
+    G, body = avatar.canonical, avatar.rig.vertices[finger_weights(avatar.rig.weights) > 0.5]
+    finger = finger_weights(G.weights) > 0.5
+    far = _off(before[finger], body)[0] > FINGER
+    assert far.any() and (~far).any()
+    Held(avatar.rig).hold(avatar)
+    assert _off(G.means.detach()[finger], body)[0].max() < FINGER + 1e-6
+    torch.testing.assert_close(G.means[finger][~far], before[finger][~far])
+
+
+def test_gaussians_in_armpits_come_back_unless_clothes_are_loose(known):
+    avatar = copy.deepcopy(known)
+    rig, G = avatar.rig, avatar.canonical
+    beneath = rig.vertices + 0.03 * vertex_normals(rig.vertices, rig.faces)
+    nearest = _off(beneath, rig.vertices)[1]
+    armpit = int((_armpit(rig) & (nearest == torch.arange(len(nearest)))).nonzero()[0, 0])
+    with torch.no_grad():
+        G.means[0], G.weights[0] = beneath[armpit], rig.weights[armpit]
+    off = lambda: (G.means[0].detach() - rig.vertices[armpit]).norm().item()
+    rig.looseness[:] = 0.08
+    Held(rig).hold(avatar)
+    assert off() == pytest.approx(0.03, abs=1e-6)
+    rig.looseness[:] = 0.0
+    Held(rig).hold(avatar)
+    assert off() == pytest.approx(ARMPIT, abs=1e-6)
+
+
+def test_all_other_gaussians_keep_their_bits(moved):
+    avatar, before = moved
+    G = avatar.canonical
+    Held(avatar.rig).hold(avatar)
+    free = (finger_weights(G.weights) <= 0.5) & (shared_weights(G.weights) == 0)
+    assert free.any()
+    assert torch.equal(G.means[free], before[free])
+
+
+def _armpit(rig):
+    """Return which vertices of the body lie under the left arm, (V,) bool, by their place."""
+    shoulder, elbow = rig.joints[[JOINTS.index("left_shoulder"), JOINTS.index("left_elbow")]]
+    x, y, _ = rig.vertices.unbind(1)
+    near = (x > shoulder[0] - 0.02) & (x < (shoulder + elbow)[0] / 2) & (y < shoulder[1] - 0.04)
+    return near & (shared_weights(rig.weights) > 0.1)

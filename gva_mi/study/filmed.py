@@ -20,6 +20,7 @@ from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
 from gva_mi.data.ground_truth import CAMERAS, GroundTruth, load_ground_truth
+from gva_mi.data.importers.lens import pinhole_K
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
@@ -28,6 +29,7 @@ from gva_mi.data.video import POSES, Video, load_video, save_cameras
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import solve_film
+from gva_mi.pose.film.vertical_lines import vertical_of
 from gva_mi.splat import Camera
 
 FPS = 30.0  # frames a second of a synthetic subject's video
@@ -60,8 +62,10 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         landmarks, _ = with_backs(watch_film(pictures, keep).landmarks, FPS)
         film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
         landmarks.save(folder / LANDMARKS)
+        centre = camera.cx, camera.cy
+        lines = vertical_of(pictures, landmarks, pinhole_K(camera.fx, centre))
         solved = solve_film(
-            landmarks, body, video.size, FPS, height_of(truth), camera.fx, (camera.cx, camera.cy)
+            landmarks, body, video.size, FPS, height_of(truth), camera.fx, centre, lines
         )
         solved, _ = with_face(solved, landmarks, body, FPS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)

@@ -5,7 +5,8 @@
    offsets of their angles are unknowns of the film, ``habits``.
 3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
    are near the mean person's of the given height, which they keep.
-4. A phone is held nearly level, and looks down a little.
+4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.vertical_lines`); without any, a
+   phone is held nearly level, and looks down a little.
 
 ``m`` frames count as one in (1) and (2), as in the evidence: errors of successive frames are almost
 the same.
@@ -24,6 +25,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.prior.anatomy import PAST_LIMIT, Anatomy
 from gva_mi.pose.stature import Stature
 
@@ -140,6 +142,7 @@ class SharedPrior:
         stature: of the body.
         height: and its standard deviation, metres.
         focal: standard deviation of the focal length's logarithm.
+        lines: the direction up, as the room's lines show it with the first focal length.
     """
 
     free: Free
@@ -150,6 +153,7 @@ class SharedPrior:
     stature: Stature
     height: tuple[float, float]
     focal: float
+    lines: Vertical | None
 
     def parts(self, state: FilmState) -> tuple[Tensor, Tensor]:
         """Return residuals and standard deviations (S,) of the shared unknowns.
@@ -159,10 +163,9 @@ class SharedPrior:
         found = [(state.betas - self.betas)[: self.free.betas]]
         spread = [torch.full_like(found[0], BETA)]
         if self.free.camera:
-            aside, deep = UP
-            apart = torch.stack([state.up[0], state.up[1] + LOOKS_DOWN])
-            found += [state.focal[None], apart, 0 * state.floor[None]]
-            spread += [state.up.new_tensor([self.focal, aside, deep, 10.0])]
+            up, deviations = self._up(state)
+            found += [state.focal[None], state.up - up, 0 * state.floor[None]]
+            spread += [state.up.new_tensor([self.focal, *deviations, 10.0])]
         offsets, habits = list(self.free.offsets), list(self.free.habits)
         found += [(self._sides() @ state.offsets[offsets].flatten()), state.habits[habits]]
         likely = self.loose[offsets].double()
@@ -172,6 +175,16 @@ class SharedPrior:
                 likely[k] = UNLIKE * likely[k]
         spread += [likely.repeat_interleave(3), self.always[habits]]
         return torch.cat(found), torch.cat(spread)
+
+    def _up(self, state: FilmState) -> tuple[Tensor, Sequence[float]]:
+        """Return the likely direction up (2,), and its standard deviations.
+
+        Lines of a picture taken from above converge, which a longer lens shows less.
+        """
+        if self.lines is None:
+            return state.up.new_tensor([0.0, -LOOKS_DOWN]), UP
+        up = torch.from_numpy(self.lines.up)
+        return torch.stack([up[0], up[1] * state.focal.exp()]), self.lines.spread
 
     def _sides(self) -> Tensor:
         """Return the rotation of offsets (3 n, 3 n): of a left and a right one, sum and difference.
@@ -214,6 +227,9 @@ class SharedPrior:
         turn = torch.eye(len(apart), dtype=apart.dtype)
         some = slice(self.free.starts[2], self.free.starts[3])
         turn[some, some] = self._sides()
+        if self.free.camera and self.lines is not None:
+            focal = self.free.starts[1]
+            turn[focal + 2, focal] = -self._up(state)[0][1]
         equations.shared += turn.T @ (turn * spread[:, None] ** -2)
         equations.shared_pull -= turn.T @ (apart / spread**2)
         if self.free.betas:

@@ -7,6 +7,7 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
 4. ``t_2(across(X_neck - X_pelvis) / σ_u)``                      the trunk is upright, on average
+5. ``t_2(across(X_pelvis - X_ankles) / σ_b)``                    and stands above the feet
 
 divided by ``m``, the frames that count as one, because a network's errors last. ``t_d`` is that of
 Student's t distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
@@ -15,7 +16,7 @@ Student's t distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
 which way a limb points:
 
-5. ``|X_p - X_pelvis - s m_p|² / 2 σ_m²``
+6. ``|X_p - X_pelvis - s m_p|² / 2 σ_m²``
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 
 METRIC = 0.1  # σ_m, metres
-UPRIGHT = 0.12  # σ_u, radians
+UPRIGHT, BALANCE = 0.12, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
-SOLES, TRUNK = 4, 2  # points after the landmarks: soles, then pelvis and neck
+SOLES, AXIS = 4, ("neck", "pelvis", "left_ankle", "right_ankle")  # points after the landmarks
 
 
 class EvidenceRows(NamedTuple):
@@ -65,7 +66,7 @@ class FilmEvidence:
         deep: (T, K) ``s (m_j - m_i) - bias``, and ``deep_precision`` (T, K).
         metric: (T, P, 3) ``s m``, of the body alone; NaN elsewhere.
         memory: m.
-        starting: whether (5) takes the place of (1) and (2).
+        starting: whether (6) takes the place of (1) and (2).
     """
 
     free: Free
@@ -99,7 +100,7 @@ class FilmEvidence:
             yield self._depths(posed, D)
         if self.free.travels and not self.starting:
             yield self._ground(posed, D, state)
-            yield self._upright(posed, D, state)
+            yield from self._upright(posed, D, state)
 
     def _derivatives(self, posed: PosedPoints) -> Tensor:
         """Return those of all points by all columns, (n, P, 3, F + S)."""
@@ -184,25 +185,29 @@ class FilmEvidence:
             J[..., first + 2] += 1
         return rows._replace(jacobian=J)
 
-    def _upright(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
-        pelvis, neck = self.pixels.shape[1] + SOLES, self.pixels.shape[1] + SOLES + 1
-        trunk, (up, by_up) = posed.X[:, neck] - posed.X[:, pelvis], state.upward()
-        length = trunk.norm(dim=1, keepdim=True)
-        r = trunk / length - up
-        precision = r.new_full((len(r), 1), UPRIGHT**-2)
-        energy, weights = self._t(r[:, None], precision, 2)
-        rows = EvidenceRows(energy, r, weights.expand(-1, 3), None)
-        if D is None:
-            return rows
-        J = (D[:, neck] - D[:, pelvis]) / length[..., None]
-        if self.free.camera:
-            first = self.free.per_frame + self.free.starts[1] + 1
-            J[..., first : first + 2] -= by_up
-        return rows._replace(jacobian=J)
+    def _upright(
+        self, posed: PosedPoints, D: Tensor | None, state: FilmState
+    ) -> Iterator[EvidenceRows]:
+        first = self.pixels.shape[1] + SOLES
+        neck, pelvis, *ankles = range(first, first + len(AXIS))
+        up, by_up = state.upward()
+        for top, below, sigma in ((neck, [pelvis], UPRIGHT), (pelvis, ankles, BALANCE)):
+            along = lambda of, top=top, below=below: of[:, top] - of[:, below].mean(1)
+            axis = along(posed.X)
+            length = axis.norm(dim=1, keepdim=True)
+            r = axis / length - up
+            energy, weights = self._t(r[:, None], r.new_full((len(r), 1), sigma**-2), 2)
+            J = None
+            if D is not None:
+                J = along(D) / length[..., None]
+                if self.free.camera:
+                    start = self.free.per_frame + self.free.starts[1] + 1
+                    J[..., start : start + 2] -= by_up
+            yield EvidenceRows(energy, r, weights.expand(-1, 3), J)
 
 
 def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
-    """Return the points of a rig on its body; with ``more`` also soles, pelvis and neck."""
+    """Return the points of a rig on its body; with ``more`` also soles and the body's axis."""
     joints, rest, directions = rig.joints, rig.rest, rig.directions
     if more:
         v = body.v_template
@@ -216,10 +221,10 @@ def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
                 joints = torch.cat([joints, torch.tensor([joint])])
                 rest = torch.cat([rest, v[[lowest]]])
                 directions = torch.cat([directions, moves[:, None, :, lowest]], 1)
-        trunk = [JOINTS.index("pelvis"), JOINTS.index("neck")]
-        joints = torch.cat([joints, torch.tensor(trunk)])
-        rest = torch.cat([rest, body.j_template[trunk]])
-        directions = torch.cat([directions, growth[:, trunk]], 1)
+        axis = [JOINTS.index(name) for name in AXIS]
+        joints = torch.cat([joints, torch.tensor(axis)])
+        rest = torch.cat([rest, body.j_template[axis]])
+        directions = torch.cat([directions, growth[:, axis]], 1)
     return PointSet.of(body, joints, rest, directions)
 
 

@@ -23,7 +23,8 @@ point anywhere, and their gain is that slope.
 ``gain`` and ``bias`` (:data:`BONES`) are rounded from the answers of BlazePose and of the hand
 network on rendered people who turn, walk and sit. Their errors of depth vary by 10 to 65 mm in a
 film, but they last: after 0.2 s their correlation is 0.2 to 0.7, and a part is constant. So ``σ_z``
-is several times as large, except for legs. It was chosen by the errors of poses on twelve films.
+is several times as large. It was chosen by the errors of poses on twelve films, that of legs on
+seven.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class BoneDepth(NamedTuple):
 BONES = {
     ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.24),
     ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.42),
-    ("hip", "knee"): BoneDepth(1.0, 0.02, 0.06),
-    ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.055),
+    ("hip", "knee"): BoneDepth(1.0, 0.02, 0.12),
+    ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.11),
     ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.18),
     ("shoulder", "hip"): BoneDepth(1.0, 0.0, 0.18),
     ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.24),

@@ -29,7 +29,7 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
-from gva_mi.data.importers.lens import asked_for, in_pixels
+from gva_mi.data.importers.lens import asked_for, in_pixels, pinhole_K
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
@@ -38,12 +38,17 @@ from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, save_cameras
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
-from gva_mi.pose.film.solver import SolvedFilm, solve_film
+from gva_mi.pose.film.solver import LENS, SolvedFilm, solve_film
+from gva_mi.pose.film.vertical_lines import vertical_of
 from gva_mi.pose.stature import PEOPLE
 
 _LENS = (
     "the film does not say its focal length: a field of view is assumed and fitted, so distances "
     "and depth may be off by a fifth; --lens 26mm gives what the phone's data sheet says"
+)
+_LINES = (
+    "no upright lines beside the person, such as those of a door or a shelf: how far the camera "
+    "looks down is a guess, and the person may lean toward the camera or away by some degrees"
 )
 
 
@@ -186,6 +191,7 @@ class SolvedMotion:
     watched: WatchedFilm
     solved: SolvedFilm
     focal_known: bool
+    lines_found: bool  # whether upright lines of the room say how far the camera looks down
 
     @property
     def notes(self) -> list[str]:
@@ -193,6 +199,8 @@ class SolvedMotion:
         notes = [*self.pictures.notes, *self.watched.notes]
         if not self.focal_known:
             notes.append(_LENS)
+        if not self.lines_found:
+            notes.append(_LINES)
         return notes
 
 
@@ -236,6 +244,8 @@ def motion_of_film(
     if backs:
         said = f"frames where the network took the back for the front: {listed(backs)}; corrected"
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, said))
+    K = pinhole_K(focal or in_pixels(LENS, size), np.array(size) / 2)
+    lines = vertical_of(pictures.pictures, watched.landmarks, K)
     solved = solve_film(
         watched.landmarks,
         body,
@@ -243,8 +253,9 @@ def motion_of_film(
         pictures.fps,
         height=options.height,
         focal=focal,
+        lines=lines,
         progress=within(progress, 4, 1, 5),
     )
     solved, of_face = with_face(solved, watched.landmarks, body, pictures.fps)
     watched = replace(watched, notes=[*watched.notes, *of_face])
-    return SolvedMotion(pictures, watched, solved, focal is not None)
+    return SolvedMotion(pictures, watched, solved, focal is not None, lines is not None)

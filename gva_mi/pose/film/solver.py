@@ -28,7 +28,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.importers.lens import in_pixels
+from gva_mi.data.importers.lens import in_pixels, pinhole_K
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.arm_depths import with_arm_depths
 from gva_mi.pose.film.body_prior import FOCAL, HEIGHT, HEIGHT_KNOWN, BodyPrior, SharedPrior
@@ -40,6 +40,7 @@ from gva_mi.pose.film.landmark_noise import LandmarkNoise
 from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.smoothness import Smoothness
+from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
@@ -76,6 +77,7 @@ def solve_film(
     height: float | None = None,
     focal: float | None = None,
     centre: tuple[float, float] | None = None,
+    lines: Vertical | None = None,
     progress: Progress | None = None,
 ) -> SolvedFilm:
     """Find poses, shape and camera of one person before a camera that stands still.
@@ -89,6 +91,8 @@ def solve_film(
             distance uncertain by 5 %.
         focal: focal length, pixels; None: a prior around the main cameras of phones.
         centre: principal point, pixels; None: the middle of the picture.
+        lines: the direction up by lines of the room, for this focal length, or without one for
+            :data:`LENS`.
         progress: called as ``progress(done, total)``.
 
     Raises:
@@ -102,7 +106,7 @@ def solve_film(
         raise InputError(f"solve_film(): focal must be positive, got {focal}")
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        film = _Film.of(landmarks, body, size, fps, height, focal, centre)
+        film = _Film.of(landmarks, body, size, fps, height, focal, centre, lines)
         state = film.first()
         state, _ = film.body_problem(state, starting=True).minimised(state, START)
         report(1, 4)
@@ -133,6 +137,7 @@ class _Film:
     rig: LandmarkRig
     noise: LandmarkNoise
     K: np.ndarray
+    lines: Vertical | None
 
     @staticmethod
     def of(
@@ -143,16 +148,15 @@ class _Film:
         height: float | None,
         focal: float | None,
         centre: tuple[float, float] | None,
+        lines: Vertical | None,
     ) -> _Film:
         rig = LandmarkRig.of(body, sorted(landmarks.names))
         at, names = landmarks.indices(rig.names), ("pixels", "confidence", "spread", "metric")
         known = {name: getattr(landmarks, name)[:, at] for name in names}
         landmarks = Landmarks(rig.names, **known)
         noise = LandmarkNoise.of(landmarks, rig.names)
-        f = focal or in_pixels(LENS, size)
-        cx, cy = centre or (size[0] / 2, size[1] / 2)
-        K = np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]])
-        return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K)
+        K = pinhole_K(focal or in_pixels(LENS, size), centre or (size[0] / 2, size[1] / 2))
+        return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K, lines)
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
@@ -218,7 +222,7 @@ class _Film:
         always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
         height = (self.height, HEIGHT_KNOWN) if self.height else HEIGHT
         focal = FOCAL_KNOWN if self.focal else FOCAL
-        people = self.mean_shape().betas.double(), Stature.of(self.body), height, focal
+        people = self.mean_shape().betas.double(), Stature.of(self.body), height, focal, self.lines
         shared = SharedPrior(free, rig.names, rig.loose, torch.deg2rad(always), *people)
         return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
 

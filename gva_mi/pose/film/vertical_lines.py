@@ -1,0 +1,136 @@
+"""Which way is up, from the vertical lines of a room: walls, doors, shelves.
+
+The direction up in the camera's axes is that of ``(u, -1, w)``. In the picture, an upright line
+through ``(x, y)``, in focal lengths from the principal point, has the slope
+
+1. ``b = dx/dy = (w x - u) / (1 + w y)``,   so   ``b = w (x - b y) - u``
+
+which is linear in u and w. Pieces of edges whose slope is below :data:`STEEP` are upright, with the
+probability :data:`UPRIGHT` and errors ``σ``, or anything else:
+
+2. ``log p = Σ_i log(q N(b_i - w (x_i - b_i y_i) + u; 0, σ²) + (1 - q) / 2 STEEP)``
+
+The largest ``p`` is looked for on a grid, then by EM. Coughlan and Yuille ("Manhattan World",
+Neural Computation, 2003) find the axes of a city's streets in this way, from single pixels.
+
+Compressed pictures have edges along their blocks. Pieces are therefore long, and lie between
+pixels: where the gradient along a row is largest, by a parabola. The person is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gva_mi.data.landmarks import Landmarks
+
+FRAMES = 6  # that are looked at
+BLUR = 1.2  # pixels
+CONTRAST = 0.01  # least gradient of an edge, of the range of brightness a pixel
+STEEP = 0.4  # largest slope b of an upright line
+PIECE = 16  # pieces of edges in the picture's height
+FILLED = 0.8  # share of a piece's rows in which there is an edge
+STRAIGHT = 0.4  # pixels, standard deviation from the line
+MARGIN = 0.12  # around the landmarks, of the person's height
+UPRIGHT, SIGMA = 0.3, 0.006  # q and σ of eq. 2
+U, W = np.linspace(-0.2, 0.2, 101), np.linspace(-0.6, 0.4, 101)
+FOUND = 15.0  # nats a frame by which eq. 2 must exceed that without upright lines
+TOGETHER = 4.0  # pieces of one line err together: as many count as one
+EXACT = 0.006  # standard deviation that no number of lines goes below
+
+
+@dataclass(frozen=True)
+class Vertical:
+    """The direction up, that of ``(u, -1, w)`` in the camera's axes."""
+
+    up: np.ndarray  # (2,) u and w
+    spread: np.ndarray  # (2,) their standard deviations
+
+
+def vertical_of(
+    pictures: Sequence[np.ndarray], landmarks: Landmarks, K: np.ndarray
+) -> Vertical | None:
+    """Find it in pictures (H, W, 3) of T frames, in [0, 255]; None without enough upright lines.
+
+    ``landmarks`` are the person's, and ``K`` (3, 3) is the camera, pixels. The camera stands still.
+    """
+    frames = np.unique(np.linspace(0, len(pictures) - 1, FRAMES).round().astype(int))
+    found = [_pieces(pictures[k], _around(landmarks, k)) for k in frames]
+    x, y, b = np.concatenate(found, 1)
+    x, y = (x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]
+    return _most_likely(x, y, b, len(frames))
+
+
+def _around(landmarks: Landmarks, frame: int) -> tuple[float, float, float, float] | None:
+    """Return left, top, right and bottom of the person in a frame, pixels."""
+    points = landmarks.pixels[frame]
+    points = points[np.isfinite(points).all(1)]
+    if not len(points):
+        return None
+    margin = MARGIN * np.ptp(points[:, 1])
+    return (*(points.min(0) - margin), *(points.max(0) + margin))
+
+
+def _pieces(
+    picture: np.ndarray, person: tuple[float, float, float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x and y of the middles of pieces of steep edges, pixels, and their slopes dx/dy."""
+    from scipy.ndimage import gaussian_filter, label
+
+    grey = picture.astype(np.float32).mean(2) / 255
+    across, along = (gaussian_filter(grey, BLUR, order=order) for order in ((0, 1), (1, 0)))
+    size = np.abs(across)
+    middle, before, after = size[:, 1:-1], size[:, :-2], size[:, 2:]
+    edge = np.zeros(grey.shape, bool)
+    edge[:, 1:-1] = (middle > CONTRAST) & (middle >= before) & (middle > after)
+    edge &= np.abs(along) < STEEP * size
+    if person is not None:
+        left, top, right, bottom = (int(max(0, v)) for v in person)
+        edge[top:bottom, left:right] = False
+    height = max(8, grey.shape[0] // PIECE)
+    line = np.zeros(grey.shape, np.int64)
+    for sign in (1, -1):
+        numbers, count = label(edge & (sign * across > 0), np.ones((3, 3)))
+        line += np.where(numbers > 0, numbers + line.max(), 0)
+    rows, columns = np.nonzero(line)
+    one, two, three = (size[rows, columns + k] for k in (-1, 0, 1))
+    x = columns + 0.5 + 0.5 * (one - three) / np.minimum(one - 2 * two + three, -1e-9)
+    y = rows + 0.5
+    _, of = np.unique(line[rows, columns] * len(grey) + rows // height, return_inverse=True)
+    total = lambda values: np.bincount(of, values)
+    n = total(np.ones(len(of)))
+    mean_x, mean_y = total(x) / n, total(y) / n
+    dx, dy = x - mean_x[of], y - mean_y[of]
+    spread = total(dy * dy)
+    slope = total(dx * dy) / np.maximum(spread, 1e-9)
+    off = np.sqrt(total(np.square(dx - slope[of] * dy)) / n)
+    kept = (n >= FILLED * height) & (n <= 1.2 * height) & (off < STRAIGHT)
+    kept &= np.abs(slope) < STEEP
+    return mean_x[kept], mean_y[kept], slope[kept]
+
+
+def _most_likely(x: np.ndarray, y: np.ndarray, b: np.ndarray, frames: int) -> Vertical | None:
+    """Maximise eq. 2."""
+    lever = x - b * y
+    other = (1 - UPRIGHT) / (2 * STEEP)
+    upright = lambda r: UPRIGHT * np.exp(-np.square(r / SIGMA) / 2) / (SIGMA * (2 * np.pi) ** 0.5)
+    best, up = -np.inf, np.zeros(2)
+    for w in W:
+        r = b - w * lever + U[:, None]
+        score = np.log1p(upright(r) / other).sum(1)
+        k = int(score.argmax())
+        if score[k] > best:
+            best, up = score[k], np.array([U[k], w])
+    least = len(b) * np.log(1 - UPRIGHT)
+    if (best + least) / frames < FOUND:
+        return None
+    A = np.stack([-np.ones_like(lever), lever], 1)
+    for _ in range(20):
+        p = upright(b - A @ up)
+        p = p / (p + other)
+        square = (A * p[:, None]).T @ A
+        up = np.linalg.solve(square + 1e-6 * np.eye(2), (A * p[:, None]).T @ b)
+    covariance = np.linalg.inv(square + 1e-6 * np.eye(2)) * SIGMA**2 * frames * TOGETHER
+    return Vertical(up, np.sqrt(np.diag(covariance) + EXACT**2))

@@ -36,6 +36,7 @@ from gva_mi.pose.prior.inference import (
     prior_from_corrections,
     prior_from_stage1,
 )
+from gva_mi.pose.prior.process import rows_of
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 
@@ -175,8 +176,9 @@ class Corrections:
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
         which = list(which)
-        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
-        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
+        spread, spread_moves = rows_of(self._spread, which), rows_of(self._spread_moves, which)
+        turns = (spread @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
+        moves = (spread_moves @ self.moves.transpose(0, 1))[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
 

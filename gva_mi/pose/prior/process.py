@@ -166,3 +166,11 @@ class ProcessPrior:
     def _difference(self) -> Tensor:
         """``D`` (n - 1 or n - 2, n)."""
         return self.changes(torch.eye(len(self.times)).diff(dim=0))
+
+
+def rows_of(M: Tensor, frames: list[int]) -> Tensor:
+    """Return the rows (C, r, n) of M (C, n, n) of r frames.
+
+    M itself if these are all frames in their order: a copy takes longer than the product with M.
+    """
+    return M if frames == list(range(M.shape[1])) else M[:, frames]

@@ -26,7 +26,7 @@ from gva_mi.body.so3 import compose
 from gva_mi.pose.optimize import Steps
 from gva_mi.pose.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.pose.prior.inference import updated_process
-from gva_mi.pose.prior.process import ProcessPrior, rows_of
+from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1, turns_between
 
 JAW = JOINTS.index("jaw")
@@ -159,7 +159,7 @@ class FacePart:
     def at(self, which: Sequence[int]) -> Tensor:
         """Return the corrections of r frames (eq. 2), (r, C, d)."""
         which = list(which)
-        spread = rows_of(self._spread, which)
+        spread = self._spread.rows(which)
         return self.start[which] + torch.einsum("crl,lcd->rcd", spread, self.u)
 
     def energy(self) -> Tensor:

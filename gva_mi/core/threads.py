@@ -5,12 +5,18 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 
 OMP_PAUSE_SOFT = 1  # OpenMP's omp_pause_soft: settings are kept
+# Kept, because torch allocates its memory anew in every new thread.
+_BESIDE = ThreadPoolExecutor(1, "beside")
+
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -46,6 +52,22 @@ def one_thread() -> Iterator[None]:
             yield
     finally:
         dr.set_thread_count(before)
+
+
+def beside(work: Callable[..., Result], *inputs: torch.Tensor) -> Future[Result]:
+    """Start a computation of torch in another thread, which counts torch's threads as this one.
+
+    torch chooses some algorithms by that number, so the bits are those of a call in this thread.
+    Gradients are on there, whatever they are here.
+    """
+    threads = torch.get_num_threads()
+
+    def run() -> Result:
+        if torch.get_num_threads() != threads:  # a setting of each thread
+            torch.set_num_threads(threads)
+        return work(*inputs)
+
+    return _BESIDE.submit(run)
 
 
 @contextmanager

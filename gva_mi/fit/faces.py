@@ -159,7 +159,8 @@ class FacePart:
     def at(self, which: Sequence[int]) -> Tensor:
         """Return the corrections of r frames (eq. 2), (r, C, d)."""
         which = list(which)
-        return self.start[which] + torch.einsum("crl,lcd->rcd", self._spread[:, which], self.u)
+        spread = self._spread.rows(which)
+        return self.start[which] + torch.einsum("crl,lcd->rcd", spread, self.u)
 
     def energy(self) -> Tensor:
         """Return the energy, a mean over the frames."""

@@ -27,6 +27,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
+from gva_mi.pose.prior.frame_matrices import FrameMatrices
 from gva_mi.pose.prior.ground import Ground, Soles
 from gva_mi.pose.prior.inference import (
     JOINTS,
@@ -56,9 +57,10 @@ class Corrections:
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
         spread = torch.zeros(joints, n, n)  # the face stays
-        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS])
-        spread[JOINTS] = prior.joints.spread(own[:, JOINTS])
-        self._spread, self._spread_moves = spread, prior.place.spread(moves0[..., None])
+        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS]).M
+        spread[JOINTS] = prior.joints.spread(own[:, JOINTS]).M
+        self._spread = FrameMatrices.of(spread)
+        self._spread_moves = prior.place.spread(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
         self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
         self.moves = torch.zeros(n, 3, 1).requires_grad_()
@@ -175,8 +177,8 @@ class Corrections:
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
         which = list(which)
-        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
-        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
+        turns = self._spread.product(self.turns[..., 0].transpose(0, 1), which).transpose(0, 1)
+        moves = self._spread_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
 

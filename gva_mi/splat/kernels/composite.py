@@ -48,8 +48,8 @@ def composite(
 
 def composite_adjoint(
     saved: SavedState, grad: Planes, requested: RequestedGradients
-) -> tuple[list[Packets], tuple[RecordFormat, ...], list[float]]:
-    """Return the slots of each chunk, their formats, and the gradient by the background.
+) -> tuple[list[Packets], tuple[RecordFormat, ...], list[Array]]:
+    """Return the slots of each chunk, their formats, and each lane's gradient by the background.
 
     Args:
         saved: the forward pass.
@@ -58,7 +58,7 @@ def composite_adjoint(
     """
     plan, D = saved.plan, len(saved.background)
     colors = requested.colors or plan.harmonics  # harmonics reach the means too
-    slots, slot_formats, sums = [], [], []
+    slots, slot_formats, by_background = [], [], []
     lists = walked(saved.lists, saved.stop)
     pictures = chunks.split_gradient(grad, D, len(plan.formats))
     parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
@@ -82,8 +82,15 @@ def composite_adjoint(
         )
         slots.append(memory)
         slot_formats.append(slot_format)
-        sums.append(sum_rows(shares, format.channels))
-    return slots, tuple(slot_formats), np.concatenate(sums)[:D].tolist()
+        by_background.append(shares)
+    return slots, tuple(slot_formats), by_background
+
+
+def background_gradient(by_lanes: list[Array], plan: Plan) -> list[float]:
+    """Add up the lanes' gradients by the background, (D,), when all kernels have ended."""
+    parts = zip(by_lanes, plan.formats, strict=True)
+    sums = [sum_rows(shares, format.channels) for shares, format in parts]
+    return np.concatenate(sums)[: plan.channels].tolist()
 
 
 def sum_rows(flat: Array, width: int, rows: int | None = None) -> np.ndarray:

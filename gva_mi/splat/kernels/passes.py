@@ -34,7 +34,12 @@ from gva_mi.splat.kernels.camera_arrays import (
     camera_arrays,
     camera_tangent,
 )
-from gva_mi.splat.kernels.composite import composite, composite_adjoint, sum_rows
+from gva_mi.splat.kernels.composite import (
+    background_gradient,
+    composite,
+    composite_adjoint,
+    sum_rows,
+)
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, RequestedGradients
 from gva_mi.splat.kernels.pair_gradient import sum_slots
 from gva_mi.splat.kernels.planes import Limit, Planes
@@ -121,10 +126,11 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     plan, n = saved.plan, len(saved.inputs)
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, requested)
-    slots, formats, by_background = composite_adjoint(saved, grad, requested)
+    slots, formats, by_lanes = composite_adjoint(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
     given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
     found = _gaussians_adjoint(*given, slots, formats=formats, **constants)
+    by_background = background_gradient(by_lanes, plan)  # last: the host waits for its kernels here
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())

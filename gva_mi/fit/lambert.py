@@ -10,6 +10,9 @@ learned as differences from those of a matt surface,
 with n the normal of the rest surface beside the Gaussian, a its mean colour, and s one number for
 the whole person, learned with them: how strong the light is beside that from all around. δ starts
 at zero. What turning around teaches of s and of the light's direction then holds for raised arms.
+Its adjoint, for gradients g_k of f_k (a is a constant):
+
+    2. grad_δ_k = g_k,    grad_s = Σ n_k (Σ_c g_kc a_c)         over Gaussians and k; c: channels
 
 When the fit is over, f takes the place of δ: an avatar knows nothing of this law.
 """
@@ -18,10 +21,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.jit.rowwise import Lane, launch
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
@@ -55,11 +61,9 @@ class Lambert(nn.Module):
 
         Constant colours, (N, 1, 3), have no slopes and stay.
         """
-        if sh.shape[1] == 1:
+        if sh.shape[1] == 1 or not len(sh):
             return sh
-        color = (sh[:, :1].detach() + 0.5 / C0).clamp_min(0)
-        slopes = sh[:, 1:] + self.strength * self.normals[..., None] * color
-        return torch.cat([sh[:, :1], slopes], 1)
+        return _Lit.apply(sh, self.normals, self.strength)
 
     def state(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""
@@ -70,3 +74,37 @@ class Lambert(nn.Module):
         """Restore a :meth:`state`, to the bit."""
         self.strength.copy_(state["strength"])
         self.normals = state["normals"]
+
+
+def _color(sh: Lane) -> Lane:
+    """Return a, in the unit of sh."""
+    return [dr.maximum(x + 0.5 / C0, 0) for x in sh[:3]]
+
+
+def _forward(sh: Lane, normal: Lane, strength: Lane) -> list[Lane]:
+    """Evaluate eq. 1; sh is f_0 and δ."""
+    law = [strength[0] * n * a for n in normal for a in _color(sh)]
+    return [sh[:3] + [d + x for d, x in zip(sh[3:], law, strict=True)]]
+
+
+def _adjoint(sh: Lane, grad: Lane) -> list[Lane]:
+    """Evaluate the sums over channels of eq. 2."""
+    a = _color(sh)
+    return [[sum(grad[3 * k + c] * a[c] for c in range(3)) for k in (1, 2, 3)]]
+
+
+class _Lit(torch.autograd.Function):
+    """Autograd function of sh (N, 4, 3), normals (N, 3), which are constant, and strength ()."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, sh: Tensor, normals: Tensor, strength: Tensor) -> Tensor:
+        ctx.save_for_backward(sh, normals)
+        (lit,) = launch(_forward, sh.flatten(1), normals, strength.view(1, 1))
+        return lit.view(sh.shape)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None, Tensor]:
+        sh, normals = ctx.saved_tensors
+        (by_law,) = launch(_adjoint, sh.flatten(1), grad.flatten(1))
+        return grad, None, (by_law * normals).sum()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,6 @@ from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
 from gva_mi.data.ground_truth import CAMERAS, GroundTruth, load_ground_truth
-from gva_mi.data.importers.lens import pinhole_K
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
@@ -28,7 +28,7 @@ from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import POSES, Video, load_video, save_cameras
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
-from gva_mi.pose.film.solver import solve_film
+from gva_mi.pose.film.solver import KnownOfFilm, solve_film
 from gva_mi.pose.film.vertical_lines import vertical_of
 from gva_mi.splat import Camera
 
@@ -62,11 +62,9 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         landmarks, _ = with_backs(watch_film(pictures, keep).landmarks, FPS)
         film_masks(pictures, [seen[k] for k in range(len(video))], folder / "masks")
         landmarks.save(folder / LANDMARKS)
-        centre = camera.cx, camera.cy
-        lines = vertical_of(pictures, landmarks, pinhole_K(camera.fx, centre))
-        solved = solve_film(
-            landmarks, body, video.size, FPS, height_of(truth), camera.fx, centre, lines
-        )
+        known = KnownOfFilm(height_of(truth), camera.fx, (camera.cx, camera.cy))
+        lines = vertical_of(pictures, landmarks, known.K(video.size))
+        solved = solve_film(landmarks, body, video.size, FPS, replace(known, lines=lines))
         solved, _ = with_face(solved, landmarks, body, FPS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)

@@ -6,7 +6,8 @@
 3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
    are near the mean person's of the given height, which they keep.
 4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.vertical_lines`); without any, a
-   phone is held nearly level, and looks down a little.
+   phone is held nearly level, and looks down a little. The height of the camera above the floor may
+   be known; with the size of the person it shows as well which way is up.
 
 ``m`` frames count as one in (1) and (2), as in the evidence: errors of successive frames are almost
 the same.
@@ -42,6 +43,7 @@ RELAXED = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent
 CURL = {1: 0.25, 2: 0.4, 3: 0.27}  # of a finger's joints, radians
 BETA = 0.35  # standard deviation of betas: landmarks know lengths, not girths
 HEIGHT, HEIGHT_KNOWN = (1.70, 0.09), 0.005  # metres
+CAMERA_KNOWN, CAMERA_ANYWHERE = 0.02, 10.0  # of the camera's height, metres
 UNLIKE = 0.3  # of the offset of a landmark, the share in which left and right differ
 FOCAL = 0.15  # of its logarithm
 UP, LOOKS_DOWN = (0.04, 0.15), 0.07  # of the upward direction aside and in depth; radians
@@ -143,6 +145,7 @@ class SharedPrior:
         height: and its standard deviation, metres.
         focal: standard deviation of the focal length's logarithm.
         lines: the direction up, as the room's lines show it with the first focal length.
+        camera_height: above the floor, metres; None: unknown.
     """
 
     free: Free
@@ -154,6 +157,7 @@ class SharedPrior:
     height: tuple[float, float]
     focal: float
     lines: Vertical | None
+    camera_height: float | None
 
     def parts(self, state: FilmState) -> tuple[Tensor, Tensor]:
         """Return residuals and standard deviations (S,) of the shared unknowns.
@@ -164,8 +168,10 @@ class SharedPrior:
         spread = [torch.full_like(found[0], BETA)]
         if self.free.camera:
             up, deviations = self._up(state)
-            found += [state.focal[None], state.up - up, 0 * state.floor[None]]
-            spread += [state.up.new_tensor([self.focal, *deviations, 10.0])]
+            above = state.floor[None] - (self.camera_height or 0.0)
+            known = CAMERA_ANYWHERE if self.camera_height is None else CAMERA_KNOWN
+            found += [state.focal[None], state.up - up, above]
+            spread += [state.up.new_tensor([self.focal, *deviations, known])]
         offsets, habits = list(self.free.offsets), list(self.free.habits)
         found += [(self._sides() @ state.offsets[offsets].flatten()), state.habits[habits]]
         likely = self.loose[offsets].double()

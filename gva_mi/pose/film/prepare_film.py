@@ -29,7 +29,7 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
-from gva_mi.data.importers.lens import asked_for, in_pixels, pinhole_K
+from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
@@ -38,7 +38,7 @@ from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, save_cameras
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
-from gva_mi.pose.film.solver import LENS, SolvedFilm, solve_film
+from gva_mi.pose.film.solver import CAMERAS, KnownOfFilm, SolvedFilm, solve_film
 from gva_mi.pose.film.vertical_lines import vertical_of
 from gva_mi.pose.stature import PEOPLE
 
@@ -48,7 +48,8 @@ _LENS = (
 )
 _LINES = (
     "no upright lines beside the person, such as those of a door or a shelf: how far the camera "
-    "looks down is a guess, and the person may lean toward the camera or away by some degrees"
+    "looks down is a guess, and the person may lean toward it by some degrees; --camera-height 0.9 "
+    "says how high the lens stood, in metres"
 )
 
 
@@ -59,6 +60,8 @@ class FilmOptions:
     # The person's height, metres; without it, that of an average person, uncertain by 5 percent,
     # and so are all distances.
     height: Annotated[float, PEOPLE] | None = None
+    # Height of the lens above the floor, metres: it shows how far the camera looks down.
+    camera_height: Annotated[float, CAMERAS] | None = None
     # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
     # folder of pictures, their rate.
     fps: Annotated[float, Within(1, 240)] | None = None
@@ -191,7 +194,7 @@ class SolvedMotion:
     watched: WatchedFilm
     solved: SolvedFilm
     focal_known: bool
-    lines_found: bool  # whether upright lines of the room say how far the camera looks down
+    upright: bool  # whether lines or the camera's height say how far it looks down
 
     @property
     def notes(self) -> list[str]:
@@ -199,7 +202,7 @@ class SolvedMotion:
         notes = [*self.pictures.notes, *self.watched.notes]
         if not self.focal_known:
             notes.append(_LENS)
-        if not self.lines_found:
+        if not self.upright:
             notes.append(_LINES)
         return notes
 
@@ -244,18 +247,13 @@ def motion_of_film(
     if backs:
         said = f"frames where the network took the back for the front: {listed(backs)}; corrected"
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, said))
-    K = pinhole_K(focal or in_pixels(LENS, size), np.array(size) / 2)
-    lines = vertical_of(pictures.pictures, watched.landmarks, K)
+    known = KnownOfFilm(options.height, focal, camera_height=options.camera_height)
+    lines = vertical_of(pictures.pictures, watched.landmarks, known.K(size))
+    known = replace(known, lines=lines)
     solved = solve_film(
-        watched.landmarks,
-        body,
-        size,
-        pictures.fps,
-        height=options.height,
-        focal=focal,
-        lines=lines,
-        progress=within(progress, 4, 1, 5),
+        watched.landmarks, body, size, pictures.fps, known, within(progress, 4, 1, 5)
     )
     solved, of_face = with_face(solved, watched.landmarks, body, pictures.fps)
     watched = replace(watched, notes=[*watched.notes, *of_face])
-    return SolvedMotion(pictures, watched, solved, focal is not None, lines is not None)
+    upright = lines is not None or options.camera_height is not None
+    return SolvedMotion(pictures, watched, solved, focal is not None, upright)

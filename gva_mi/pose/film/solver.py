@@ -26,6 +26,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within
 from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.importers.lens import in_pixels, pinhole_K
@@ -45,6 +46,7 @@ from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
 MEMORY = 0.1  # seconds for which a network's errors last: these frames count as one
+CAMERAS = Within(0.05, 20, unit="metres")  # their heights above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START, BODY, HAND = 8, 30, 15  # steps, at most
@@ -69,15 +71,44 @@ class SolvedFilm:
     tilt: float  # degrees that the camera looks down
 
 
+@dataclass(frozen=True)
+class KnownOfFilm:
+    """What is known of a film beforehand; None: unknown.
+
+    Attributes:
+        height: of the person, metres; without it a prior of people's heights, which leaves size and
+            distance uncertain by 5 %.
+        focal: focal length, pixels; without it a prior around the main cameras of phones.
+        centre: principal point, pixels; without it the middle of the picture.
+        lines: the direction up by lines of the room, for that focal length or for :data:`LENS`.
+        camera_height: of the lens above the floor, metres.
+    """
+
+    height: float | None = None
+    focal: float | None = None
+    centre: tuple[float, float] | None = None
+    lines: Vertical | None = None
+    camera_height: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, range_ in (("height", PEOPLE), ("camera_height", CAMERAS)):
+            if getattr(self, name) is not None:
+                range_.require("a film", name, getattr(self, name))
+        if self.focal is not None and not (np.isfinite(self.focal) and self.focal > 0):
+            raise InputError(f"a film: focal must be positive, got {self.focal}")
+
+    def K(self, size: tuple[int, int]) -> np.ndarray:
+        """Return the camera to start from, for pictures of a width and height, pixels."""
+        centre = self.centre or (size[0] / 2, size[1] / 2)
+        return pinhole_K(self.focal or in_pixels(LENS, size), centre)
+
+
 def solve_film(
     landmarks: Landmarks,
     body: BodyModel,
     size: tuple[int, int],
     fps: float,
-    height: float | None = None,
-    focal: float | None = None,
-    centre: tuple[float, float] | None = None,
-    lines: Vertical | None = None,
+    known: KnownOfFilm = KnownOfFilm(),  # noqa: B008 (frozen)
     progress: Progress | None = None,
 ) -> SolvedFilm:
     """Find poses, shape and camera of one person before a camera that stands still.
@@ -87,26 +118,17 @@ def solve_film(
         body: SMPL-X's or the built-in one.
         size: width and height of the pictures, pixels.
         fps: frames a second.
-        height: of the person, metres; None: a prior of people's heights, which leaves size and
-            distance uncertain by 5 %.
-        focal: focal length, pixels; None: a prior around the main cameras of phones.
-        centre: principal point, pixels; None: the middle of the picture.
-        lines: the direction up by lines of the room, for this focal length, or without one for
-            :data:`LENS`.
+        known: beforehand.
         progress: called as ``progress(done, total)``.
 
     Raises:
         InputError: no frame has a person, or a number is out of range.
     """
-    if height is not None:
-        PEOPLE.require("solve_film()", "height", height)
     if not (np.isfinite(fps) and fps > 0):
         raise InputError(f"solve_film(): fps must be positive, got {fps}")
-    if focal is not None and not (np.isfinite(focal) and focal > 0):
-        raise InputError(f"solve_film(): focal must be positive, got {focal}")
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        film = _Film.of(landmarks, body, size, fps, height, focal, centre, lines)
+        film = _Film.of(landmarks, body, size, fps, known)
         state = film.first()
         state, _ = film.body_problem(state, starting=True).minimised(state, START)
         report(1, 4)
@@ -132,12 +154,10 @@ class _Film:
     body: BodyModel
     size: tuple[int, int]
     dt: float
-    height: float | None
-    focal: float | None
+    known: KnownOfFilm
     rig: LandmarkRig
     noise: LandmarkNoise
     K: np.ndarray
-    lines: Vertical | None
 
     @staticmethod
     def of(
@@ -145,18 +165,14 @@ class _Film:
         body: BodyModel,
         size: tuple[int, int],
         fps: float,
-        height: float | None,
-        focal: float | None,
-        centre: tuple[float, float] | None,
-        lines: Vertical | None,
+        known: KnownOfFilm,
     ) -> _Film:
         rig = LandmarkRig.of(body, sorted(landmarks.names))
         at, names = landmarks.indices(rig.names), ("pixels", "confidence", "spread", "metric")
-        known = {name: getattr(landmarks, name)[:, at] for name in names}
-        landmarks = Landmarks(rig.names, **known)
+        arrays = {name: getattr(landmarks, name)[:, at] for name in names}
+        landmarks = Landmarks(rig.names, **arrays)
         noise = LandmarkNoise.of(landmarks, rig.names)
-        K = pinhole_K(focal or in_pixels(LENS, size), centre or (size[0] / 2, size[1] / 2))
-        return _Film(landmarks, body, size, 1 / fps, height, focal, rig, noise, K, lines)
+        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, known.K(size))
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
@@ -170,7 +186,7 @@ class _Film:
         place = first_place(self.landmarks, self.K, scale)
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
         up = zero(2)
-        floor = place[:, 1].median() + 0.5 * (self.height or HEIGHT[0])
+        floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT[0])
         habits = zero(len(prior.anatomy.freedoms))
         offsets = zero(len(self.rig.names), 3)
         return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
@@ -178,7 +194,7 @@ class _Film:
     def mean_shape(self) -> Shape:
         """Return the mean person of the given height."""
         mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
-        return Stature.of(self.body).nearest(mean, self.height or HEIGHT[0])
+        return Stature.of(self.body).nearest(mean, self.known.height or HEIGHT[0])
 
     def body_problem(self, state: FilmState, starting: bool = False) -> FilmProblem:
         """Return the problem of body and palms; the starting one has no shared unknowns."""
@@ -220,10 +236,19 @@ class _Film:
         evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
         prior = BodyPrior.of(free, self.body.j_template, memory)
         always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
-        height = (self.height, HEIGHT_KNOWN) if self.height else HEIGHT
-        focal = FOCAL_KNOWN if self.focal else FOCAL
-        people = self.mean_shape().betas.double(), Stature.of(self.body), height, focal, self.lines
-        shared = SharedPrior(free, rig.names, rig.loose, torch.deg2rad(always), *people)
+        known = self.known
+        shared = SharedPrior(
+            free,
+            rig.names,
+            rig.loose,
+            torch.deg2rad(always),
+            self.mean_shape().betas.double(),
+            Stature.of(self.body),
+            (known.height, HEIGHT_KNOWN) if known.height else HEIGHT,
+            FOCAL_KNOWN if known.focal else FOCAL,
+            known.lines,
+            known.camera_height,
+        )
         return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
 
     def result(self, state: FilmState, spread: Tensor) -> SolvedFilm:

@@ -14,7 +14,8 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.landmark_noise import LandmarkNoise
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.solver import solve_film
+from gva_mi.pose.film.solver import KnownOfFilm, solve_film
+from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.stature import Stature
 from gva_mi.splat import Camera, look_at
 
@@ -134,8 +135,9 @@ def without(landmarks, frames, prefix=""):
 
 def solved(film, body, landmarks=None, **options):
     """Solve a film whose camera and height are known."""
-    known = {"fps": FPS, "height": film.height, "focal": film.camera.fx} | options
-    return solve_film(landmarks or film.landmarks, body, SIZE, **known)
+    fps = options.pop("fps", FPS)
+    known = KnownOfFilm(**{"height": film.height, "focal": film.camera.fx} | options)
+    return solve_film(landmarks or film.landmarks, body, SIZE, fps, known)
 
 
 def in_camera(body, film):
@@ -240,8 +242,17 @@ def test_a_camera_and_a_height_that_are_not_given_are_found(known_film, built_in
     assert lowest.abs().max() < 0.03
 
 
+def test_lines_and_the_height_of_the_camera_say_which_way_is_up(known_film, built_in_body):
+    T = known_film.camera.T_camera_world
+    up, above = T[:3, :3] @ [0, 1, 0], -(T[:3, :3].T @ T[:3, 3])[1]
+    lines = Vertical(-up[[0, 2]] / up[1], np.array([0.006, 0.006]))
+    assert solved(known_film, built_in_body, lines=lines).tilt == pytest.approx(20, abs=0.7)
+    assert solved(known_film, built_in_body, camera_height=above).tilt == pytest.approx(20, abs=1.2)
+
+
 @pytest.mark.parametrize(
-    ("name", "value"), [("height", 3.0), ("fps", 0.0), ("fps", np.nan), ("focal", -1.0)]
+    ("name", "value"),
+    [("height", 3.0), ("fps", 0.0), ("fps", np.nan), ("focal", -1.0), ("camera_height", 0.0)],
 )
 def test_numbers_out_of_range_are_refused(known_film, built_in_body, name, value):
     with pytest.raises(InputError, match=name):

@@ -37,6 +37,7 @@ MARGIN = 0.12  # around the landmarks, of the person's height
 UPRIGHT, SIGMA = 0.3, 0.006  # q and σ of eq. 2
 U, W = np.linspace(-0.2, 0.2, 101), np.linspace(-0.6, 0.4, 101)
 FOUND = 15.0  # nats a frame by which eq. 2 must exceed that without upright lines
+EM_STEPS = 20
 TOGETHER = 4.0  # pieces of one line err together: as many count as one
 EXACT = 0.006  # standard deviation that no number of lines goes below
 
@@ -77,60 +78,59 @@ def _pieces(
     picture: np.ndarray, person: tuple[float, float, float, float] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x and y of the middles of pieces of steep edges, pixels, and their slopes dx/dy."""
+    height = max(8, len(picture) // PIECE)
+    x, y, edge = _edges(picture.astype(np.float32).mean(2) / 255, person)
+    _, of = np.unique(edge * len(picture) + y.astype(int) // height, return_inverse=True)
+    total = lambda values: np.bincount(of, values)
+    rows = total(np.ones(len(of)))
+    middle_x, middle_y = total(x) / rows, total(y) / rows
+    dx, dy = x - middle_x[of], y - middle_y[of]
+    slope = total(dx * dy) / np.maximum(total(dy * dy), 1e-9)
+    off = np.sqrt(total(np.square(dx - slope[of] * dy)) / rows)
+    whole = (rows >= FILLED * height) & (rows <= 1.2 * height)  # more: edges side by side
+    kept = whole & (off < STRAIGHT) & (np.abs(slope) < STEEP)
+    return middle_x[kept], middle_y[kept], slope[kept]
+
+
+def _edges(
+    grey: np.ndarray, person: tuple[float, float, float, float] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points x and y of steep edges, pixels, and the number of the edge of each."""
     from scipy.ndimage import gaussian_filter, label
 
-    grey = picture.astype(np.float32).mean(2) / 255
     across, along = (gaussian_filter(grey, BLUR, order=order) for order in ((0, 1), (1, 0)))
     size = np.abs(across)
-    middle, before, after = size[:, 1:-1], size[:, :-2], size[:, 2:]
+    before, here, after = size[:, :-2], size[:, 1:-1], size[:, 2:]
     edge = np.zeros(grey.shape, bool)
-    edge[:, 1:-1] = (middle > CONTRAST) & (middle >= before) & (middle > after)
+    edge[:, 1:-1] = (here > CONTRAST) & (here >= before) & (here > after)
     edge &= np.abs(along) < STEEP * size
     if person is not None:
-        left, top, right, bottom = (int(max(0, v)) for v in person)
+        left, top, right, bottom = (max(0, int(v)) for v in person)
         edge[top:bottom, left:right] = False
-    height = max(8, grey.shape[0] // PIECE)
-    line = np.zeros(grey.shape, np.int64)
-    for sign in (1, -1):
-        numbers, count = label(edge & (sign * across > 0), np.ones((3, 3)))
-        line += np.where(numbers > 0, numbers + line.max(), 0)
-    rows, columns = np.nonzero(line)
-    one, two, three = (size[rows, columns + k] for k in (-1, 0, 1))
-    x = columns + 0.5 + 0.5 * (one - three) / np.minimum(one - 2 * two + three, -1e-9)
-    y = rows + 0.5
-    _, of = np.unique(line[rows, columns] * len(grey) + rows // height, return_inverse=True)
-    total = lambda values: np.bincount(of, values)
-    n = total(np.ones(len(of)))
-    mean_x, mean_y = total(x) / n, total(y) / n
-    dx, dy = x - mean_x[of], y - mean_y[of]
-    spread = total(dy * dy)
-    slope = total(dx * dy) / np.maximum(spread, 1e-9)
-    off = np.sqrt(total(np.square(dx - slope[of] * dy)) / n)
-    kept = (n >= FILLED * height) & (n <= 1.2 * height) & (off < STRAIGHT)
-    kept &= np.abs(slope) < STEEP
-    return mean_x[kept], mean_y[kept], slope[kept]
+    number = np.zeros(grey.shape, np.int64)
+    for sign in (1, -1):  # an edge from dark to bright, and one from bright to dark
+        found, _ = label(edge & (sign * across > 0), np.ones((3, 3)))
+        number += np.where(found > 0, found + number.max(), 0)
+    rows, columns = np.nonzero(number)
+    before, here, after = (size[rows, columns + k] for k in (-1, 0, 1))
+    aside = 0.5 * (before - after) / np.minimum(before - 2 * here + after, -1e-9)
+    return columns + 0.5 + aside, rows + 0.5, number[rows, columns]
 
 
 def _most_likely(x: np.ndarray, y: np.ndarray, b: np.ndarray, frames: int) -> Vertical | None:
-    """Maximise eq. 2."""
-    lever = x - b * y
-    other = (1 - UPRIGHT) / (2 * STEEP)
-    upright = lambda r: UPRIGHT * np.exp(-np.square(r / SIGMA) / 2) / (SIGMA * (2 * np.pi) ** 0.5)
-    best, up = -np.inf, np.zeros(2)
-    for w in W:
-        r = b - w * lever + U[:, None]
-        score = np.log1p(upright(r) / other).sum(1)
-        k = int(score.argmax())
-        if score[k] > best:
-            best, up = score[k], np.array([U[k], w])
-    least = len(b) * np.log(1 - UPRIGHT)
-    if (best + least) / frames < FOUND:
+    """Maximise eq. 2 over u and w, for pieces of several frames."""
+    lever, other = x - b * y, (1 - UPRIGHT) / (2 * STEEP)
+    normal = lambda r: np.exp(-np.square(r / SIGMA) / 2) / (SIGMA * (2 * np.pi) ** 0.5)
+    odds = lambda r: UPRIGHT * normal(r) / other
+    gains = np.array([np.log1p(odds(b - w * lever + U[:, None])).sum(1) for w in W])
+    at_w, at_u = np.unravel_index(gains.argmax(), gains.shape)
+    if (gains.max() + len(b) * np.log(1 - UPRIGHT)) / frames < FOUND:
         return None
-    A = np.stack([-np.ones_like(lever), lever], 1)
-    for _ in range(20):
-        p = upright(b - A @ up)
-        p = p / (p + other)
-        square = (A * p[:, None]).T @ A
-        up = np.linalg.solve(square + 1e-6 * np.eye(2), (A * p[:, None]).T @ b)
-    covariance = np.linalg.inv(square + 1e-6 * np.eye(2)) * SIGMA**2 * frames * TOGETHER
-    return Vertical(up, np.sqrt(np.diag(covariance) + EXACT**2))
+    up, A = np.array([U[at_u], W[at_w]]), np.stack([-np.ones_like(lever), lever], 1)
+    for _ in range(EM_STEPS):
+        odd = odds(b - A[:, 0] * up[0] - A[:, 1] * up[1])
+        weighted = A * (odd / (1 + odd))[:, None]
+        square = np.einsum("ni,nj->ij", weighted, A) + 1e-6 * np.eye(2)
+        up = np.linalg.solve(square, np.einsum("ni,n->i", weighted, b))
+    error = SIGMA**2 * frames * TOGETHER * np.diag(np.linalg.inv(square))
+    return Vertical(up, np.sqrt(error + EXACT**2))

@@ -6,12 +6,13 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
-4. ``t_2(across(X_neck - X_pelvis) / σ_u)``                      the trunk is upright, on average
-5. ``t_2(across(X_pelvis - X_ankles) / σ_b)``                    and stands above the feet
+4. ``t_2(across(X_chest - X_pelvis) / σ_u)``                     the trunk is upright, on average
+5. ``t_2(across(X_pelvis - X_feet) / σ_b)``                      and stands above the feet
 
-divided by ``m``, the frames that count as one, because a network's errors last. ``t_d`` is that of
-Student's t distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
-:mod:`gva_mi.pose.prior.ground`.
+divided by ``m``, the frames that count as one, because a network's errors last. ``X_chest`` and
+``X_feet`` are straight above and below the pelvis at rest, because the ankles of an upright person
+are behind it. ``t_d`` is that of Student's t distribution in d dimensions,
+``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
 which way a limb points:
@@ -40,7 +41,12 @@ UPRIGHT, BALANCE = 0.12, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
-SOLES, AXIS = 4, ("neck", "pelvis", "left_ankle", "right_ankle")  # points after the landmarks
+SOLES = 4  # points after the landmarks; then those of the axis
+# Joints as high as the points of the axis, and those that the points move with.
+AXIS = (
+    ("neck", "spine3"), ("pelvis", "pelvis"), ("left_ankle", "left_ankle"),
+    ("right_ankle", "right_ankle"),
+)  # fmt: skip
 
 
 class EvidenceRows(NamedTuple):
@@ -189,9 +195,9 @@ class FilmEvidence:
         self, posed: PosedPoints, D: Tensor | None, state: FilmState
     ) -> Iterator[EvidenceRows]:
         first = self.pixels.shape[1] + SOLES
-        neck, pelvis, *ankles = range(first, first + len(AXIS))
+        chest, pelvis, *feet = range(first, first + len(AXIS))
         up, by_up = state.upward()
-        for top, below, sigma in ((neck, [pelvis], UPRIGHT), (pelvis, ankles, BALANCE)):
+        for top, below, sigma in ((chest, [pelvis], UPRIGHT), (pelvis, feet, BALANCE)):
             along = lambda of, top=top, below=below: of[:, top] - of[:, below].mean(1)
             axis = along(posed.X)
             length = axis.norm(dim=1, keepdim=True)
@@ -221,10 +227,11 @@ def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
                 joints = torch.cat([joints, torch.tensor([joint])])
                 rest = torch.cat([rest, v[[lowest]]])
                 directions = torch.cat([directions, moves[:, None, :, lowest]], 1)
-        axis = [JOINTS.index(name) for name in AXIS]
-        joints = torch.cat([joints, torch.tensor(axis)])
-        rest = torch.cat([rest, body.j_template[axis]])
-        directions = torch.cat([directions, growth[:, axis]], 1)
+        axis, moving = ([JOINTS.index(pair[k]) for pair in AXIS] for k in (0, 1))
+        places, grown = body.j_template[axis], growth[:, axis].clone()
+        places[:, 2], grown[..., 2] = body.j_template[0, 2], growth[:, :1, 2]
+        joints, rest = torch.cat([joints, torch.tensor(moving)]), torch.cat([rest, places])
+        directions = torch.cat([directions, grown], 1)
     return PointSet.of(body, joints, rest, directions)
 
 

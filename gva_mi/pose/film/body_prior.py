@@ -9,8 +9,7 @@
    phone is held nearly level, and looks down a little. The height of the camera above the floor may
    be known; with the size of the person it shows as well which way is up.
 
-``m`` frames count as one in (1) and (2), as in the evidence: errors of successive frames are almost
-the same.
+``m`` frames count as one in (1) and (2), as in the evidence.
 """
 
 from __future__ import annotations
@@ -66,11 +65,11 @@ class BodyPrior:
     anatomy: Anatomy
     relaxed: Tensor  # (55, 3) radians
     precision: Tensor  # (55, 3) of (1)
-    memory: float  # m
+    memory: Tensor  # (T,) m
 
     @staticmethod
-    def of(free: Free, joints: Tensor, memory: float) -> BodyPrior:
-        """Derive it from joints (55, 3) at rest."""
+    def of(free: Free, joints: Tensor, memory: Tensor = torch.ones(1)) -> BodyPrior:
+        """Derive it from joints (55, 3) at rest; ``memory`` is m of T frames."""
         anatomy = Anatomy.of(joints)
         relaxed = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
         spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
@@ -96,11 +95,12 @@ class BodyPrior:
         first = self.free.per_frame - 3 * len(joints)
         shared = self.free.shared
         count = len(state.place)
+        memory = self.memory[:, None].expand(count, 1)
         r = state.rotations[:, joints]
         some = lambda N: state.place.new_zeros(N, self.free.per_frame)
         own = some(3 * len(joints))
         own[:, first:] = torch.eye(3 * len(joints))
-        weights = (self.precision[joints] / self.memory).flatten().expand(count, -1)
+        weights = self.precision[joints].flatten() / memory
         yield Rows(
             (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
         )
@@ -112,7 +112,7 @@ class BodyPrior:
         if self.free.habits:
             by_shared[:, self.free.starts[3] :] = -torch.eye(len(A))
         varying = torch.tensor([self.anatomy.freedoms[q].varying for q in angles]).double()
-        weights = (torch.deg2rad(varying) ** -2 / self.memory).expand(count, -1)
+        weights = torch.deg2rad(varying) ** -2 / memory
         yield Rows(r.flatten(1) @ A.T - state.habits[angles], weights, by_frame, by_shared)
 
         mine = self.anatomy.bends[:, joints].flatten(1).any(1)
@@ -122,7 +122,7 @@ class BodyPrior:
         past = (bend - high).clamp_min(0) - (low - bend).clamp_min(0)
         by_frame = some(len(bends))
         by_frame[:, first:] = bends
-        weights = (past != 0) / (self.memory * math.radians(PAST_LIMIT) ** 2)
+        weights = (past != 0) / (memory * math.radians(PAST_LIMIT) ** 2)
         yield Rows(past, weights, by_frame, by_frame.new_zeros(len(bends), shared))
 
     def habits(self, joints: list[int]) -> list[int]:

@@ -37,9 +37,9 @@ from gva_mi.body.so3 import compose, to_matrix
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face_points import FacePoints
-from gva_mi.pose.film.landmark_noise import FREEDOM
+from gva_mi.pose.film.landmark_noise import FREEDOM, MEMORY
 from gva_mi.pose.film.normal_equations import NormalEquations
-from gva_mi.pose.film.solver import MEMORY, SolvedFilm
+from gva_mi.pose.film.solver import SolvedFilm
 
 NO_FACE = "the body has no face that moves: head, jaw and expression stay as the body's points say"
 METRES, PIXELS = 0.003, 0.8  # σ of a point on the face, and in the picture: both together

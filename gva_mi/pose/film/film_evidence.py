@@ -6,13 +6,15 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
-4. ``t_2(across(X_chest - X_pelvis) / σ_u)``                     the trunk is upright, on average
-5. ``t_2(across(X_pelvis - X_feet) / σ_b)``                      and stands above the feet
+4. ``t_2(across(X_neck - X_pelvis) / σ_u)``                      the trunk is upright, on average
+5. ``t_2(across(Σ_j m_j X_j - X_feet) / σ_b)``                   the body's mass is above the feet
 
-divided by ``m``, the frames that count as one, because a network's errors last. ``X_chest`` and
-``X_feet`` are straight above and below the pelvis at rest, because the ankles of an upright person
-are behind it. ``t_d`` is that of Student's t distribution in d dimensions,
-``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
+divided by ``m``, the frames that count as one
+(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). (5) holds for people who crouch or bend as
+well. At rest ``X_neck`` is straight above the pelvis, and ``X_feet`` below the mass, because the
+ankles of a person who stands are behind it. ``t_d`` is that of Student's t distribution in d
+dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
+:mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
 which way a limb points:
@@ -37,16 +39,21 @@ from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 
 METRIC = 0.1  # σ_m, metres
-UPRIGHT, BALANCE = 0.12, 0.05  # σ_u and σ_b, radians
+UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
-SOLES = 4  # points after the landmarks; then those of the axis
-# Joints as high as the points of the axis, and those that the points move with.
-AXIS = (
-    ("neck", "spine3"), ("pelvis", "pelvis"), ("left_ankle", "left_ankle"),
-    ("right_ankle", "right_ankle"),
-)  # fmt: skip
+SOLES = 4  # points after the landmarks; then the joints that have mass
+# Shares m_j of the body's mass: each segment's, on the joints at its ends as its centre of mass
+# lies between them (Winter, Biomechanics and Motor Control of Human Movement, table 4.1).
+_OF_SIDES = {
+    "shoulder": 0.016, "elbow": 0.021, "wrist": 0.013, "hip": 0.0567, "knee": 0.0697,
+    "ankle": 0.0346,
+}  # fmt: skip
+MASSES = {"head": 0.081, "neck": 0.2486, "pelvis": 0.2484} | {
+    f"{side}_{name}": mass for name, mass in _OF_SIDES.items() for side in ("left", "right")
+}
+FEET = ("left_ankle", "right_ankle")
 
 
 class EvidenceRows(NamedTuple):
@@ -64,14 +71,14 @@ class FilmEvidence:
 
     Attributes:
         free: the unknowns.
-        points: P landmarks, then the soles, pelvis and neck if the person travels.
+        points: P landmarks, then the soles and the joints of ``MASSES`` if the person travels.
         K: (3, 3) the camera, pixels.
         pixels: (T, P, 2) landmarks.
         precision: (T, P) ``1 / σ²``; zero without a landmark.
         bones: (K, 2) and ``gain`` (K,).
         deep: (T, K) ``s (m_j - m_i) - bias``, and ``deep_precision`` (T, K).
         metric: (T, P, 3) ``s m``, of the body alone; NaN elsewhere.
-        memory: m.
+        memory: (T,) m.
         starting: whether (6) takes the place of (1) and (2).
     """
 
@@ -85,12 +92,12 @@ class FilmEvidence:
     deep: Tensor
     deep_precision: Tensor
     metric: Tensor
-    memory: float
+    memory: Tensor
     starting: bool = False
 
     def of(self, some: slice) -> FilmEvidence:
         """Select frames."""
-        names = ("pixels", "precision", "deep", "deep_precision", "metric")
+        names = ("pixels", "precision", "deep", "deep_precision", "metric", "memory")
         return replace(self, **{name: getattr(self, name)[some] for name in names})
 
     def rows(self, state: FilmState, derive: bool) -> Iterator[EvidenceRows]:
@@ -106,7 +113,7 @@ class FilmEvidence:
             yield self._depths(posed, D)
         if self.free.travels and not self.starting:
             yield self._ground(posed, D, state)
-            yield from self._upright(posed, D, state)
+            yield self._upright(posed, D, state)
 
     def _derivatives(self, posed: PosedPoints) -> Tensor:
         """Return those of all points by all columns, (n, P, 3, F + S)."""
@@ -128,8 +135,9 @@ class FilmEvidence:
     def _t(self, r: Tensor, precision: Tensor, d: int) -> tuple[Tensor, Tensor]:
         """Return energy and weights of errors (n, N, d) with precision (n, N)."""
         square = r.square().sum(-1) * precision / FREEDOM
-        energy = (FREEDOM + d) / 2 * torch.log1p(square).sum() / self.memory
-        weights = (FREEDOM + d) / (FREEDOM * (1 + square)) * precision / self.memory
+        memory = self.memory[:, None]
+        energy = (FREEDOM + d) / 2 * (torch.log1p(square) / memory).sum()
+        weights = (FREEDOM + d) / (FREEDOM * (1 + square)) * precision / memory
         return energy, weights
 
     def _pixels(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
@@ -160,7 +168,7 @@ class FilmEvidence:
         P = self.pixels.shape[1]
         known = self.metric.isfinite()
         r = torch.where(known, posed.X[:, :P] - posed.places[:, :1] - self.metric, 0).flatten(1)
-        weights = known.to(r).flatten(1) / (METRIC**2 * self.memory)
+        weights = known.to(r).flatten(1) / (METRIC**2 * self.memory[:, None])
         energy = (weights * r.square()).sum() / 2
         if D is None:
             return EvidenceRows(energy, r, weights, None)
@@ -177,11 +185,11 @@ class FilmEvidence:
         below = torch.sigmoid(-x)
         off = (1 - STAND) / LIFT * (1 - below) * torch.exp(-h.clamp_min(0) / LIFT)
         stands = on / (on + off)
-        energy = -(on + off).log().sum() / self.memory
+        energy = -((on + off).log() / self.memory[:, None]).sum()
         curve = stands * (FREEDOM + 1) / (FREEDOM + x.square()) / UNEVEN**2
         slope = curve * h + (1 - stands) * ((h > 0) / LIFT - below / UNEVEN)
         curve = curve + (1 - stands) * (below * (1 - below)) / UNEVEN**2 + 1.0
-        rows = EvidenceRows(energy, slope / curve, curve / self.memory, None)
+        rows = EvidenceRows(energy, slope / curve, curve / self.memory[:, None], None)
         if D is None:
             return rows
         J = torch.einsum("nqcu,c->nqu", D[:, P : P + SOLES], up)
@@ -191,34 +199,40 @@ class FilmEvidence:
             J[..., first + 2] += 1
         return rows._replace(jacobian=J)
 
-    def _upright(
-        self, posed: PosedPoints, D: Tensor | None, state: FilmState
-    ) -> Iterator[EvidenceRows]:
-        first = self.pixels.shape[1] + SOLES
-        chest, pelvis, *feet = range(first, first + len(AXIS))
-        up, by_up = state.upward()
-        for top, below, sigma in ((chest, [pelvis], UPRIGHT), (pelvis, feet, BALANCE)):
-            along = lambda of, top=top, below=below: of[:, top] - of[:, below].mean(1)
-            axis = along(posed.X)
-            length = axis.norm(dim=1, keepdim=True)
-            r = axis / length - up
-            energy, weights = self._t(r[:, None], r.new_full((len(r), 1), sigma**-2), 2)
-            J = None
-            if D is not None:
-                J = along(D) / length[..., None]
-                if self.free.camera:
-                    start = self.free.per_frame + self.free.starts[1] + 1
-                    J[..., start : start + 2] -= by_up
-            yield EvidenceRows(energy, r, weights.expand(-1, 3), J)
+    def _upright(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
+        first, (up, by_up) = self.pixels.shape[1] + SOLES, state.upward()
+        axis = torch.einsum("ap,npc->nac", AXES.to(up), posed.X[:, first:])
+        length = axis.norm(dim=2, keepdim=True)
+        r = axis / length - up
+        precision = r.new_tensor([UPRIGHT, BALANCE]).expand(len(r), -1) ** -2
+        energy, weights = self._t(r, precision, 2)
+        weights = weights[..., None].expand(-1, -1, 3).flatten(1)
+        if D is None:
+            return EvidenceRows(energy, r.flatten(1), weights, None)
+        J = torch.einsum("ap,npcu->nacu", AXES.to(up), D[:, first:]) / length[..., None]
+        if self.free.camera:
+            start = self.free.per_frame + self.free.starts[1] + 1
+            J[..., start : start + 2] -= by_up
+        return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
+
+
+def _axes() -> Tensor:
+    """Return the sums of joints (2, 15) by which (4) and (5) say what is above what."""
+    upright, balance = ({name: 0.0 for name in MASSES} for _ in range(2))
+    upright |= {"neck": 1.0, "pelvis": -1.0}
+    balance |= {name: mass - (name in FEET) / len(FEET) for name, mass in MASSES.items()}
+    return torch.tensor([list(axis.values()) for axis in (upright, balance)], dtype=torch.float64)
+
+
+AXES = _axes()
 
 
 def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
-    """Return the points of a rig on its body; with ``more`` also soles and the body's axis."""
+    """Return the points of a rig on its body; with ``more`` also soles and joints with mass."""
     joints, rest, directions = rig.joints, rig.rest, rig.directions
     if more:
         v = body.v_template
         moves = body.shape_directions[:, : 3 * len(v)].view(-1, 3, len(v))
-        growth = body.shape_joints.view(len(moves), -1, 3)
         for side in ("left", "right"):
             for kind in ("ankle", "foot"):
                 joint = JOINTS.index(f"{side}_{kind}")
@@ -227,12 +241,27 @@ def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
                 joints = torch.cat([joints, torch.tensor([joint])])
                 rest = torch.cat([rest, v[[lowest]]])
                 directions = torch.cat([directions, moves[:, None, :, lowest]], 1)
-        axis, moving = ([JOINTS.index(pair[k]) for pair in AXIS] for k in (0, 1))
-        places, grown = body.j_template[axis], growth[:, axis].clone()
-        places[:, 2], grown[..., 2] = body.j_template[0, 2], growth[:, :1, 2]
-        joints, rest = torch.cat([joints, torch.tensor(moving)]), torch.cat([rest, places])
-        directions = torch.cat([directions, grown], 1)
+        heavy = [JOINTS.index(name) for name in MASSES]
+        growth = body.shape_joints.view(len(moves), -1, 3)
+        places = _above_one_another(torch.cat([body.j_template[None], growth])[:, heavy])
+        parents = [max(int(body.parents[j]), 0) for j in heavy]
+        joints, rest = torch.cat([joints, torch.tensor(parents)]), torch.cat([rest, places[0]])
+        directions = torch.cat([directions, places[1:]], 1)
     return PointSet.of(body, joints, rest, directions)
+
+
+def _above_one_another(places: Tensor) -> Tensor:
+    """Move the neck above the pelvis, and the feet below the mass: joints (..., 15, 3) at rest.
+
+    They move in z only, and linearly, so that what betas add to places moves in the same way.
+    """
+    names, z = list(MASSES), places[..., 2].clone()
+    mass = z.new_tensor(list(MASSES.values()))
+    z[..., names.index("neck")] = z[..., names.index("pelvis")]
+    feet = [names.index(name) for name in FEET]
+    mass[feet] = 0
+    z[..., feet] = ((z @ mass) / mass.sum())[..., None]
+    return torch.stack([*places[..., :2].unbind(-1), z], -1)
 
 
 def film_evidence(
@@ -241,7 +270,7 @@ def film_evidence(
     free: Free,
     data: tuple[Tensor, Tensor, LandmarkNoise],
     K: Tensor,
-    memory: float,
+    memory: Tensor,
 ) -> FilmEvidence:
     """Collect the evidence of landmarks.
 
@@ -250,7 +279,7 @@ def film_evidence(
         free: the unknowns.
         data: pixels (T, P, 2), scaled metres (T, P, 3), and their noise.
         K: (3, 3) of the camera.
-        memory: m.
+        memory: (T,) m.
     """
     pixels, metric, noise = data
     i, j = noise.bones.unbind(1)

@@ -37,7 +37,7 @@ from gva_mi.pose.film.film_evidence import film_evidence
 from gva_mi.pose.film.film_problem import FilmProblem
 from gva_mi.pose.film.film_start import first_place, first_root
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import LandmarkNoise
+from gva_mi.pose.film.landmark_noise import LandmarkNoise, frames_alike
 from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.smoothness import Smoothness
@@ -45,7 +45,6 @@ from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
-MEMORY = 0.1  # seconds for which a network's errors last: these frames count as one
 CAMERAS = Within(0.05, 20, unit="metres")  # their heights above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
@@ -177,7 +176,7 @@ class _Film:
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
         free = Free(_BODY)
-        prior = BodyPrior.of(free, self.body.j_template, 1.0)
+        prior = BodyPrior.of(free, self.body.j_template)
         shape = self.mean_shape()
         count = len(self.landmarks)
         rotations = prior.relaxed.expand(count, -1, -1).clone()
@@ -203,7 +202,7 @@ class _Film:
         if starting:
             problem = self._problem(Free(_BODY), which, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
-        prior = BodyPrior.of(Free(_BODY), self.body.j_template, 1.0)
+        prior = BodyPrior.of(Free(_BODY), self.body.j_template)
         offsets = list(range(len(which)))
         free = Free(_BODY, len(state.betas), True, offsets, prior.habits(_BODY))
         return self._problem(free, which, state)
@@ -219,13 +218,13 @@ class _Film:
         """Return the problem of one hand's fingers."""
         joints = list(range(len(JOINTS)))[_HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
-        prior = BodyPrior.of(Free(joints), self.body.j_template, 1.0)
+        prior = BodyPrior.of(Free(joints), self.body.j_template)
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
         free = Free(joints, 0, False, of_fingers, prior.habits(joints))
         return self._problem(free, which, state)
 
     def _problem(self, free: Free, which: Sequence[int], state: FilmState) -> FilmProblem:
-        memory = max(1.0, MEMORY / self.dt)
+        memory = frames_alike(self.landmarks, self.dt)
         rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
         noise = LandmarkNoise.of(self.landmarks, rig.names)
         at = self.landmarks.indices(rig.names)

@@ -37,7 +37,8 @@ def test_the_depth_is_that_of_landmarks_that_sit_beside_the_joints(built_in_body
     gain = torch.full((len(bones),), GAIN, dtype=torch.float64)
     evidence = FilmEvidence(
         Free([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure, torch.tensor(bones), gain,
-        GAIN * deep, torch.full_like(deep, DEPTH**-2), X, memory=1.0,
+        GAIN * deep, torch.full_like(deep, DEPTH**-2), X,
+        memory=torch.ones(len(X), dtype=torch.float64),
     )  # fmt: skip
     found = with_arm_depths(evidence, rig.names, state, 1 / 15)
     assert bool((found.gain == 1).all())

@@ -4,13 +4,13 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.pose.film.film_evidence import AXIS, film_points
+from gva_mi.pose.film.film_evidence import AXES, MASSES, film_points
 from gva_mi.pose.film.posed_points import PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 
 
-def axis_of(body, betas, turns):
-    """Return chest, pelvis and the middle of the feet (3, 3) of a body with some joints turned."""
+def axes_of(body, betas, turns):
+    """Return trunk and balance (2, 3), metres, of a body with some joints turned."""
     points = film_points(body, LandmarkRig.of(body), True)
     rotations = torch.zeros(1, len(JOINTS), 3, dtype=torch.float64)
     for joint, turn in turns.items():
@@ -18,28 +18,42 @@ def axis_of(body, betas, turns):
     offsets = torch.zeros(len(points.rest), 3, dtype=torch.float64)
     place = torch.zeros(1, 3, dtype=torch.float64)
     posed = PosedPoints.of(points, rotations, place, betas.double(), offsets)
-    chest, pelvis, *feet = posed.X[0, -len(AXIS) :]
-    return torch.stack([chest, pelvis, torch.stack(feet).mean(0)])
+    return AXES @ posed.X[0, -len(MASSES) :]
 
 
-def test_the_axis_of_any_shape_is_upright_at_rest(built_in_body):
+def both(joint, angle):
+    return {f"{side}_{joint}": (angle, 0, 0) for side in ("left", "right")}
+
+
+def test_the_masses_are_those_of_one_body():
+    assert sum(MASSES.values()) == pytest.approx(1)
+    assert torch.allclose(AXES.sum(1), torch.zeros(2, dtype=AXES.dtype), atol=1e-12)
+
+
+def test_the_axes_of_any_shape_are_upright_at_rest(built_in_body):
     for betas in (torch.zeros(10), torch.linspace(-2, 2, 10)):
-        axis = axis_of(built_in_body, betas, {})
-        assert (axis[:, 2] - axis[1, 2]).abs().max() < 1e-9
-        assert (axis[:, 0] - axis[1, 0]).abs().max() < 2e-3  # bodies are not quite symmetric
-        assert axis[0, 1] > axis[1, 1] > axis[2, 1]
+        axes = axes_of(built_in_body, betas, {})
+        assert axes[:, 2].abs().max() < 1e-7
+        assert axes[:, 0].abs().max() < 5e-3  # bodies are not quite symmetric
+        assert (axes[:, 1] > 0.3).all()
 
 
 @pytest.mark.parametrize("lean", [-0.2, 0.1])
-def test_legs_and_trunk_lean_with_their_joints(built_in_body, lean):
-    upright = axis_of(built_in_body, torch.zeros(10), {})
-    legs = axis_of(
-        built_in_body, torch.zeros(10), {f"{s}_hip": (lean, 0, 0) for s in ("left", "right")}
-    )
-    trunk = axis_of(built_in_body, torch.zeros(10), {"spine1": (lean, 0, 0)})
-    assert torch.equal(legs[:2], upright[:2])
-    assert torch.equal(trunk[1:], upright[1:])
-    angle = lambda axis, top, below: torch.atan2(*(axis[top] - axis[below])[[2, 1]])
-    # The legs turn about the hips, a little below the pelvis; the trunk about the lowest spine.
-    assert angle(legs, 1, 2) == pytest.approx(lean, rel=0.25)
-    assert angle(trunk, 0, 1) == pytest.approx(lean, rel=0.35)
+def test_the_axes_lean_with_the_person_and_the_trunk_alone(built_in_body, lean):
+    angle = lambda axis: torch.atan2(*axis[[2, 1]])
+    person = axes_of(built_in_body, torch.zeros(10), {"pelvis": (lean, 0, 0)})
+    trunk = axes_of(built_in_body, torch.zeros(10), {"spine1": (lean, 0, 0)})
+    assert angle(person[0]) == pytest.approx(lean, rel=1e-6)
+    assert angle(person[1]) == pytest.approx(lean, rel=1e-6)
+    # The lowest spine is a little above the pelvis.
+    assert angle(trunk[0]) == pytest.approx(lean, rel=0.35)
+    assert 0 < angle(trunk[1]) / lean < 0.5
+
+
+def test_who_crouches_in_balance_leans_forward(built_in_body):
+    """Knees, hips and ankles bent: only with the trunk forward the mass stays above the feet."""
+    crouch = both("hip", -1.4) | both("knee", 1.6) | both("ankle", -0.4)
+    off = lambda turns: abs(float(axes_of(built_in_body, torch.zeros(10), crouch | turns)[1, 2]))
+    assert off({"pelvis": (0.2, 0, 0), "spine1": (0.6, 0, 0)}) < 0.01
+    assert off({"pelvis": (0.2, 0, 0)}) > 0.08
+    assert off({}) > 0.2

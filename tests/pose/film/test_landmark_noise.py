@@ -8,7 +8,12 @@ import torch
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import Landmarks
-from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, person_sizes
+from gva_mi.pose.film.landmark_noise import (
+    PERSON,
+    LandmarkNoise,
+    frames_alike,
+    person_sizes,
+)
 from gva_mi.pose.film.rig import LandmarkRig
 
 
@@ -74,3 +79,21 @@ def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):
     assert (noise.depth[1, of_hand] > 0.29).all()
     noise.pixels[1, hand], noise.depth[1, of_hand] = usual.pixels[1, hand], usual.depth[1, of_hand]
     assert torch.equal(noise.pixels, usual.pixels) and torch.equal(noise.depth, usual.depth)
+
+
+def test_frames_that_look_alike_count_as_one(standing):
+    pixels = standing.pixels.repeat(2, 0)  # six frames
+    pixels[3:, standing.names.index("left_wrist"), 0] += 200  # a metre aside
+    pixels[2] = 2 * pixels[2] - 150  # nearer, and at another place
+    pixels[5] = np.nan
+    film = replace(
+        standing,
+        pixels=pixels,
+        confidence=standing.confidence.repeat(2, 0),
+        spread=standing.spread.repeat(2, 0),
+        metric=standing.metric.repeat(2, 0),
+    )
+    alike = frames_alike(film, dt=1.0)
+    assert alike[:3].numpy() == pytest.approx([3, 3, 3], abs=1e-3)
+    assert alike[3:5].numpy() == pytest.approx([2, 2], abs=1e-3)
+    assert frames_alike(film, dt=0.02)[3] == 5  # a tenth of a second

@@ -68,8 +68,8 @@ class BodyPrior:
     memory: Tensor  # (T,) m
 
     @staticmethod
-    def of(free: Free, joints: Tensor, memory: Tensor = torch.ones(1)) -> BodyPrior:
-        """Derive it from joints (55, 3) at rest; ``memory`` is m of T frames."""
+    def of(free: Free, joints: Tensor, memory: Tensor | None = None) -> BodyPrior:
+        """Derive it from joints (55, 3) at rest; without m (T,) every frame counts."""
         anatomy = Anatomy.of(joints)
         relaxed = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
         spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
@@ -83,7 +83,8 @@ class BodyPrior:
             (joint,) = bend.any(1).nonzero()[:, 0].tolist()
             if joint >= LEFT_HAND.start:
                 relaxed[joint] = CURL[int(JOINTS[joint][-1])] * bend[joint]
-        return BodyPrior(free, anatomy, relaxed, spread**-2, memory)
+        counts = torch.ones(1, dtype=torch.float64) if memory is None else memory
+        return BodyPrior(free, anatomy, relaxed, spread**-2, counts)
 
     def energy(self, state: FilmState) -> Tensor:
         """Return (1) and (2), nats."""

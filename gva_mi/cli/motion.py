@@ -16,6 +16,7 @@ from gva_mi.core.files import require_room
 from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film, nth_person
+from gva_mi.pose.film.solver import CAMERAS
 from gva_mi.pose.stature import PEOPLE
 
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
@@ -27,6 +28,7 @@ def motion(
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
     *,
     height: Annotated[float, PEOPLE] | None = None,
+    camera_height: Annotated[float, CAMERAS] | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -39,6 +41,8 @@ def motion(
         options: options of the conversion.
         height: of a film's person, metres; without it an average one, so that steps may be too
             long or too short.
+        camera_height: of the lens of a film above the floor, metres: it shows how far the camera
+            looks down.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright, and hands that are components of a PCA are its own.
         overwrite: replace an existing file.
@@ -48,9 +52,10 @@ def motion(
     require_room(out, overwrite)
     target = TargetBody.read(body)
     if source.suffix.lower() in FILMS:
-        found = _of_film(source, target, options, height)
-    elif height is not None:
-        raise InputError(f"motion: --height is for films ({', '.join(FILMS)}); got {source}")
+        film = FilmOptions(height=height, camera_height=camera_height)
+        found = _of_film(source, film, target, options)
+    elif given := [n for n, x in (("height", height), ("camera-height", camera_height)) if x]:
+        raise InputError(f"motion: --{given[0]} is for films ({', '.join(FILMS)}); got {source}")
     else:
         found = read_motion(source, target, options)
     save_poses(out, found.pose, found.shape, stage=1)
@@ -59,12 +64,11 @@ def motion(
     say(f"{len(found.pose)} poses: {out}")
 
 
-def _of_film(film: Path, body: TargetBody, options: MotionOptions, height: float | None) -> Motion:
+def _of_film(film: Path, known: FilmOptions, body: TargetBody, options: MotionOptions) -> Motion:
     """Return the motion of one person in a film."""
     with bar("motion") as progress:
         found = motion_of_film(
-            film, FilmOptions(height=height), body.model, person=nth_person(options.person),
-            progress=progress,
+            film, known, body.model, person=nth_person(options.person), progress=progress,
         )  # fmt: skip
     solved, fps = found.solved, found.pictures.fps
     motion = motion_of_poses(str(film), solved.pose, solved.shape, fps, body, options)

@@ -132,6 +132,9 @@ SENTENCES = {
     "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
     "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for films"),
+    "a camera of a motion": (
+        ("motion", "m.npz", "o.npz", "--camera-height", 1.2), "--camera-height is for films",
+    ),
     "no picture": (("avatar", "{film}", "--out", "me", "--start", 9), "leave no picture"),
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Gaussians that must stay near the rest body: those of fingers, and those in armpits.
+"""Gaussians stay near the rest body and its clothes: most of all those of fingers and armpits.
 
 Fingers are bare skin. What a video teaches of them is little and wrong: a finger is a few pixels
 wide, often hidden, and its pose is off by more than its width. Gaussians that follow such pictures
@@ -8,10 +8,14 @@ In an armpit, skinning weights change from the trunk's to the arm's within a few
 the arms hang, what stands off the body there is hidden between arm and trunk. Once they rise, it
 hangs from both as a flap.
 
+What a video shows from one side only may lie anywhere along the line of sight: shins of a person
+who never turned grew balloons. Silhouettes have shown how far clothes and hair stand off the body.
+
 So a Gaussian that has left the body comes back toward its nearest vertex v, to the distance
 
     reach(v) = FINGER                               of fingers
              = max(ARMPIT, looseness(v))            in armpits, where clothes may be loose
+             = looseness(v) + BEYOND                everywhere, if clothes are known
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS
 from gva_mi.mesh.surface import vertex_normals
 
-FINGER, ARMPIT = 0.004, 0.015  # metres
+FINGER, ARMPIT, BEYOND = 0.004, 0.015, 0.03  # metres
 SHARED = 0.05  # product of the weights of trunk and arm in an armpit
 INTO_ARMPIT = 0.5  # cosine between normals of an armpit and the direction between side and down
 _TRUNK = [JOINTS.index(k) for k in ("spine1", "spine2", "spine3", "left_collar", "right_collar")]
@@ -35,7 +39,10 @@ _ARMS = [JOINTS.index(k) for k in ("left_shoulder", "right_shoulder")]
 
 
 class Held:
-    """The parts of an avatar's rest body that Gaussians must not leave."""
+    """The parts of an avatar's rest body that Gaussians must not leave.
+
+    ``body`` is all of it, which takes long to look through; nothing where no clothes are known.
+    """
 
     def __init__(self, rig: Rig) -> None:
         normals = vertex_normals(rig.vertices, rig.faces)
@@ -49,10 +56,16 @@ class Held:
             _Part(lambda weights: finger_weights(weights) > 0.5, rig.vertices[finger], bare),
             _Part(lambda weights: shared_weights(weights) > SHARED / 2, rig.vertices, loose),
         ]
+        known = slice(None if bool(rig.looseness.any()) else 0)
+        everyone = lambda weights: torch.ones(len(weights), dtype=torch.bool)
+        self._body = _Part(everyone, rig.vertices[known], rig.looseness[known] + BEYOND)
 
-    def hold(self, avatar: Avatar) -> None:
-        """Move Gaussians that have left their part of the body back, to its reach."""
-        for part in self._parts:
+    def hold(self, avatar: Avatar, body: bool) -> None:
+        """Move Gaussians that have left their part of the body back, to its reach.
+
+        Without ``body``, only those of fingers and armpits.
+        """
+        for part in (self._body, *self._parts) if body else self._parts:
             part.hold(avatar)
 
 
@@ -76,9 +89,11 @@ class _Part:
             return
         means = G.means[mine]
         distance, nearest = (torch.from_numpy(x) for x in self._tree.query(means.double().numpy()))
-        beneath = self._vertices[nearest]
-        share = self._reach[nearest] / distance.to(means).clamp_min(1e-9)
-        G.means[mine] = beneath + share.clamp_max(1)[:, None] * (means - beneath)
+        distance, reach = distance.to(means), self._reach[nearest]
+        far = distance > reach
+        beneath = self._vertices[nearest[far]]
+        share = (reach / distance)[far, None]
+        G.means[mine[far]] = beneath + share * (means[far] - beneath)
 
 
 def shared_weights(weights: Tensor) -> Tensor:

@@ -47,7 +47,8 @@ from gva_mi.fit.renders import smallest_pixel
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
 from gva_mi.splat import Screen, render
 
-HOLD_EVERY = 10  # steps between two checks that Gaussians of fingers and armpits have not left
+# Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
+HOLD_EVERY, HOLD_BODY_EVERY = 10, 100
 
 
 def fit(
@@ -232,7 +233,7 @@ class Run:
         if self.lambert is not None and moved:
             self.lambert.follow(self.avatar)
         if self.held is not None and self.step % HOLD_EVERY == 0:
-            self.held.hold(self.avatar)
+            self.held.hold(self.avatar, body=self.step % HOLD_BODY_EVERY == 0)
 
     def _reinitialise(self, out: Path) -> None:
         """Put the Gaussians back on the surface, where enough of them are opaque to show one."""

@@ -1,4 +1,4 @@
-"""Gaussians of fingers and armpits stay near the body."""
+"""Gaussians stay near the body and its clothes, those of fingers and armpits most of all."""
 
 import copy
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gva_mi.avatar.fingers import finger_weights
-from gva_mi.avatar.held import ARMPIT, FINGER, Held, shared_weights
+from gva_mi.avatar.held import ARMPIT, BEYOND, FINGER, Held, shared_weights
 from gva_mi.body.pose import JOINTS
 from gva_mi.mesh.surface import vertex_normals
 
@@ -31,7 +31,7 @@ def test_gaussians_of_fingers_come_back(moved):
     finger = finger_weights(G.weights) > 0.5
     far = _off(before[finger], body)[0] > FINGER
     assert far.any() and (~far).any()
-    Held(avatar.rig).hold(avatar)
+    Held(avatar.rig).hold(avatar, body=False)
     assert _off(G.means.detach()[finger], body)[0].max() < FINGER + 1e-6
     torch.testing.assert_close(G.means[finger][~far], before[finger][~far])
 
@@ -46,20 +46,40 @@ def test_gaussians_in_armpits_come_back_unless_clothes_are_loose(known):
         G.means[0], G.weights[0] = beneath[armpit], rig.weights[armpit]
     off = lambda: (G.means[0].detach() - rig.vertices[armpit]).norm().item()
     rig.looseness[:] = 0.08
-    Held(rig).hold(avatar)
+    Held(rig).hold(avatar, body=False)
     assert off() == pytest.approx(0.03, abs=1e-6)
     rig.looseness[:] = 0.0
-    Held(rig).hold(avatar)
+    Held(rig).hold(avatar, body=False)
     assert off() == pytest.approx(ARMPIT, abs=1e-6)
 
 
 def test_all_other_gaussians_keep_their_bits(moved):
     avatar, before = moved
     G = avatar.canonical
-    Held(avatar.rig).hold(avatar)
+    Held(avatar.rig).hold(avatar, body=False)
     free = (finger_weights(G.weights) <= 0.5) & (shared_weights(G.weights) == 0)
     assert free.any()
     assert torch.equal(G.means[free], before[free])
+
+
+@pytest.mark.parametrize("looseness", [0.0, 0.01])
+def test_all_gaussians_come_back_to_clothes_that_are_known(known, looseness):
+    avatar = copy.deepcopy(known)
+    rig, G = avatar.rig, avatar.canonical
+    rig.looseness[:] = looseness
+    with torch.no_grad():
+        G.means[::2] *= 1.2
+    before = G.means.detach().clone()
+    Held(rig).hold(avatar, body=True)
+    free = (finger_weights(G.weights) <= 0.5) & (shared_weights(G.weights) == 0)
+    was, now = (_off(means[free], rig.vertices)[0] for means in (before, G.means.detach()))
+    far = was > looseness + BEYOND
+    assert far.any() and (~far).any()
+    assert torch.equal(G.means[free][~far], before[free][~far])
+    if looseness:
+        assert now.max() < looseness + BEYOND + 1e-6
+    else:
+        assert torch.equal(now, was)
 
 
 def _armpit(rig):

@@ -156,6 +156,7 @@ class _Film:
     known: KnownOfFilm
     rig: LandmarkRig
     noise: LandmarkNoise
+    memory: Tensor  # (T,) how many frames count as one
     K: np.ndarray
 
     @staticmethod
@@ -171,7 +172,8 @@ class _Film:
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
         landmarks = Landmarks(rig.names, **arrays)
         noise = LandmarkNoise.of(landmarks, rig.names)
-        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, known.K(size))
+        memory, K = frames_alike(landmarks, 1 / fps), known.K(size)
+        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, memory, K)
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
@@ -224,7 +226,6 @@ class _Film:
         return self._problem(free, which, state)
 
     def _problem(self, free: Free, which: Sequence[int], state: FilmState) -> FilmProblem:
-        memory = frames_alike(self.landmarks, self.dt)
         rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
         noise = LandmarkNoise.of(self.landmarks, rig.names)
         at = self.landmarks.indices(rig.names)
@@ -232,8 +233,8 @@ class _Film:
         scale = self.rig.scale(self.landmarks, state.betas.float())
         metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
         K = torch.from_numpy(self.K)
-        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
-        prior = BodyPrior.of(free, self.body.j_template, memory)
+        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, self.memory)
+        prior = BodyPrior.of(free, self.body.j_template, self.memory)
         always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
         known = self.known
         shared = SharedPrior(

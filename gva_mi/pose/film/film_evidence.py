@@ -6,15 +6,13 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
-4. ``t_2(across(X_neck - X_pelvis) / σ_u)``                      the trunk is upright, on average
-5. ``t_2(across(Σ_j m_j X_j - X_feet) / σ_b)``                   the body's mass is above the feet
+4. ``t_2(across(trunk) / σ_u)``                                  the trunk is upright, on average
+5. ``t_2(across(balance) / σ_b)``                                the body's mass is above the feet
 
 divided by ``m``, the frames that count as one
-(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). (5) holds for people who crouch or bend as
-well. At rest ``X_neck`` is straight above the pelvis, and ``X_feet`` below the mass, because the
-ankles of a person who stands are behind it. ``t_d`` is that of Student's t distribution in d
-dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
-:mod:`gva_mi.pose.prior.ground`.
+(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``trunk`` and ``balance`` are those of
+:mod:`gva_mi.pose.film.upright`, ``t_d`` is that of Student's t distribution in d dimensions,
+``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
 which way a limb points:
@@ -37,6 +35,7 @@ from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.film.upright import AXES, MASSES, above_one_another
 
 METRIC = 0.1  # σ_m, metres
 UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
@@ -44,16 +43,6 @@ LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 T_PEAK = 0.3676  # of Student's t with that freedom
 SOLES = 4  # points after the landmarks; then the joints that have mass
-# Shares m_j of the body's mass: each segment's, on the joints at its ends as its centre of mass
-# lies between them (Winter, Biomechanics and Motor Control of Human Movement, table 4.1).
-_OF_SIDES = {
-    "shoulder": 0.016, "elbow": 0.021, "wrist": 0.013, "hip": 0.0567, "knee": 0.0697,
-    "ankle": 0.0346,
-}  # fmt: skip
-MASSES = {"head": 0.081, "neck": 0.2486, "pelvis": 0.2484} | {
-    f"{side}_{name}": mass for name, mass in _OF_SIDES.items() for side in ("left", "right")
-}
-FEET = ("left_ankle", "right_ankle")
 
 
 class EvidenceRows(NamedTuple):
@@ -216,17 +205,6 @@ class FilmEvidence:
         return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
 
 
-def _axes() -> Tensor:
-    """Return the sums of joints (2, 15) by which (4) and (5) say what is above what."""
-    upright, balance = ({name: 0.0 for name in MASSES} for _ in range(2))
-    upright |= {"neck": 1.0, "pelvis": -1.0}
-    balance |= {name: mass - (name in FEET) / len(FEET) for name, mass in MASSES.items()}
-    return torch.tensor([list(axis.values()) for axis in (upright, balance)], dtype=torch.float64)
-
-
-AXES = _axes()
-
-
 def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
     """Return the points of a rig on its body; with ``more`` also soles and joints with mass."""
     joints, rest, directions = rig.joints, rig.rest, rig.directions
@@ -243,25 +221,11 @@ def film_points(body: BodyModel, rig: LandmarkRig, more: bool) -> PointSet:
                 directions = torch.cat([directions, moves[:, None, :, lowest]], 1)
         heavy = [JOINTS.index(name) for name in MASSES]
         growth = body.shape_joints.view(len(moves), -1, 3)
-        places = _above_one_another(torch.cat([body.j_template[None], growth])[:, heavy])
+        places = above_one_another(torch.cat([body.j_template[None], growth])[:, heavy])
         parents = [max(int(body.parents[j]), 0) for j in heavy]
         joints, rest = torch.cat([joints, torch.tensor(parents)]), torch.cat([rest, places[0]])
         directions = torch.cat([directions, places[1:]], 1)
     return PointSet.of(body, joints, rest, directions)
-
-
-def _above_one_another(places: Tensor) -> Tensor:
-    """Move the neck above the pelvis, and the feet below the mass: joints (..., 15, 3) at rest.
-
-    They move in z only, and linearly, so that what betas add to places moves in the same way.
-    """
-    names, z = list(MASSES), places[..., 2].clone()
-    mass = z.new_tensor(list(MASSES.values()))
-    z[..., names.index("neck")] = z[..., names.index("pelvis")]
-    feet = [names.index(name) for name in FEET]
-    mass[feet] = 0
-    z[..., feet] = ((z @ mass) / mass.sum())[..., None]
-    return torch.stack([*places[..., :2].unbind(-1), z], -1)
 
 
 def film_evidence(

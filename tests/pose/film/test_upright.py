@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.pose.film.film_evidence import AXES, MASSES, film_points
+from gva_mi.pose.film.film_evidence import film_points
 from gva_mi.pose.film.posed_points import PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.film.upright import AXES, MASSES
 
 
 def axes_of(body, betas, turns):

@@ -192,13 +192,16 @@ class FilmEvidence:
         first, (up, by_up) = self.pixels.shape[1] + SOLES, state.upward()
         axis = torch.einsum("ap,npc->nac", AXES.to(up), posed.X[:, first:])
         length = axis.norm(dim=2, keepdim=True)
-        r = axis / length - up
+        along = axis / length
+        r = along - up
         precision = r.new_tensor([UPRIGHT, BALANCE]).expand(len(r), -1) ** -2
         energy, weights = self._t(r, precision, 2)
         weights = weights[..., None].expand(-1, -1, 3).flatten(1)
         if D is None:
             return EvidenceRows(energy, r.flatten(1), weights, None)
-        J = torch.einsum("ap,npcu->nacu", AXES.to(up), D[:, first:]) / length[..., None]
+        J = torch.einsum("ap,npcu->nacu", AXES.to(up), D[:, first:])
+        across = torch.eye(3).to(up) - along[..., None] * along[..., None, :]
+        J = across @ J / length[..., None]
         if self.free.camera:
             start = self.free.per_frame + self.free.starts[1] + 1
             J[..., start : start + 2] -= by_up

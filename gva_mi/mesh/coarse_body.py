@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.mesh.surface import uniform_laplacian
+from gva_mi.mesh.surface import as_scipy, uniform_laplacian
 
 DATA_WEIGHT = 1e3  # w of eq. 1: agreement on the kept vertices against smoothness
 
@@ -51,15 +51,13 @@ class CoarseBody:
         """
         if len(self.kept) == self._count:
             return offsets
-        from scipy.sparse import coo_matrix, diags
+        from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        laplacian = uniform_laplacian(self._faces.numpy(), self._count)
-        index, values = laplacian.indices().numpy(), laplacian.values().double().numpy()
-        bending = coo_matrix((values, index), (self._count, self._count)).tocsc()
+        bending = as_scipy(uniform_laplacian(self._faces.numpy(), self._count))
         weights, pulled = np.zeros(self._count), np.zeros((self._count, 3))
         weights[self.kept], pulled[self.kept] = DATA_WEIGHT, DATA_WEIGHT * offsets.double().numpy()
-        solved = splu((bending.T @ bending + diags(weights)).tocsc()).solve(pulled)
+        solved = splu((bending.T @ bending + diags_array(weights)).tocsc()).solve(pulled)
         return torch.from_numpy(solved).to(offsets.dtype)
 
 

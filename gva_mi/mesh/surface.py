@@ -7,9 +7,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
@@ -39,3 +44,11 @@ def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
     values = np.concatenate([np.ones(len(used)), -1 / degree[rows]]).astype(np.float32)
     entries = torch.from_numpy(index), torch.from_numpy(values)
     return torch.sparse_coo_tensor(*entries, (count, count), check_invariants=False).coalesce()
+
+
+def as_scipy(sparse: Tensor) -> csr_array:
+    """Return a coalesced sparse matrix of torch as float64 of SciPy, which solves equations."""
+    from scipy.sparse import coo_array
+
+    values, index = sparse.values().double().numpy(), tuple(sparse.indices().numpy())
+    return coo_array((values, index), sparse.shape).tocsr()

@@ -6,11 +6,11 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
-4. ``t_2(across(trunk) / σ_u)``                                  the trunk is upright, on average
-5. ``t_2(across(balance) / σ_b)``                                the body's mass is above the feet
+4. ``t_2(off_trunk / σ_u)``                                      the trunk is upright, on average
+5. ``min_s t_2(off_balance / σ_b, s / σ_s)``                     the body's mass is above the feet
 
 divided by ``m``, the frames that count as one
-(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``trunk`` and ``balance`` are those of
+(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``off`` and ``s`` are those of
 :mod:`gva_mi.pose.film.upright`, ``t_d`` is that of Student's t distribution in d dimensions,
 ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
 
@@ -35,7 +35,7 @@ from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.upright import AXES, MASSES, above_one_another
+from gva_mi.pose.film.upright import MASSES, SHARE, Leaning, above_one_another
 
 METRIC = 0.1  # σ_m, metres
 UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
@@ -190,21 +190,18 @@ class FilmEvidence:
 
     def _upright(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
         first, (up, by_up) = self.pixels.shape[1] + SOLES, state.upward()
-        axis = torch.einsum("ap,npc->nac", AXES.to(up), posed.X[:, first:])
-        length = axis.norm(dim=2, keepdim=True)
-        along = axis / length
-        r = along - up
-        precision = r.new_tensor([UPRIGHT, BALANCE]).expand(len(r), -1) ** -2
-        energy, weights = self._t(r, precision, 2)
+        leaning = Leaning.of(posed.X[:, first:], up, BALANCE)
+        costs = torch.nn.functional.pad(leaning.share * BALANCE / SHARE, (1, 0))
+        precision = up.new_tensor([UPRIGHT, BALANCE]).expand(len(costs), -1) ** -2
+        r = leaning.off
+        energy, weights = self._t(torch.cat([r, costs[..., None]], 2), precision, 2)
         weights = weights[..., None].expand(-1, -1, 3).flatten(1)
         if D is None:
             return EvidenceRows(energy, r.flatten(1), weights, None)
-        J = torch.einsum("ap,npcu->nacu", AXES.to(up), D[:, first:])
-        across = torch.eye(3).to(up) - along[..., None] * along[..., None, :]
-        J = across @ J / length[..., None]
+        J = leaning.slopes(D[:, first:])
         if self.free.camera:
             start = self.free.per_frame + self.free.starts[1] + 1
-            J[..., start : start + 2] -= by_up
+            J[..., start : start + 2] += leaning.slopes_by_up(by_up)
         return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
 
 

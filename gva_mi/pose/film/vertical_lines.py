@@ -14,7 +14,8 @@ The largest ``p`` is looked for on a grid, then by EM. Coughlan and Yuille ("Man
 Neural Computation, 2003) find the axes of a city's streets in this way, from single pixels.
 
 Compressed pictures have edges along their blocks. Pieces are therefore long, and lie between
-pixels: where the gradient along a row is largest, by a parabola. The person is left out.
+pixels: where the gradient along a row is largest, by a parabola. The person is left out, and so is
+what is lower in the picture than the feet: that is the floor, whose lines run away from the camera.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ FILLED = 0.8  # share of a piece's rows in which there is an edge
 STRAIGHT = 0.4  # pixels, standard deviation from the line
 MARGIN = 0.12  # around the landmarks, of the person's height
 UPRIGHT, SIGMA = 0.3, 0.006  # q and σ of eq. 2
-U, W = np.linspace(-0.2, 0.2, 101), np.linspace(-0.6, 0.4, 101)
+U, W = np.linspace(-0.36, 0.36, 181), np.linspace(-0.6, 0.4, 101)
 FOUND = 15.0  # nats a frame by which eq. 2 must exceed that without upright lines
 EM_STEPS = 20
 TOGETHER = 4.0  # pieces of one line err together: as many count as one
@@ -64,18 +65,18 @@ def vertical_of(
     return _most_likely(x, y, b, len(frames))
 
 
-def _around(landmarks: Landmarks, frame: int) -> tuple[float, float, float, float] | None:
-    """Return left, top, right and bottom of the person in a frame, pixels."""
+def _around(landmarks: Landmarks, frame: int) -> tuple[float, ...] | None:
+    """Return left, top, right and bottom of the person in a frame, and the row of the feet."""
     points = landmarks.pixels[frame]
     points = points[np.isfinite(points).all(1)]
     if not len(points):
         return None
     margin = MARGIN * np.ptp(points[:, 1])
-    return (*(points.min(0) - margin), *(points.max(0) + margin))
+    return (*(points.min(0) - margin), *(points.max(0) + margin), points[:, 1].max())
 
 
 def _pieces(
-    picture: np.ndarray, person: tuple[float, float, float, float] | None
+    picture: np.ndarray, person: tuple[float, ...] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return x and y of the middles of pieces of steep edges, pixels, and their slopes dx/dy."""
     height = max(8, len(picture) // PIECE)
@@ -93,7 +94,7 @@ def _pieces(
 
 
 def _edges(
-    grey: np.ndarray, person: tuple[float, float, float, float] | None
+    grey: np.ndarray, person: tuple[float, ...] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points x and y of steep edges, pixels, and the number of the edge of each."""
     from scipy.ndimage import gaussian_filter, label
@@ -105,8 +106,9 @@ def _edges(
     edge[:, 1:-1] = (here > CONTRAST) & (here >= before) & (here > after)
     edge &= np.abs(along) < STEEP * size
     if person is not None:
-        left, top, right, bottom = (max(0, int(v)) for v in person)
+        left, top, right, bottom, feet = (max(0, int(v)) for v in person)
         edge[top:bottom, left:right] = False
+        edge[feet:] = False
     number = np.zeros(grey.shape, np.int64)
     for sign in (1, -1):  # an edge from dark to bright, and one from bright to dark
         found, _ = label(edge & (sign * across > 0), np.ones((3, 3)))
@@ -132,5 +134,7 @@ def _most_likely(x: np.ndarray, y: np.ndarray, b: np.ndarray, frames: int) -> Ve
         weighted = A * (odd / (1 + odd))[:, None]
         square = np.einsum("ni,nj->ij", weighted, A) + 1e-6 * np.eye(2)
         up = np.linalg.solve(square, np.einsum("ni,n->i", weighted, b))
+    if not (U[0] < up[0] < U[-1] and W[0] < up[1] < W[-1]):
+        return None  # lines of something else
     error = SIGMA**2 * frames * TOGETHER * np.diag(np.linalg.inv(square))
     return Vertical(up, np.sqrt(error + EXACT**2))

@@ -7,11 +7,16 @@ from gva_mi.body.pose import JOINTS
 from gva_mi.pose.film.film_evidence import film_points
 from gva_mi.pose.film.posed_points import PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.upright import AXES, MASSES
+from gva_mi.pose.film.upright import AXES, MASSES, Leaning
 
 
 def axes_of(body, betas, turns):
-    """Return trunk and balance (2, 3), metres, of a body with some joints turned."""
+    """Return trunk, balance and feet (3, 3), metres, of a body with some joints turned."""
+    return AXES @ joints_of(body, betas, turns)
+
+
+def joints_of(body, betas, turns):
+    """Return the joints that have mass (15, 3), metres."""
     points = film_points(body, LandmarkRig.of(body), True)
     rotations = torch.zeros(1, len(JOINTS), 3, dtype=torch.float64)
     for joint, turn in turns.items():
@@ -19,7 +24,7 @@ def axes_of(body, betas, turns):
     offsets = torch.zeros(len(points.rest), 3, dtype=torch.float64)
     place = torch.zeros(1, 3, dtype=torch.float64)
     posed = PosedPoints.of(points, rotations, place, betas.double(), offsets)
-    return AXES @ posed.X[0, -len(MASSES) :]
+    return posed.X[0, -len(MASSES) :]
 
 
 def both(joint, angle):
@@ -28,12 +33,12 @@ def both(joint, angle):
 
 def test_the_masses_are_those_of_one_body():
     assert sum(MASSES.values()) == pytest.approx(1)
-    assert torch.allclose(AXES.sum(1), torch.zeros(2, dtype=AXES.dtype), atol=1e-12)
+    assert torch.allclose(AXES.sum(1), torch.zeros(3, dtype=AXES.dtype), atol=1e-12)
 
 
 def test_the_axes_of_any_shape_are_upright_at_rest(built_in_body):
     for betas in (torch.zeros(10), torch.linspace(-2, 2, 10)):
-        axes = axes_of(built_in_body, betas, {})
+        axes = axes_of(built_in_body, betas, {})[:2]
         assert axes[:, 2].abs().max() < 1e-7
         assert axes[:, 0].abs().max() < 5e-3  # bodies are not quite symmetric
         assert (axes[:, 1] > 0.3).all()
@@ -58,3 +63,23 @@ def test_who_crouches_in_balance_leans_forward(built_in_body):
     assert off({"pelvis": (0.2, 0, 0), "spine1": (0.6, 0, 0)}) < 0.01
     assert off({"pelvis": (0.2, 0, 0)}) > 0.08
     assert off({}) > 0.2
+
+
+@pytest.mark.parametrize("lean", [-0.2, 0.0, 0.15])
+def test_the_mass_may_be_above_either_foot(built_in_body, lean):
+    """With a leg raised aside, turning aside moves the mass from one foot to the other."""
+    turns = {"left_hip": (0, 0, 0.9), "pelvis": (0, 0, lean)}
+    X = joints_of(built_in_body, torch.zeros(10), turns)
+    leaning = Leaning.of(X[None], torch.tensor([0.0, 1, 0]).double(), 0.05)
+    middle = AXES[1] @ X
+    assert abs(middle[0] / middle.norm()) > 0.1
+    assert leaning.off[0, 1].norm() < 0.02
+    assert -0.5 < float(leaning.share) < 0
+
+
+def test_the_mass_is_not_beyond_the_foot_that_carries_it(built_in_body):
+    turns = {"left_hip": (0, 0, 0.9), "pelvis": (0, 0, 0.4)}
+    X = joints_of(built_in_body, torch.zeros(10), turns)
+    leaning = Leaning.of(X[None], torch.tensor([0.0, 1, 0]).double(), 0.05)
+    assert float(leaning.share) == -0.5
+    assert leaning.off[0, 1].norm() > 0.2

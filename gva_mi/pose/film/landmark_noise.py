@@ -32,6 +32,8 @@ same again and again, shows less in a minute than one who turns round once. With
 distance ``d²`` of two frames' landmarks, metres, about their middles,
 
 3. ``m_t = Σ_k exp(-d_tk² / 2 ℓ²)``,   ``ℓ² = 2 (share · 1.7 m)²``
+
+The body's landmarks decide this for the body, and a hand's for its fingers.
 """
 
 from __future__ import annotations
@@ -183,24 +185,26 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
     return np.where(usable, sizes, np.median(sizes[usable]))
 
 
-def frames_alike(landmarks: Landmarks, dt: float) -> Tensor:
+def frames_alike(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:
     """Return eq. 3, by the landmarks of the body: how many frames (T,) count as one.
 
-    Frames are ``dt`` seconds apart.
+    Frames are ``dt`` seconds apart. ``hand``, left or right: by those of that hand instead.
 
     Raises:
         InputError: no frame has a person.
     """
-    body = [k for k, name in enumerate(landmarks.names) if "_hand_" not in name]
+    mine = lambda name: f"{hand}_hand_" in name if hand else "_hand_" not in name
+    some = [k for k, name in enumerate(landmarks.names) if mine(name)]
+    share = HAND_SHARE if hand else SHARE
     metre = person_sizes(landmarks)[:, None, None] / PERSON
-    x = landmarks.pixels[:, body].astype(float) / metre
+    x = landmarks.pixels[:, some].astype(float) / metre
     seen = np.isfinite(x).all(2).astype(float)
     x = np.where(seen[..., None] > 0, x, 0)
     x = (x - x.sum(1, keepdims=True) / np.maximum(seen.sum(1), 1)[:, None, None]) * seen[..., None]
     square = np.square(x).sum(2) @ seen.T
     apart = square + square.T - 2 * np.einsum("tpc,kpc->tk", x, x)
     apart = np.maximum(apart, 0) / np.maximum(seen @ seen.T, 1)
-    alike = np.exp(-apart / (4 * (SHARE * PERSON) ** 2)) @ seen.any(1)
+    alike = np.exp(-apart / (4 * (share * PERSON) ** 2)) @ seen.any(1)
     return torch.from_numpy(np.maximum(alike, max(1.0, MEMORY / dt)))
 
 

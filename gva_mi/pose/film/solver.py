@@ -156,7 +156,6 @@ class _Film:
     known: KnownOfFilm
     rig: LandmarkRig
     noise: LandmarkNoise
-    memory: Tensor  # (T,) how many frames count as one
     K: np.ndarray
 
     @staticmethod
@@ -172,8 +171,7 @@ class _Film:
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
         landmarks = Landmarks(rig.names, **arrays)
         noise = LandmarkNoise.of(landmarks, rig.names)
-        memory, K = frames_alike(landmarks, 1 / fps), known.K(size)
-        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, memory, K)
+        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, known.K(size))
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
@@ -223,18 +221,20 @@ class _Film:
         prior = BodyPrior.of(Free(joints), self.body.j_template)
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
         free = Free(joints, 0, False, of_fingers, prior.habits(joints))
-        return self._problem(free, which, state)
+        return self._problem(free, which, state, side)
 
-    def _problem(self, free: Free, which: Sequence[int], state: FilmState) -> FilmProblem:
+    def _problem(
+        self, free: Free, which: Sequence[int], state: FilmState, hand: str | None = None
+    ) -> FilmProblem:
         rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
         noise = LandmarkNoise.of(self.landmarks, rig.names)
         at = self.landmarks.indices(rig.names)
         pixels = torch.from_numpy(self.landmarks.pixels[:, at])
         scale = self.rig.scale(self.landmarks, state.betas.float())
         metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
-        K = torch.from_numpy(self.K)
-        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, self.memory)
-        prior = BodyPrior.of(free, self.body.j_template, self.memory)
+        memory, K = frames_alike(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
+        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
+        prior = BodyPrior.of(free, self.body.j_template, memory)
         always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
         known = self.known
         shared = SharedPrior(

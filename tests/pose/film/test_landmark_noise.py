@@ -97,3 +97,16 @@ def test_frames_that_look_alike_count_as_one(standing):
     assert alike[:3].numpy() == pytest.approx([3, 3, 3], abs=1e-3)
     assert alike[3:5].numpy() == pytest.approx([2, 2], abs=1e-3)
     assert frames_alike(film, dt=0.02)[3] == 5  # a tenth of a second
+
+
+def test_fingers_of_a_person_who_stands_still_count_by_themselves(standing):
+    """One finger moves by 3 cm from frame to frame, all else stays."""
+    pixels = standing.pixels.copy()
+    metre = person_sizes(standing)[0] / PERSON
+    finger = [k for k, name in enumerate(standing.names) if "left_hand_index" in name]
+    pixels[:, finger, 0] += 0.03 * metre * np.arange(len(pixels))[:, None]
+    film = replace(standing, pixels=pixels)
+    alike = lambda hand: frames_alike(film, dt=1.0, hand=hand).numpy()
+    assert alike(None) == pytest.approx(len(pixels), abs=1e-3)
+    assert alike("right") == pytest.approx(len(pixels), abs=1e-3)
+    assert (alike("left") < 0.7 * len(pixels)).all()

@@ -1,27 +1,31 @@
-"""The command ``gva-mi study``: measure a step on held-out synthetic subjects."""
+"""The command ``gva-mi study``: measure a step on held-out synthetic subjects, or on real films."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import arg, subcommand
+import numpy as np
+from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room, write_json
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import workers as local_workers
+from gva_mi.pose.film.prepare_film import FilmOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
+from gva_mi.study.multiview import UP, Upward, multiview, multiview_table
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
 from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
@@ -72,10 +76,30 @@ class AvatarChoice(_Choice):
     options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
 
 
+@options_of("study multiview")
+class MultiviewChoice:
+    """Compare stage 1 of real films with points that several calibrated cameras see.
+
+    Each film is solved alone, as `gva-mi prepare film` does. Landmarks of all films together give
+    points in space; they err by one or two centimetres.
+    """
+
+    films: Positional[Path]  # folder of the films, named after their cameras, and of a .toml file
+    # Calibration of the cameras, as Pose2Sim, anipose and FreeMoCap write it; without it the .toml
+    # in the folder.
+    calibration: Path | None = None
+    up: Upward = "z"  # axis of the calibration's world
+    known_lens: Switch = False  # films are solved with their true focal lengths
+    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
+    json_file: Annotated[Path | None, arg(name="json")] = None  # where to write all figures
+    film: Flat[FilmOptions] = field(default_factory=FilmOptions)
+
+
 def study(
     what: Annotated[
         Annotated[RefineChoice, subcommand("refine", prefix_name=False)]
-        | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)],
+        | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)]
+        | Annotated[MultiviewChoice, subcommand("multiview", prefix_name=False)],
         arg(name=""),
     ],
 ) -> None:
@@ -84,6 +108,9 @@ def study(
     Args:
         what: the step; its figures are written to files of its name.
     """
+    if isinstance(what, MultiviewChoice):
+        _multiview(what)
+        return
     body, cases = load_body(what.body), _chosen(what)
     if isinstance(what, RefineChoice):
         variants = (STAGE_1 if what.stage == 1 else REFINED,)
@@ -123,6 +150,22 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     settings = {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
     say(f"figures: {made.path}; page: {page}")
+
+
+def _multiview(what: MultiviewChoice) -> None:
+    """Solve the films, then print and write a row for each camera."""
+    if what.json_file is not None:
+        require_room(what.json_file, overwrite=True)
+    with bar("study") as progress:
+        rows = multiview(
+            what.films, what.calibration, load_body(what.body), what.film,
+            np.array(UP[what.up]), what.known_lens, progress,
+        )  # fmt: skip
+    for line in aligned(multiview_table(rows)):
+        say(line)
+    if what.json_file is not None:
+        write_json(what.json_file, [asdict(row) for row in rows])
+        say(f"figures: {what.json_file}")
 
 
 def _kept(

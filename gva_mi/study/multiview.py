@@ -1,0 +1,269 @@
+"""Stage 1 of real films: what one camera says, against what several calibrated ones see.
+
+Real people come without ground truth. Where calibrated cameras film one person at the same time,
+each film alone gives poses, a lens and the direction up, and the landmarks of all films give points
+X in space:
+
+1. ``min Σ_c log(1 + |π_c(X) - x_c|² / τ²)``,   ``τ`` = :data:`APART` of the person's height
+
+by iteratively reweighted direct linear transformation (Hartley and Zisserman, *Multiple View
+Geometry*, ch. 12): one network that is far off is outvoted. A landmark is not quite the joint that
+it is named after, by one or two centimetres.
+
+A calibration is a TOML file with a table for each camera, as Pose2Sim, anipose and FreeMoCap write
+it: ``name``, ``size``, ``matrix``, ``distortions`` and ``rotation``, ``translation`` from the world
+to the camera. Each film is named after its camera.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from gva_mi.body import so3
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress, within
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.data.landmarks import BODY, Landmarks
+from gva_mi.pose.film.landmark_noise import person_sizes
+from gva_mi.pose.film.prepare_film import FilmOptions, SolvedMotion, motion_of_film
+from gva_mi.pose.film.solver import SolvedFilm
+
+CALIBRATION = (
+    "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
+    "anipose's or FreeMoCap's calibration"
+)
+APART = 0.01  # τ of eq. 1, of a person's height
+ROUNDS = 10  # of reweighting
+SEEN = 0.5  # least confidence of a landmark
+COMPARED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+UP = {"x": (1.0, 0, 0), "y": (0, 1.0, 0), "z": (0, 0, 1.0), "-y": (0, -1.0, 0)}
+Upward = Literal["x", "y", "z", "-y"]
+
+
+@dataclass(frozen=True)
+class CalibratedCamera:
+    """A camera of a calibration, whose axes are x right, y down, z away."""
+
+    name: str
+    size: tuple[int, int]  # pixels
+    K: np.ndarray  # (3, 3) pixels
+    distortion: np.ndarray  # (4,) or (5,) of OpenCV
+    R: np.ndarray  # (3, 3) from the world
+    t: np.ndarray  # (3,) metres
+
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """Return x / z and y / z (..., 2) of points, by fixed-point iteration."""
+        k1, k2, p1, p2, k3 = (*self.distortion, 0.0)[:5]
+        seen = (pixels - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        x = seen
+        for _ in range(ROUNDS):
+            r2, xy = np.square(x).sum(-1, keepdims=True), x.prod(-1, keepdims=True)
+            aside = 2 * xy * [p1, p2] + (r2 + 2 * np.square(x)) * [p2, p1]
+            x = (seen - aside) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+        return x
+
+    def place(self, X: np.ndarray) -> np.ndarray:
+        """Return points (..., 3) of the world in the camera's axes."""
+        return X @ self.R.T + self.t
+
+
+def read_calibration(path: Path) -> list[CalibratedCamera]:
+    """Read the cameras of a calibration; tables without a matrix are ignored.
+
+    Raises:
+        InputError: the file is not one.
+    """
+    with expecting(path, CALIBRATION):
+        tables = tomllib.loads(path.read_text())
+        found = [_camera(name, table) for name, table in tables.items() if "matrix" in table]
+    if len(found) < 2:
+        raise InputError(f"{path}: expected at least two cameras, found {len(found)}")
+    return found
+
+
+def _camera(key: str, table: dict) -> CalibratedCamera:
+    K, distortion = np.array(table["matrix"], float), np.array(table["distortions"], float)
+    turn = torch.tensor(table["rotation"], dtype=torch.float64)
+    width, height = (int(side) for side in table["size"])
+    t = np.array(table["translation"], float).reshape(3)
+    R = so3.to_matrix(turn.reshape(3)).numpy()
+    name = str(table.get("name", key))
+    return CalibratedCamera(name, (width, height), K.reshape(3, 3), distortion, R, t)
+
+
+def triangulate(
+    cameras: Sequence[CalibratedCamera], rays: np.ndarray, seen: np.ndarray, tau: np.ndarray
+) -> np.ndarray:
+    """Minimise eq. 1 from rays (C, N, 2).
+
+    Args:
+        cameras: C of them.
+        rays: x / z and y / z, of N points.
+        seen: (C, N) where a camera saw a point.
+        tau: (C,) of x / z.
+
+    Returns:
+        X (N, 3) metres; NaN where fewer than two cameras saw a point.
+    """
+    P = np.stack([np.column_stack([camera.R, camera.t]) for camera in cameras])[:, None]
+    x = np.where(seen[..., None], rays, 0)
+    rows = x[..., None] * P[:, :, 2:] - P[:, :, :2]  # (C, N, 2, 4)
+    weights = seen.astype(float)
+    for _ in range(ROUNDS):
+        A = (weights[..., None, None] * rows).transpose(1, 0, 2, 3).reshape(len(x[0]), -1, 4)
+        X = np.linalg.svd(A, full_matrices=False)[2][:, -1]
+        X = X[:, :3] / X[:, 3:]
+        local = np.stack([camera.place(X) for camera in cameras])
+        off = np.square(local[..., :2] / local[..., 2:] - x).sum(-1)
+        weights = seen / (local[..., 2] * np.sqrt(1 + off / tau[:, None] ** 2))
+    return np.where((seen.sum(0) >= 2)[:, None], X, np.nan)
+
+
+@dataclass(frozen=True)
+class OneCamera:
+    """What one film says, against the points of all of them; lengths in mm, means over frames."""
+
+    camera: str
+    lens: float  # focal length, pixels of the film
+    true_lens: float
+    up: float  # degrees between the directions up
+    joints: float
+    depth: float  # of the hips' middle, beyond the points'
+    aligned: float  # with the hips' middle in the same place
+    aside: float  # of that, across the line of sight
+    network: float  # of the network's own metres, aligned, scaled as fits best
+    by_joint: dict[str, float]  # aligned
+
+
+def compare(
+    camera: CalibratedCamera,
+    solved: SolvedFilm,
+    landmarks: Landmarks,
+    body: BodyModel,
+    X: np.ndarray,
+    up: np.ndarray,
+) -> OneCamera:
+    """Compare one film's stage 1 with points X (T, 33, 3) of the world, in the order of BODY.
+
+    ``up`` (3,) is the world's direction up.
+    """
+    names = [f"{side}_{name}" for name in COMPARED for side in ("left", "right")]
+    true = 1e3 * camera.place(X)[:, [BODY.index(name) for name in names]]
+    T = np.asarray(solved.camera.T_camera_world)
+    joints = body(solved.pose, solved.shape).joints[:, [JOINTS.index(name) for name in names]]
+    found = 1e3 * (joints.double().numpy() @ T[:3, :3].T + T[:3, 3])
+    guessed = 1e3 * landmarks.metric[:, landmarks.indices(names)].astype(float)
+    hips = [names.index(f"{side}_hip") for side in ("left", "right")]
+    centred = lambda points: points - points[:, hips].mean(1, keepdims=True)
+    length = lambda off: float(np.nanmean(np.linalg.norm(off, axis=-1)))
+    off, own = centred(found) - centred(true), centred(guessed)
+    scale = np.nansum(own * centred(true)) / np.nansum(np.where(np.isnan(true), 0, own**2))
+    sides = lambda name: [k for k, full in enumerate(names) if full.endswith(name)]
+    angle = np.degrees(np.arccos(np.clip(T[:3, 1] @ (camera.R @ up), -1, 1)))
+    return OneCamera(
+        camera=camera.name,
+        lens=float(solved.camera.fx),
+        true_lens=float(camera.K[0, 0] * solved.camera.width / camera.size[0]),
+        up=float(angle),
+        joints=length(found - true),
+        depth=float(np.nanmean((found - true)[:, hips, 2])),
+        aligned=length(off),
+        aside=length(off[..., :2]),
+        network=length(scale * own - centred(true)),
+        by_joint={name: length(off[:, sides(name)]) for name in COMPARED},
+    )
+
+
+def multiview_table(rows: Sequence[OneCamera]) -> list[list[str]]:
+    """Return the lines of a table, heads first; lengths in mm."""
+    head = ["camera", "lens, px", "true", "up, degrees", "joints", "depth", "aligned", "aside",
+            "network", *COMPARED]  # fmt: skip
+    found = [
+        [row.camera, *(f"{x:.0f}" for x in (row.lens, row.true_lens)), f"{row.up:.1f}"]
+        + [f"{x:.0f}" for x in (row.joints, row.depth, row.aligned, row.aside, row.network)]
+        + [f"{row.by_joint[name]:.0f}" for name in COMPARED]
+        for row in rows
+    ]
+    return [head, *found]
+
+
+def multiview(
+    folder: Path,
+    calibration: Path | None,
+    body: BodyModel,
+    options: FilmOptions,
+    up: np.ndarray,
+    known_lens: bool,
+    progress: Progress | None = None,
+) -> list[OneCamera]:
+    """Solve the film of each camera alone, and compare it with all of them.
+
+    Args:
+        folder: of the films, which start at the same time and have the same frames.
+        calibration: of the cameras; None: the one in the folder.
+        body: of the poses.
+        options: of the films.
+        up: (3,) the world's direction up.
+        known_lens: whether each film is solved with its true focal length.
+        progress: called as the work goes on.
+
+    Raises:
+        InputError: a file is missing, or films differ in their frames.
+    """
+    cameras = read_calibration(calibration or _calibration_in(folder))
+    films = [_film_of(folder, camera) for camera in cameras]
+    motions: list[SolvedMotion] = []
+    for k, (film, camera) in enumerate(zip(films, cameras, strict=True)):
+        scale = min(1.0, options.side / min(camera.size))
+        lens = str(scale * camera.K[0, 0]) if known_lens else None
+        part = within(progress, k, 1, len(films))
+        motions.append(motion_of_film(film, options, body, lens=lens, progress=part))
+        if motions[-1].pictures.numbers != motions[0].pictures.numbers:
+            raise InputError(
+                f"{film}: its pictures are not at the same times as those of {films[0]}; expected "
+                "films that start together and have one rate and length"
+            )
+    rays, seen, tau = (np.stack(x) for x in zip(*map(_seen, cameras, motions), strict=True))
+    X = triangulate(cameras, rays.reshape(len(films), -1, 2), seen.reshape(len(films), -1), tau)
+    X = X.reshape(*rays.shape[1:3], 3)
+    return [
+        compare(camera, motion.solved, motion.watched.landmarks, body, X, up)
+        for camera, motion in zip(cameras, motions, strict=True)
+    ]
+
+
+def _calibration_in(folder: Path) -> Path:
+    found = sorted(folder.glob("*.toml"))
+    if len(found) != 1:
+        raise InputError(f"{folder}: expected one calibration, *.toml, found {len(found)}")
+    return found[0]
+
+
+def _film_of(folder: Path, camera: CalibratedCamera) -> Path:
+    """Return the film of a camera: the file in a folder that is named after it."""
+    named = sorted(path for path in folder.iterdir() if path.stem == camera.name)
+    films = [path for path in named if path.suffix != ".toml"]
+    if len(films) != 1:
+        raise InputError(
+            f"{folder}: expected one film of the camera {camera.name}, of that name, "
+            f"found {len(films)}"
+        )
+    return films[0]
+
+
+def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the rays of landmarks (T, 33, 2), where they were seen (T, 33), and τ."""
+    landmarks, scale = motion.watched.landmarks, motion.pictures.scale
+    at = landmarks.indices(BODY)
+    pixels = landmarks.pixels[:, at].astype(float)
+    seen = np.isfinite(pixels).all(2) & (np.nan_to_num(landmarks.confidence[:, at]) >= SEEN)
+    tall = float(np.median(person_sizes(landmarks)))
+    return camera.rays(pixels / scale), seen, APART * tall / (scale * camera.K[0, 0])

@@ -25,7 +25,7 @@ from gva_mi.pose.film.prepare_film import FilmOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
-from gva_mi.study.multiview import UP, Upward, multiview, multiview_table
+from gva_mi.study.multiview import UP, Upward, bones_table, multiview, multiview_table
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
 from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
@@ -157,14 +157,16 @@ def _multiview(what: MultiviewChoice) -> None:
     if what.json_file is not None:
         require_room(what.json_file, overwrite=True)
     with bar("study") as progress:
-        rows = multiview(
+        rows, bones = multiview(
             what.films, what.calibration, load_body(what.body), what.film,
             np.array(UP[what.up]), what.known_lens, progress,
         )  # fmt: skip
-    for line in aligned(multiview_table(rows)):
-        say(line)
+    for table in (multiview_table(rows), bones_table(bones)):
+        for line in aligned(table):
+            say(line)
     if what.json_file is not None:
-        write_json(what.json_file, [asdict(row) for row in rows])
+        figures = {"cameras": rows, "bones": bones}
+        write_json(what.json_file, {k: [asdict(row) for row in v] for k, v in figures.items()})
         say(f"figures: {what.json_file}")
 
 

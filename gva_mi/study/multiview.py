@@ -2,129 +2,35 @@
 
 Real people come without ground truth. Where calibrated cameras film one person at the same time,
 each film alone gives poses, a lens and the direction up, and the landmarks of all films give points
-X in space:
-
-1. ``min Σ_c log(1 + |π_c(X) - x_c|² / τ²)``,   ``τ`` = :data:`APART` of the person's height
-
-by iteratively reweighted direct linear transformation (Hartley and Zisserman, *Multiple View
-Geometry*, ch. 12): one network that is far off is outvoted. A landmark is not quite the joint that
-it is named after, by one or two centimetres.
-
-A calibration is a TOML file with a table for each camera, as Pose2Sim, anipose and FreeMoCap write
-it: ``name``, ``size``, ``matrix``, ``distortions`` and ``rotation``, ``translation`` from the world
-to the camera. Each film is named after its camera.
+in space (:mod:`gva_mi.study.calibrated`). A landmark is not quite the joint that it is named after,
+by one or two centimetres.
 """
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import torch
 
-from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, within
-from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.landmark_noise import person_sizes
+from gva_mi.pose.film.landmark_noise import BONES, person_sizes
 from gva_mi.pose.film.prepare_film import FilmOptions, SolvedMotion, motion_of_film
+from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import SolvedFilm
+from gva_mi.study.calibrated import CalibratedCamera, read_calibration, triangulate
 
-CALIBRATION = (
-    "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
-    "anipose's or FreeMoCap's calibration"
-)
-APART = 0.01  # τ of eq. 1, of a person's height
-ROUNDS = 10  # of reweighting
+APART = 0.01  # τ of triangulation, of a person's height
 SEEN = 0.5  # least confidence of a landmark
 COMPARED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 UP = {"x": (1.0, 0, 0), "y": (0, 1.0, 0), "z": (0, 0, 1.0), "-y": (0, -1.0, 0)}
 Upward = Literal["x", "y", "z", "-y"]
-
-
-@dataclass(frozen=True)
-class CalibratedCamera:
-    """A camera of a calibration, whose axes are x right, y down, z away."""
-
-    name: str
-    size: tuple[int, int]  # pixels
-    K: np.ndarray  # (3, 3) pixels
-    distortion: np.ndarray  # (4,) or (5,) of OpenCV
-    R: np.ndarray  # (3, 3) from the world
-    t: np.ndarray  # (3,) metres
-
-    def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Return x / z and y / z (..., 2) of points, by fixed-point iteration."""
-        k1, k2, p1, p2, k3 = (*self.distortion, 0.0)[:5]
-        seen = (pixels - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
-        x = seen
-        for _ in range(ROUNDS):
-            r2, xy = np.square(x).sum(-1, keepdims=True), x.prod(-1, keepdims=True)
-            aside = 2 * xy * [p1, p2] + (r2 + 2 * np.square(x)) * [p2, p1]
-            x = (seen - aside) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
-        return x
-
-    def place(self, X: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) of the world in the camera's axes."""
-        return X @ self.R.T + self.t
-
-
-def read_calibration(path: Path) -> list[CalibratedCamera]:
-    """Read the cameras of a calibration; tables without a matrix are ignored.
-
-    Raises:
-        InputError: the file is not one.
-    """
-    with expecting(path, CALIBRATION):
-        tables = tomllib.loads(path.read_text())
-        found = [_camera(name, table) for name, table in tables.items() if "matrix" in table]
-    if len(found) < 2:
-        raise InputError(f"{path}: expected at least two cameras, found {len(found)}")
-    return found
-
-
-def _camera(key: str, table: dict) -> CalibratedCamera:
-    K, distortion = np.array(table["matrix"], float), np.array(table["distortions"], float)
-    turn = torch.tensor(table["rotation"], dtype=torch.float64)
-    width, height = (int(side) for side in table["size"])
-    t = np.array(table["translation"], float).reshape(3)
-    R = so3.to_matrix(turn.reshape(3)).numpy()
-    name = str(table.get("name", key))
-    return CalibratedCamera(name, (width, height), K.reshape(3, 3), distortion, R, t)
-
-
-def triangulate(
-    cameras: Sequence[CalibratedCamera], rays: np.ndarray, seen: np.ndarray, tau: np.ndarray
-) -> np.ndarray:
-    """Minimise eq. 1 from rays (C, N, 2).
-
-    Args:
-        cameras: C of them.
-        rays: x / z and y / z, of N points.
-        seen: (C, N) where a camera saw a point.
-        tau: (C,) of x / z.
-
-    Returns:
-        X (N, 3) metres; NaN where fewer than two cameras saw a point.
-    """
-    P = np.stack([np.column_stack([camera.R, camera.t]) for camera in cameras])[:, None]
-    x = np.where(seen[..., None], rays, 0)
-    rows = x[..., None] * P[:, :, 2:] - P[:, :, :2]  # (C, N, 2, 4)
-    weights = seen.astype(float)
-    for _ in range(ROUNDS):
-        A = (weights[..., None, None] * rows).transpose(1, 0, 2, 3).reshape(len(x[0]), -1, 4)
-        X = np.linalg.svd(A, full_matrices=False)[2][:, -1]
-        X = X[:, :3] / X[:, 3:]
-        local = np.stack([camera.place(X) for camera in cameras])
-        off = np.square(local[..., :2] / local[..., 2:] - x).sum(-1)
-        weights = seen / (local[..., 2] * np.sqrt(1 + off / tau[:, None] ** 2))
-    return np.where((seen.sum(0) >= 2)[:, None], X, np.nan)
 
 
 @dataclass(frozen=True)
@@ -141,6 +47,53 @@ class OneCamera:
     aside: float  # of that, across the line of sight
     network: float  # of the network's own metres, aligned, scaled as fits best
     by_joint: dict[str, float]  # aligned
+
+
+@dataclass(frozen=True)
+class BoneFound:
+    """How a network's depths along a bone follow the true ones: eq. 2 of landmark_noise.
+
+    Its ``gain`` and ``bias`` (mm) by least squares over all films, ``error`` (mm) what is left, and
+    what stage 1 takes them to be.
+    """
+
+    bone: str
+    gain: float
+    used_gain: float
+    bias: float
+    used_bias: float
+    error: float
+
+
+def bones_found(
+    cameras: Sequence[CalibratedCamera],
+    films: Sequence[tuple[SolvedFilm, Landmarks]],
+    body: BodyModel,
+    X: np.ndarray,
+) -> list[BoneFound]:
+    """Compare depths along the bones of the body with points X (T, 33, 3) of the world."""
+    rig = LandmarkRig.of(body, list(BODY))
+    true, seen = [], []
+    for camera, (solved, landmarks) in zip(cameras, films, strict=True):
+        scale = rig.scale(landmarks, solved.shape.betas)
+        true.append(camera.place(X)[..., 2])
+        seen.append(scale * landmarks.metric[:, landmarks.indices(BODY), 2].astype(float))
+    true, seen, found = np.concatenate(true), np.concatenate(seen), []
+    for (one, other), used in BONES.items():
+        sides = [(one, other)] if {one, other} <= set(BODY) else [
+            tuple(name if name in BODY else f"{side}_{name}" for name in (one, other))
+            for side in ("left", "right")
+        ]  # fmt: skip
+        if not set(sides[0]) <= set(BODY):  # of a hand
+            continue
+        pairs = [[BODY.index(name) for name in pair] for pair in sides]
+        z, m = (np.concatenate([x[:, j] - x[:, i] for i, j in pairs]) for x in (true, seen))
+        known = np.isfinite(z) & np.isfinite(m)
+        gain, bias = np.polyfit(z[known], m[known], 1)
+        left = np.std(m[known] - gain * z[known])
+        numbers = gain, used.gain, 1e3 * bias, 1e3 * used.bias, 1e3 * left
+        found.append(BoneFound(f"{one} to {other}", *map(float, numbers)))
+    return found
 
 
 def compare(
@@ -195,6 +148,17 @@ def multiview_table(rows: Sequence[OneCamera]) -> list[list[str]]:
     return [head, *found]
 
 
+def bones_table(rows: Sequence[BoneFound]) -> list[list[str]]:
+    """Return the lines of a table, heads first; lengths in mm."""
+    head = ["depths of the network along", "gain", "used", "bias", "used", "error"]
+    found = [
+        [row.bone, *(f"{x:.2f}" for x in (row.gain, row.used_gain))]
+        + [f"{x:.0f}" for x in (row.bias, row.used_bias, row.error)]
+        for row in rows
+    ]
+    return [head, *found]
+
+
 def multiview(
     folder: Path,
     calibration: Path | None,
@@ -203,7 +167,7 @@ def multiview(
     up: np.ndarray,
     known_lens: bool,
     progress: Progress | None = None,
-) -> list[OneCamera]:
+) -> tuple[list[OneCamera], list[BoneFound]]:
     """Solve the film of each camera alone, and compare it with all of them.
 
     Args:
@@ -234,10 +198,11 @@ def multiview(
     rays, seen, tau = (np.stack(x) for x in zip(*map(_seen, cameras, motions), strict=True))
     X = triangulate(cameras, rays.reshape(len(films), -1, 2), seen.reshape(len(films), -1), tau)
     X = X.reshape(*rays.shape[1:3], 3)
-    return [
-        compare(camera, motion.solved, motion.watched.landmarks, body, X, up)
-        for camera, motion in zip(cameras, motions, strict=True)
+    found = [(motion.solved, motion.watched.landmarks) for motion in motions]
+    rows = [
+        compare(camera, *film, body, X, up) for camera, film in zip(cameras, found, strict=True)
     ]
+    return rows, bones_found(cameras, found, body, X)
 
 
 def _calibration_in(folder: Path) -> Path:

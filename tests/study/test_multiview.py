@@ -1,24 +1,21 @@
 """Points that calibrated cameras see together, and one camera's poses against them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
+from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import SolvedFilm
 from gva_mi.splat import Camera, look_at
-from gva_mi.study.multiview import (
-    COMPARED,
-    CalibratedCamera,
-    compare,
-    multiview,
-    read_calibration,
-    triangulate,
-)
+from gva_mi.study.calibrated import CalibratedCamera, read_calibration, triangulate
+from gva_mi.study.multiview import COMPARED, bones_found, compare, multiview
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
 NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED]
@@ -133,6 +130,24 @@ def test_errors_are_those_of_the_poses(cameras, solved, built_in_body):
     assert row.up == pytest.approx(np.degrees(np.arctan(0.1)), abs=1e-3)
 
 
+def test_bones_show_how_much_of_the_depth_a_network_says(cameras, built_in_body):
+    rig = LandmarkRig.of(built_in_body, list(BODY))
+    turns = torch.zeros(12, 3, dtype=torch.float64)
+    turns[:, 1] = torch.linspace(0, torch.pi, 12)
+    X = (rig.rest.double() @ so3.to_matrix(turns).mT).numpy()
+    one, films, cameras = np.ones(X.shape[:2]), [], cameras[:1]
+    for camera in cameras:
+        metric = camera.place(X) * [1, 1, 0.5]
+        landmarks = Landmarks(BODY, metric[..., :2], one, one, metric)
+        films.append((SimpleNamespace(shape=Shape(torch.zeros(10))), landmarks))
+    found = {row.bone: row for row in bones_found(cameras, films, built_in_body, X)}
+    assert found["elbow to wrist"].used_gain == 0.45
+    scale = rig.scale(landmarks, torch.zeros(10))
+    for row in found.values():
+        assert row.gain == pytest.approx(0.5 * scale, rel=1e-5)
+        assert (row.bias, row.error) == pytest.approx((0, 0), abs=0.01)
+
+
 @pytest.mark.slow
 def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
     from gva_mi.__main__ import main
@@ -147,6 +162,6 @@ def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (films / "cameras.toml").write_text(text.replace("640.0, 480.0", "256.0, 256.0"))
     main(["study", "multiview", str(films), "--height", "1.7", "--json", str(tmp_path / "a.json")])
-    rows = json.loads((tmp_path / "a.json").read_text())
+    rows = json.loads((tmp_path / "a.json").read_text())["cameras"]
     assert [(row["camera"], row["true_lens"]) for row in rows] == [("a", 600), ("b", 600)]
     assert rows[0]["lens"] == rows[1]["lens"] != 600

@@ -226,12 +226,15 @@ def load_avatar(run: Path, body: Path | None = None) -> Avatar:
 def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     """Load a motion, the shape of its person, and the name of its file.
 
-    ``poses`` is a file; None: the poses trained with the avatar of the ``run``.
+    ``poses`` is a file; None: the poses trained with the avatar of the ``run``, its folder or its
+    file in there.
     """
-    path = poses or run / TRAINED_POSES
+    folder = run if run.is_dir() else run.parent
+    path = poses or folder / TRAINED_POSES
     if poses is None and not path.is_file():
         raise InputError(
-            f"{run}: holds no {TRAINED_POSES} because no poses were trained there; give --poses"
+            f"{folder}: holds no {TRAINED_POSES}, which a fit that trains poses writes; "
+            "give --poses"
         )
     return *load_poses(path), path
 

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -145,8 +146,11 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(run, monkeypatch, cli)
         err = cli.fails("export", "run", *arguments)
         assert sentence in err and err.count("\n") == 1, err
         assert there() == before
-    err = cli.fails("export", "run/avatar.npz", "--out", "a.ply", "--frame", 0)
-    assert "no poses were trained there; give --poses" in err
+    (run.parent / "alone").mkdir()
+    shutil.copy("run/avatar.npz", "alone")
+    err = cli.fails("export", "alone/avatar.npz", "--out", "a.ply", "--frame", 0)
+    assert "holds no poses.npz, which a fit that trains poses writes; give --poses" in err
+    assert cli("export", "run/avatar.npz", "--out", "posed.ply", "--frame", 0)[0] == 0
     assert cli("export", "run", "--out", "a.ply")[0] == 0
     err = cli.fails("export", "a.ply", "--out", "a.glb")
     assert "Gaussians alone" in err and not (run.parent / "a.glb").exists()

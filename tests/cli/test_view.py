@@ -10,13 +10,14 @@ from gva_mi.body.pose import save_poses
 @pytest.fixture
 def run(known, turning, tmp_path):
     known.save(tmp_path / "run/avatar.npz")
+    known.save(tmp_path / "alone/avatar.npz")
     save_poses(tmp_path / "run/poses.npz", *turning(6), stage=2)
     return tmp_path / "run"
 
 
 BAD = {
     "no run": (("nowhere",), "nowhere: no such file"),
-    "no poses": (("run/avatar.npz",), "holds no poses.npz"),
+    "no poses": (("alone/avatar.npz",), "alone: holds no poses.npz"),
     "no subject": (("run", "--subject", "nowhere"), "nowhere: no such folder"),
     "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
     "a file": (("run", "--out", "few.npz"), "few.npz: cannot be written to (File exists)"),

@@ -8,17 +8,18 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.options import Rates
 
-# Adam's epsilon of means: about a tenth of the gradient of a Gaussian in plain view. Gaussians that
-# are hidden in all frames, as in an armpit, have a hundredth of it, all noise. With the 1e-15 of
-# 3DGS they move as far as others, and burst out of the surface once an arm is raised.
-NOISE = 1e-5
+# Adam's epsilon: about a tenth of the gradient of a Gaussian in plain view. Gaussians that no frame
+# shows, as in an armpit or on the back of a person who never turns, have a hundredth of it, all
+# noise. With the 1e-15 of 3DGS they move as far as others and burst out of the surface once an arm
+# is raised, and their colours wander.
+NOISE = {"means": 1e-5, "sh": 3e-7}
+TINY = 1e-15
 
 
 def make_adam(avatar: Avatar, lambert: Lambert | None, rates: Rates) -> torch.optim.Adam:
     """Make Adam with one named group, and one learning rate, for each kind of parameter."""
-    # With 3DGS's tiny epsilon, Gaussians that are seldom seen learn their colour as fast as others.
     groups = [
-        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE if k == "means" else 1e-15}
+        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE.get(k, TINY)}
         for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
@@ -28,7 +29,7 @@ def make_adam(avatar: Avatar, lambert: Lambert | None, rates: Rates) -> torch.op
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
     if lambert is not None:
         groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
-    return torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
+    return torch.optim.Adam(groups, lr=0.0, eps=TINY, fused=True)
 
 
 def lower_rate_of_means(adam: torch.optim.Adam, rates: Rates, done: float) -> None:

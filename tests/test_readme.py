@@ -62,7 +62,7 @@ def test_every_option_named_alone_exists():
 
     options = set()
     for verb in VERBS:
-        for words in ([], ["refine"], ["avatar"]) if verb == "study" else ([],):
+        for words in ([], ["refine"], ["avatar"], ["multiview"]) if verb == "study" else ([],):
             page = io.StringIO()
             with redirect_stdout(page), pytest.raises(SystemExit):
                 parse(load(verb), verb, [*words, "--help"])

@@ -40,6 +40,7 @@ class OneCamera:
     camera: str
     lens: float  # focal length, pixels of the film
     true_lens: float
+    points: float  # median distance of landmarks from the points of all films, pixels of the film
     up: float  # degrees between the directions up
     joints: float
     depth: float  # of the hips' middle, beyond the points'
@@ -120,11 +121,15 @@ def compare(
     off, own = centred(found) - centred(true), centred(guessed)
     scale = np.nansum(own * centred(true)) / np.nansum(np.where(np.isnan(true), 0, own**2))
     sides = lambda name: [k for k, full in enumerate(names) if full.endswith(name)]
+    factor, local = solved.camera.width / camera.size[0], camera.place(X)
+    rays = camera.rays(landmarks.pixels[:, landmarks.indices(BODY)].astype(float) / factor)
+    beside = np.linalg.norm(local[..., :2] / local[..., 2:] - rays, axis=-1)
     angle = np.degrees(np.arccos(np.clip(T[:3, 1] @ (camera.R @ up), -1, 1)))
     return OneCamera(
         camera=camera.name,
         lens=float(solved.camera.fx),
-        true_lens=float(camera.K[0, 0] * solved.camera.width / camera.size[0]),
+        true_lens=float(factor * camera.K[0, 0]),
+        points=float(np.nanmedian(factor * camera.K[0, 0] * beside)),
         up=float(angle),
         joints=length(found - true),
         depth=float(np.nanmean((found - true)[:, hips, 2])),
@@ -137,10 +142,10 @@ def compare(
 
 def multiview_table(rows: Sequence[OneCamera]) -> list[list[str]]:
     """Return the lines of a table, heads first; lengths in mm."""
-    head = ["camera", "lens, px", "true", "up, degrees", "joints", "depth", "aligned", "aside",
-            "network", *COMPARED]  # fmt: skip
+    head = ["camera", "lens, px", "true", "points, px", "up, degrees", "joints", "depth", "aligned",
+            "aside", "network", *COMPARED]  # fmt: skip
     found = [
-        [row.camera, *(f"{x:.0f}" for x in (row.lens, row.true_lens)), f"{row.up:.1f}"]
+        [row.camera, *(f"{x:.0f}" for x in (row.lens, row.true_lens, row.points)), f"{row.up:.1f}"]
         + [f"{x:.0f}" for x in (row.joints, row.depth, row.aligned, row.aside, row.network)]
         + [f"{row.by_joint[name]:.0f}" for name in COMPARED]
         for row in rows
@@ -182,6 +187,8 @@ def multiview(
     Raises:
         InputError: a file is missing, or films differ in their frames.
     """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; expected films that are named after cameras")
     cameras = read_calibration(calibration or _calibration_in(folder))
     films = [_film_of(folder, camera) for camera in cameras]
     motions: list[SolvedMotion] = []

@@ -84,6 +84,8 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):
 
 
 def test_a_camera_without_a_film_is_named(tmp_path, built_in_body):
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        multiview(tmp_path / "nowhere", None, built_in_body, None, None, False)
     with pytest.raises(InputError, match="expected one calibration"):
         multiview(tmp_path, None, built_in_body, None, None, False)
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
@@ -104,8 +106,9 @@ def solved(cameras, built_in_body):
     T[:3, :3], T[:3, 3] = cameras[0].R, cameras[0].t
     camera = Camera.from_matrices(cameras[0].K, T, 320, 480)
     rest = (), torch.zeros(0, 3), torch.zeros(3, 55), [], (1.0, 1.0), 0.0
-    metric, one = 1.3 * cameras[0].place(X), np.ones((3, len(BODY)))
-    landmarks = Landmarks(BODY, metric[..., :2], one, one, metric)
+    local, one = cameras[0].place(X), np.ones((3, len(BODY)))
+    pixels = local[..., :2] / local[..., 2:] * 500 + [160, 240]
+    landmarks = Landmarks(BODY, pixels, one, one, 1.3 * local)
     return SolvedFilm(pose, shape, camera, *rest), landmarks, X
 
 
@@ -113,7 +116,7 @@ def test_true_poses_have_no_error(cameras, solved, built_in_body):
     film, landmarks, X = solved
     row = compare(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
     lengths = row.joints, row.depth, row.aligned, row.aside, row.network, *row.by_joint.values()
-    assert np.abs(lengths).max() < 1e-2
+    assert np.abs([*lengths, row.points]).max() < 1e-2
     assert row.lens == row.true_lens == 500 and row.up < 1e-3
 
 

@@ -81,7 +81,7 @@ class MultiviewChoice:
     """Compare stage 1 of real films with points that several calibrated cameras see.
 
     Each film is solved alone, as `gva-mi prepare film` does. Landmarks of all films together give
-    points in space; they err by one or two centimetres.
+    points in space, which err by a few centimetres. Prints lengths in millimetres.
     """
 
     films: Positional[Path]  # folder of the films, named after their cameras, and of a .toml file

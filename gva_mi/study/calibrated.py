@@ -63,9 +63,18 @@ def read_calibration(path: Path) -> list[CalibratedCamera]:
     Raises:
         InputError: the file is not one.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected {CALIBRATION}")
     with expecting(path, CALIBRATION):
         tables = tomllib.loads(path.read_text())
-        found = [_camera(name, table) for name, table in tables.items() if "matrix" in table]
+        tables = {name: table for name, table in tables.items() if "matrix" in table}
+        found = [_camera(name, table) for name, table in tables.items()]
+    for name, table in tables.items():
+        if table.get("fisheye") or np.size(table["distortions"]) not in (4, 5):
+            raise InputError(
+                f"{path}: {name} is a fisheye, or has not 4 or 5 distortions; expected a lens of "
+                "OpenCV with k1, k2, p1, p2 and perhaps k3"
+            )
     if len(found) < 2:
         raise InputError(f"{path}: expected at least two cameras, found {len(found)}")
     return found

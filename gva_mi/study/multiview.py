@@ -2,8 +2,8 @@
 
 Real people come without ground truth. Where calibrated cameras film one person at the same time,
 each film alone gives poses, a lens and the direction up, and the landmarks of all films give points
-in space (:mod:`gva_mi.study.calibrated`). A landmark is not quite the joint that it is named after,
-by one or two centimetres.
+in space (:mod:`gva_mi.study.calibrated`). These err by a few centimetres, and a landmark is not
+quite the joint that it is named after.
 """
 
 from __future__ import annotations

@@ -74,7 +74,14 @@ def test_a_calibration_is_read_and_its_distortion_undone(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "problem"),
-    [("", "found 0"), ("[one]\nmatrix = 3", "expected a camera's name"), ("[", "expected a")],
+    [
+        ("", "found 0"),
+        ("[one]\nmatrix = 3", "expected a camera's name"),
+        ("[", "expected a"),
+        ("[metadata]\nerror = 0.0" + TABLE, "found 1"),
+        (TABLE + "fisheye = true", "one is a fisheye, or has not 4 or 5 distortions"),
+        (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or has not 4 or 5"),
+    ],
 )
 def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):
     path = tmp_path / "calibration.toml"
@@ -86,6 +93,8 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):
 def test_a_camera_without_a_film_is_named(tmp_path, built_in_body):
     with pytest.raises(InputError, match="nowhere: no such folder"):
         multiview(tmp_path / "nowhere", None, built_in_body, None, None, False)
+    with pytest.raises(InputError, match="none.toml: no such file; expected a camera's name"):
+        multiview(tmp_path, tmp_path / "none.toml", built_in_body, None, None, False)
     with pytest.raises(InputError, match="expected one calibration"):
         multiview(tmp_path, None, built_in_body, None, None, False)
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")

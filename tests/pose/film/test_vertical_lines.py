@@ -50,7 +50,7 @@ def person(points=np.nan):
     return Landmarks(("nose", "left_ankle"), pixels, one, one, np.zeros((1, 2, 3)))
 
 
-@pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (12, 0), (-5, 3), (25, -4)])
+@pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (12, 0), (-5, 3), (25, -4), (0, 19)])
 def test_the_direction_up_is_found_among_leaning_bars(pitch, roll, rng):
     found = vertical_of([room(up_of(pitch, roll), rng)], person(), K)
     assert (np.abs(found.up - up_of(pitch, roll)) < 2 * found.spread).all()
@@ -70,6 +70,22 @@ def test_lines_of_the_person_do_not_count(rng):
     covered = picture.copy()
     covered[:, 8:312] = room(up_of(-20, 5), rng)[:, 8:312]
     assert vertical_of([covered], around, K) is None
+
+
+def test_lines_lower_than_the_feet_do_not_count(rng):
+    """They lie on the floor, and there are more of them than upright ones."""
+    true, of_floor = up_of(10, 0), up_of(-20, 5)
+    picture = room(true, rng, bars=60)
+    picture[170:] = room(of_floor, rng, bars=200)[170:]
+    found = vertical_of([picture], person([[[158, 90], [162, 170]]]), K)
+    assert (np.abs(found.up - true) < 2 * found.spread).all()
+    all_count = vertical_of([picture], person([[[158, 240], [162, 319]]]), K)
+    assert (np.abs(all_count.up - of_floor) < 2 * all_count.spread).all()
+
+
+@pytest.mark.parametrize(("roll", "known"), [(19, True), (20.3, False)])
+def test_a_direction_beyond_those_looked_for_is_none(roll, known, rng):
+    assert (vertical_of([room(up_of(0, roll), rng)], person(), K) is not None) == known
 
 
 def test_lines_of_an_unknown_lens_tie_the_direction_up_to_it(built_in_body):

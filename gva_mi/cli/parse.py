@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from gva_mi.cli.presets import with_preset
 from gva_mi.cli.shown import is_shown
@@ -51,7 +51,9 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
 
     told, refusals = io.StringIO(), Refusals()
     hints = get_type_hints(command, include_extras=True)
-    call.__annotations__ = {name: _with_ranges(hint, refusals) for name, hint in hints.items()}
+    call.__annotations__ = {
+        name: _named(name, _with_ranges(hint, refusals)) for name, hint in hints.items()
+    }
     call.__signature__ = with_preset(inspect.signature(command), verb, arguments)
     call.__doc__ = command.__doc__
     try:
@@ -132,6 +134,17 @@ def _with_ranges(hint: Any, refusals: Refusals) -> Any:  # noqa: ANN401
         return hint
     parts = tuple(_with_ranges(part, refusals) for part in parts)
     return tuple[parts] if get_origin(hint) is tuple else functools.reduce(operator.or_, parts)
+
+
+def _named(name: str, hint: Any) -> Any:  # noqa: ANN401
+    """Return an annotation that shows a positional argument by its name, unless it is a choice."""
+    from tyro.conf import Positional, arg
+
+    kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    if get_args(Positional[Path])[1] not in marks or get_origin(kind) is Literal:
+        return hint
+    several = " ..." if get_origin(kind) in (list, tuple) else ""
+    return Annotated[hint, arg(metavar=name.upper() + several)]
 
 
 def _number(

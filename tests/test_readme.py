@@ -77,7 +77,7 @@ def test_every_option_named_alone_exists():
     assert not wrong
 
 
-def test_tables_list_every_source_error_family_and_extra():
+def test_tables_list_every_source_error_model_and_extra():
     import tomllib
 
     from gva_mi.data.importers.datasets import DATASETS
@@ -89,7 +89,7 @@ def test_tables_list_every_source_error_family_and_extra():
     )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert not [kind for kind in (*KINDS, *DATASETS) if f"\n| `{kind}` | " not in sources]
-    assert not [family for family in ERROR_MODELS if f"`{family}`" not in people]
+    assert not [name for name in ERROR_MODELS if f"`{name}`" not in people]
     extras = project["optional-dependencies"]
     assert not [extra for extra in extras if f"\n| `{extra}` | " not in installation]
 

@@ -30,7 +30,7 @@ MARKER = "demo.json"  # every demo's folder holds it
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """How large the demo is; the defaults take some 10 minutes on 2 cores."""
+    """How large the demo is; the defaults take some 3 minutes on 2 cores."""
 
     seed: Seed = 0  # of the subject, the refinement and the fit
     subject: str = "amira"  # one of the study's seven

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import platform
 import re
@@ -28,6 +29,15 @@ PACKAGES = {
     "tyro": ("the command line", "avatar"),
 }
 
+# Extras that most users do without: the commands that need each package, and the extra.
+OPTIONAL = {
+    "ai_edge_litert": ("`gva-mi avatar`, `prepare film` and `motion FILM`", "film"),
+    "viser": ("`gva-mi view`", "viewer"),
+    "transformers": ("`gva-mi prepare --masks sam`", "sam"),
+    "onnxruntime": ("`gva-mi prepare --normals FILE.onnx`", "onnx"),
+    "anny": ("`gva-mi body --source anny`", "anny"),
+}
+
 
 class Component(NamedTuple):
     """One line of the report."""
@@ -40,7 +50,7 @@ class Component(NamedTuple):
     def __str__(self) -> str:
         mark = "ok     " if self.fine else "MISSING"
         why = "" if self.fine or not self.needed_for else f"  (needed for: {self.needed_for})"
-        return f"{mark}  {self.name:<12} {self.found}{why}"
+        return f"{mark}  {self.name:<14} {self.found}{why}"
 
 
 def doctor() -> None:
@@ -65,6 +75,8 @@ def examine() -> Iterator[Component]:
     yield from _dr_jit()
     for module in ("torch", *PACKAGES):
         yield _package(module, *PACKAGES.get(module, ("everything", "")))
+    for module, (commands, extra) in OPTIONAL.items():
+        yield _optional(module, commands, extra)
     yield from _weights()
 
 
@@ -100,6 +112,14 @@ def _package(module: str, needed_for: str, extra: str) -> Component:
     if "libGL" in last or "libX11" in last:
         install = "; apt-get install libgl1 libx11-6"
     return Component(module, last + install, False, needed_for)
+
+
+def _optional(module: str, commands: str, extra: str) -> Component:
+    """Look for an optional package, without the seconds that importing it may take."""
+    if importlib.util.find_spec(module) is None:
+        return Component(module, f"none; {commands} would need it: pip install 'gva_mi[{extra}]'")
+    names = metadata.packages_distributions().get(module, [module])
+    return Component(module, metadata.version(names[0]))
 
 
 def _weights() -> Iterator[Component]:

@@ -25,6 +25,7 @@ NOW = {
     "study --told": "--known",
     "study --noise": "gone: errors have their usual size, and synth --noise scales them",
     "synth --sheet": "`gva-mi check --sheet`",
+    "synth --family": "--error-model",
     "synth --background": "--scene",
 }
 

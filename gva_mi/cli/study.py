@@ -103,7 +103,7 @@ def study(
         arg(name=""),
     ],
 ) -> None:
-    """Measure how well a step does on subjects, and error models, that it was not tuned on.
+    """Measure how well a step does on subjects that it was not tuned on.
 
     Args:
         what: the step; its figures are written to files of its name.
@@ -200,7 +200,7 @@ def _chosen(what: _Choice) -> list[StudyCase]:
     cases = {"held-out": judging, "tuning": TUNING, "all": both, "limits": LIMITS}[what.cases]
     chosen = list(cases)
     for name, asked, of in (
-        ("error-models", what.error_models, lambda case: case.family),
+        ("error-models", what.error_models, lambda case: case.error_model),
         ("subjects", what.subjects, lambda case: case.take.person),
     ):
         there = dict.fromkeys(map(of, cases))

@@ -30,7 +30,8 @@ def synth(
     Args:
         out: the subject's folder.
         options: options of the subject.
-        like: an existing subject, whose recording gets the errors of --family, --seed and --noise.
+        like: an existing subject, whose recording gets the errors of --error-model, --seed and
+            --noise.
         body: a body file in SMPL-X's .npz format; without it the built-in body.
         overwrite: replace an existing subject.
     """
@@ -47,7 +48,7 @@ def synth(
             make_subject(out, options, model, progress, replaced)
         else:
             seed, level = options.seed_of_noise, options.noise
-            degrade(like, out, options.family, seed, model, level, progress, replaced)
+            degrade(like, out, options.error_model, seed, model, level, progress, replaced)
     for line in describe_errors(out):
         say(line)
     say(f"subject: {out}")
@@ -55,9 +56,9 @@ def synth(
 
 def _require_noise_alone(options: SynthOptions) -> None:
     """Raise an InputError if options are given that do not belong to the error model."""
-    ours = {name: getattr(options, name) for name in ("family", "seed", "noise_seed", "noise")}
+    ours = {name: getattr(options, name) for name in ("error_model", "seed", "noise_seed", "noise")}
     for option in given(options, SynthOptions(**ours)).values():
         raise InputError(
-            f"synth: {option} is fixed by the recording of --like; give --family, --seed and "
+            f"synth: {option} is fixed by the recording of --like; give --error-model, --seed and "
             "--noise alone"
         )

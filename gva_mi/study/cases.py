@@ -77,7 +77,7 @@ class StudyCase:
     normals: bool = True  # False: the refinement uses silhouettes only
 
     @property
-    def family(self) -> str:
+    def error_model(self) -> str:
         """The kind of its errors, as ``--error-models`` takes it."""
         return self.noise if self.normals else NO_NORMALS
 
@@ -90,7 +90,7 @@ class StudyCase:
     @property
     def row(self) -> str:
         """The row of the refinement's table it counts to."""
-        return self.take.name if self in LIMITS else self.family
+        return self.take.name if self in LIMITS else self.error_model
 
     @property
     def held_out(self) -> bool:

@@ -70,7 +70,7 @@ class Pipeline:
 
     @property
     def errors(self) -> ErrorParameters:
-        return draw_errors(self.options.family, self.options.seed_of_noise)
+        return draw_errors(self.options.error_model, self.options.seed_of_noise)
 
     def pictures(self) -> list[PictureErrors]:
         """Draw the errors of mask and normals of each frame."""
@@ -81,7 +81,7 @@ class Pipeline:
         )  # fmt: skip
         share = min(levels.normal * errors.normal.missing, 0.9)
         missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
-        seed, exact = (*options.entropy(RENDER, errors=True), MOTION), options.family == EXACT
+        seed, exact = (*options.entropy(RENDER, errors=True), MOTION), options.error_model == EXACT
         return [
             PictureErrors(errors, levels, camera, (*seed, k), seen, bool(gone), exact)
             for k, (camera, seen, gone) in enumerate(
@@ -101,7 +101,7 @@ class Pipeline:
         if errors.normal.convention != "perspective" and levels.normal > 0:
             write_json(folder / ABOUT, {"convention": errors.normal.convention})
         about = {
-            "family": options.family,
+            "error_model": options.error_model,
             "seed": options.seed_of_noise,
             "levels": asdict(levels),
             "parameters": asdict(errors),
@@ -116,7 +116,9 @@ def describe_errors(folder: Path) -> list[str]:
     found = read_json(path, expected)
     with expecting(path, expected):
         levels = ", ".join(f"{name} {level:g}" for name, level in found["levels"].items())
-        lines = [f"noise: family {found['family']}, seed {found['seed']}, levels: {levels}"]
+        lines = [
+            f"noise: error model {found['error_model']}, seed {found['seed']}, levels: {levels}"
+        ]
         if found["floor"]["joint_mm"] > 0:
             near = f"{found['floor']['limb_mm']:.1f} mm"
             lines.append(f"the fitted body comes as near as {near} to the joints of the limbs")

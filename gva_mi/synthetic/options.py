@@ -11,7 +11,7 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, options_of
-from gva_mi.synthetic.error_models.models import Levels, require_family
+from gva_mi.synthetic.error_models.models import Levels, require_error_model
 from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 from gva_mi.synthetic.subject import Subject, draw_subject
@@ -47,7 +47,7 @@ class SynthOptions:
     scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
     shutter: Share = 0.0  # of the time between frames that the shutter is open: motion blur
     folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
-    family: str = "bursts"  # error model of poses, masks and normals
+    error_model: str = "bursts"  # error model of poses, masks and normals
     noise_seed: Seed | None = None  # seed of the errors; without it, seed
     noise: Level = 1.0  # factor on the three levels below; 0: exact
     pose_noise: Level = 1.0  # errors of stage-1 poses; in bursts, 1 is about 66 mm vertex error
@@ -63,7 +63,7 @@ class SynthOptions:
             raise InputError(
                 f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
             )
-        require_family(self.family)
+        require_error_model(self.error_model)
         if round(self.samples**0.5) ** 2 != self.samples:
             raise InputError(f"synth: samples must be a square number, got {self.samples}")
         choices = {"subject": (None, *STUDY)} | {

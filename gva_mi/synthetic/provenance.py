@@ -78,7 +78,7 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] 
 def degrade(
     subject: Path,
     out: Path,
-    family: str,
+    error_model: str,
     seed: int,
     body: BodyModel,
     level: float = 1.0,
@@ -93,7 +93,7 @@ def degrade(
     Args:
         subject: a folder that :func:`make_subject` or this function made.
         out: the new folder, which must not exist or be empty.
-        family, seed: the error model, and the seed of its errors.
+        error_model, seed: the error model, and the seed of its errors.
         body: the body that the subject was made on.
         level: factor on all errors; 0 is exact.
         progress: called as ``progress(done, total)`` after each frame.
@@ -107,7 +107,7 @@ def degrade(
     about, options = recorded_options(subject)
     require_same_body(subject, body)
     each = {"pose_noise": 1.0, "mask_noise": 1.0, "normal_noise": 1.0}
-    options = replace(options, family=family, noise_seed=seed, noise=level, **each)
+    options = replace(options, error_model=error_model, noise_seed=seed, noise=level, **each)
     truth = load_ground_truth(subject / "truth", body)
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)

@@ -8,7 +8,7 @@ from gva_mi.cli.doctor import examine
 @pytest.mark.slow
 def test_every_component_is_listed(cli):
     out = cli.works("doctor")
-    for name in ("python", "libLLVM", "drjit", "mitsuba", "torch", "pymeshlab", "LPIPS"):
+    for name in ("python", "libLLVM", "drjit", "mitsuba", "torch", "ai_edge_litert", "LPIPS"):
         assert name in out
 
 

@@ -22,8 +22,8 @@ def recording(tmp_path_factory):
 
 def test_a_recording_gets_another_error_model(recording, tmp_path, cli):
     out = tmp_path / "other"
-    printed = cli.works("synth", out, "--like", recording, "--family", "lean", "--seed", 3)
-    assert "family lean, seed 3" in printed
+    printed = cli.works("synth", out, "--like", recording, "--error-model", "lean", "--seed", 3)
+    assert "error model lean, seed 3" in printed
     assert json.loads((out / "noise.json").read_text())["levels"]["mask"] == 1
     assert (out / "frames/000001.png").samefile(recording / "frames/000001.png")
 
@@ -31,7 +31,7 @@ def test_a_recording_gets_another_error_model(recording, tmp_path, cli):
 def test_options_of_the_recording_are_refused(recording, tmp_path, cli):
     for option, value, said in (
         ("--frames", 3, "--frames is fixed by the recording"),
-        ("--family", "pink", "no family 'pink' of noise; there are: bursts, white"),
+        ("--error-model", "pink", "no error model 'pink'; there are: bursts, white"),
     ):
         err = cli.fails("synth", tmp_path / "other", "--like", recording, option, value)
         assert said in err and err.count("\n") == 1

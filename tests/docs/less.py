@@ -62,8 +62,12 @@ NOT_RUN = {
     "gva-mi study refine --cases limits --stage 1 --out limits": (
         "renders and watches films: tests/study/test_filmed.py"
     ),
-    "gva-mi study avatar --held-out-set 17 --error-models film --fit.steps 2000 --rows full "
+    "gva-mi study avatar --held-out-set 19 --error-models film --fit.steps 2000 --rows full "
     "--out film-avatars": ("renders and watches films: tests/study/test_filmed.py"),
+    "gva-mi study multiview Demo_SinglePerson/videos --calibration "
+    "Demo_SinglePerson/calibration/Calib_qualisys.toml --height 1.72": (
+        "needs the films of Pose2Sim: tests/study/test_multiview.py"
+    ),
     "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi COMMAND --help": "any: tests/cli",

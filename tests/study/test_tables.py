@@ -45,11 +45,11 @@ def test_subjects_of_the_tuning_set_are_apart():
     assert found["held-out subjects"]["full"][TEST].mean == 29.5
 
 
-def refinement(family, draw, after, ankles=0.0, **others):
+def refinement(error_model, draw, after, ankles=0.0, **others):
     """An outcome whose body error was 100 mm at stage 1."""
     figures = {"vertex_mm_stage1": 100.0, "vertex_mm": after, "ankle_depth_mm": ankles, **others}
     found = PoseFigures.from_json(figures)
-    case = StudyCase(Take(seed=draw), family, draw)
+    case = StudyCase(Take(seed=draw), error_model, draw)
     return Outcome(case, "refined", columns(found) | found.to_json())
 
 

@@ -16,18 +16,18 @@ def degraded(noisy, body, tmp_path_factory):
     """Return a function that degrades the recording by an error model, once."""
     folder = tmp_path_factory.mktemp("degraded")
 
-    def made(family):
-        if not (folder / family).exists():
-            degrade(noisy, folder / family, family, 7, body)
-        return folder / family
+    def made(error_model):
+        if not (folder / error_model).exists():
+            degrade(noisy, folder / error_model, error_model, 7, body)
+        return folder / error_model
 
     return made
 
 
-@pytest.mark.parametrize("family", ["normals", pytest.param("masks", marks=pytest.mark.slow)])
-def test_it_equals_make_subject(degraded, body, bare, files, tmp_path, family):
-    make_subject(tmp_path / "made", replace(bare, family=family, noise_seed=7), body)
-    assert files(tmp_path / "made") == files(degraded(family))
+@pytest.mark.parametrize("error_model", ["normals", pytest.param("masks", marks=pytest.mark.slow)])
+def test_it_equals_make_subject(degraded, body, bare, files, tmp_path, error_model):
+    make_subject(tmp_path / "made", replace(bare, error_model=error_model, noise_seed=7), body)
+    assert files(tmp_path / "made") == files(degraded(error_model))
 
 
 def test_frames_and_ground_truth_are_linked(noisy, degraded):
@@ -38,11 +38,13 @@ def test_frames_and_ground_truth_are_linked(noisy, degraded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", ERROR_MODELS)
-def test_every_error_model_opens_as_a_video_and_is_described(degraded, family):
-    video = load_video(degraded(family))
+@pytest.mark.parametrize("error_model", ERROR_MODELS)
+def test_every_error_model_opens_as_a_video_and_is_described(degraded, error_model):
+    video = load_video(degraded(error_model))
     assert len(video) == 3 and not video.absent
-    assert describe_errors(degraded(family))[0].startswith(f"noise: family {family}, seed 7")
+    assert describe_errors(degraded(error_model))[0].startswith(
+        f"noise: error model {error_model}, seed 7"
+    )
 
 
 def test_the_estimated_and_the_true_camera_are_written(noisy, degraded):

@@ -17,7 +17,7 @@ HELD = {"noise": 0.0, "scene": "room", "camera": "held"}
         ({"subject": "zoe"}, "amira, bruno"),
         ({"motion": "crawl"}, "everyday"),
         ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),
-        ({"family": "brown"}, "no family 'brown' of noise; there are: bursts, white"),
+        ({"error_model": "brown"}, "no error model 'brown'; there are: bursts, white"),
         ({"noise_seed": -1}, "noise_seed must be from 0 to .*, got -1"),
         ({"camera": "circles"}, "--noise 0"),
         (HELD | {"noise": 1.0}, "--camera held needs --noise 0"),

@@ -55,17 +55,17 @@ class Levels:
     normal: float = 1.0
 
 
-def draw_errors(family: str, seed: int) -> ErrorParameters:
+def draw_errors(error_model: str, seed: int) -> ErrorParameters:
     """Draw the errors of a recording from one of ERROR_MODELS."""
-    return ERROR_MODELS[family](np.random.default_rng((seed, zlib.crc32(family.encode()))))
+    return ERROR_MODELS[error_model](
+        np.random.default_rng((seed, zlib.crc32(error_model.encode())))
+    )
 
 
-def require_family(name: str) -> None:
+def require_error_model(name: str) -> None:
     """Raise an InputError with the known error models if this is none of them."""
     if name not in ERROR_MODELS:
-        raise InputError(
-            f"synth: no family '{name}' of noise; there are: {', '.join(ERROR_MODELS)}"
-        )
+        raise InputError(f"synth: no error model '{name}'; there are: {', '.join(ERROR_MODELS)}")
 
 
 def _mixed(rng: np.random.Generator) -> ErrorParameters:

@@ -33,7 +33,7 @@ COMMANDS = {
     ),
     "synth": Command(f"synth {{}}/new {SYNTH}", OVERWRITE),
     "synth, in the place of another": Command(f"synth {{}}/made {SYNTH} --overwrite"),
-    "another noise": Command("synth {}/new --like {}/like --family white", OVERWRITE),
+    "another noise": Command("synth {}/new --like {}/like --error-model white", OVERWRITE),
     "prepare": Command(
         "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/subject/frames "
         "--masks {}/subject/masks", OVERWRITE

@@ -21,9 +21,9 @@ BROKEN = {  # fault: the problem that names it, and how the folder is broken
 }
 
 
-def make(folder, body, seed, motion, family, frames):
+def make(folder, body, seed, motion, error_model, frames):
     options = SynthOptions(
-        seed=seed, motion=motion, family=family, frames=frames, size=128, samples=1,
+        seed=seed, motion=motion, error_model=error_model, frames=frames, size=128, samples=1,
         novel_poses=0, novel_views=0,
     )  # fmt: skip
     make_subject(folder, options, body)
@@ -57,8 +57,8 @@ def test_a_fault_of_a_walking_subject_is_named_and_no_other(fault, walker, tmp_p
 def test_detection_rates(frames, tmp_path, built_in_body):
     """The table of docs/own_video.md, which ``-s`` prints: faults named of those that were made."""
     named = dict.fromkeys(BROKEN, 0)
-    for seed, (motion, family) in SUBJECTS.items():
-        folder = make(tmp_path / str(seed), built_in_body, seed, motion, family, frames)
+    for seed, (motion, error_model) in SUBJECTS.items():
+        folder = make(tmp_path / str(seed), built_in_body, seed, motion, error_model, frames)
         for fault, (what, change) in BROKEN.items():
             severities = ("error", "doubtful") if what else ("error",)
             found = problems(folder, change, tmp_path, built_in_body, severities)

@@ -24,16 +24,16 @@ def flat(value, name=""):
     return {k: v for key, part in value.items() for k, v in flat(part, f"{name}.{key}").items()}
 
 
-def parameters(family):
-    drawn = [flat(asdict(draw_errors(family, seed))) for seed in SEEDS]
+def parameters(error_model):
+    drawn = [flat(asdict(draw_errors(error_model, seed))) for seed in SEEDS]
     return {name: [one[name] for one in drawn] for name in drawn[0]}
 
 
-@pytest.mark.parametrize("family", sorted(ERROR_MODELS.keys() - {"bursts", "anything"}))
-def test_another_seed_draws_other_parameters_and_those_of_other_models_stay(family):
+@pytest.mark.parametrize("error_model", sorted(ERROR_MODELS.keys() - {"bursts", "anything"}))
+def test_another_seed_draws_other_parameters_and_those_of_other_models_stay(error_model):
     usual = flat(asdict(ErrorParameters()))
-    of_others = set().union(*(names for model, names in DRAWN.items() if model != family))
-    for name, values in parameters(family).items():
+    of_others = set().union(*(names for model, names in DRAWN.items() if model != error_model))
+    for name, values in parameters(error_model).items():
         if name in of_others:
             assert set(values) == {usual[name]}, name
         elif name not in FIXED:

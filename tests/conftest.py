@@ -178,22 +178,9 @@ def turning():
 @pytest.fixture(scope="session")
 def subject(tmp_path_factory, known, camera, turning):
     """A folder of 6 frames with a grey background, alpha as masks; frame 3 is the test frame."""
-    import torch
+    from samples.subjects import write_subject
 
-    from gva_mi.body.pose import save_poses
-    from gva_mi.data.pictures import in_8_bits, write_image
-    from gva_mi.data.video import save_cameras
-    from gva_mi.fit.renders import DRAWN
-    from gva_mi.splat import render
-
-    folder, (pose, shape) = tmp_path_factory.mktemp("subject"), turning(6)
-    for k in range(len(pose)):
-        with torch.no_grad():
-            image = render(known(pose[k]), camera, DRAWN, torch.full((3,), 0.3))
-        write_image(folder / f"frames/{k:06d}.png", in_8_bits(image.color.numpy()))
-        write_image(folder / f"masks/{k:06d}.png", in_8_bits(image.alpha.numpy()))
-    save_poses(folder / "poses.npz", pose, shape, stage=1)
-    save_cameras(folder / "cameras.npz", [camera] * len(pose))
+    folder = write_subject(tmp_path_factory.mktemp("subject"), known, camera, *turning(6))
     (folder / "splits.json").write_text(json.dumps({"train": [0, 1, 2, 4, 5], "test": [3]}))
     return folder
 

@@ -21,20 +21,18 @@ TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL",
             "scipy", "viser", "transformers", "onnxruntime", "ai_edge_litert"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
-    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
-                "gva_mi.cli.doctor"),
-    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body",
-    "gva_mi.cli.doctor"),
+    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck"),
+    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.data.networks",),
     "onnxruntime": ("gva_mi.data.networks",),
     "ai_edge_litert": ("gva_mi.data.networks",),
-    "tyro": ("gva_mi.cli", "gva_mi.core.options", "gva_mi.__main__"),
+    "tyro": ("gva_mi.cli",),
 }  # fmt: skip
-CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle, argparse
+CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle
     "forward", "backward", "jvp", "vmap", "setup_context", "eval",
     "render", "render_forward", "render_backward", "aov_names", "to_string",
-    "sample", "sample_radiance_difference", "traverse", "find_class", "persistent_load", "main",
+    "sample", "find_class", "persistent_load",
 }  # fmt: skip
 
 

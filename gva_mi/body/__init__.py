@@ -7,6 +7,7 @@
 ``smpl``            body files of the older formats on SMPL-X's joints
 ``built_in, anny``  the two bodies that need no licence
 ``kinematics``      from joint rotations to rigid transforms
+``rotations``       conversions of rotations, in numpy
 ``so3``             composition of rotations
 ``blend_shapes``    a surface plus a weighted sum of directions
 ``skinning``        LBS of points and Gaussians

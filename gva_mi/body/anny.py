@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 FILE = "anny_0.6_v1.npz"  # change the name when the result changes
 _PEOPLE, _SEED = 64, 0  # number of people in the shape space, and their seed
+_COUNT = 10  # betas, and expressions
 _NEAREST = 120  # vertices that regress a joint
 _RIDGE = 1e-3  # ridge weight of this regression
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -220,12 +221,12 @@ def _bone_of_joint() -> dict[str, str]:
     return {joint: bones[joint] for joint in JOINTS}
 
 
-def _components(samples: np.ndarray, count: int = 10, *, centred: bool = False) -> np.ndarray:
+def _components(samples: np.ndarray, *, centred: bool = False) -> np.ndarray:
     """Return principal directions (V, 3, 10) of samples (N, V, 3), as standard deviations."""
     flat = samples.reshape(len(samples), -1)
     _, s, rows = np.linalg.svd(flat if centred else flat - flat.mean(0), full_matrices=False)
-    rows = rows[:count] * (s[:count, None] / np.sqrt(len(flat)))
-    directions = rows.reshape(count, -1, 3).transpose(1, 2, 0)
+    rows = rows[:_COUNT] * (s[:_COUNT, None] / np.sqrt(len(flat)))
+    directions = rows.reshape(_COUNT, -1, 3).transpose(1, 2, 0)
     # The sign is arbitrary: positive is taller.
     return directions * np.where(directions[:, 1].sum(0) < 0, -1, 1)
 

@@ -16,8 +16,8 @@ lmk_faces_idx       (51,)                                triangles with landmark
 lmk_bary_coords     (51, 3)                              where on them; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. Mean hands and their components are checked but not used,
-because poses here are relative to the flat hand.
+J is 55, 52 or 24; SMPL has no hands. Only importers use mean hands and their components
+(data/importers/target.py), because poses here are relative to the flat hand.
 
 SMPL-X files with 400 directions or more hold 300 betas, then expressions (version 1.1); with fewer,
 10 betas and up to 10 expressions (1.0). In the older formats all directions are betas.

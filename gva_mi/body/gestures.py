@@ -7,12 +7,12 @@ is given joint by joint.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import JOINTS
 
 AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
@@ -54,18 +54,6 @@ GESTURES: Mapping[str, Gesture] = {
 }
 
 
-def blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
-    """Blend a cycle of gestures at moments (T,), to :attr:`Gesture.values` (T, 14).
-
-    Gesture k is held from moment k on for a third of a unit.
-    """
-    keys = np.stack([GESTURES[name].values for name in names])
-    index = np.floor(at).astype(int)
-    t = np.clip((at - index - 0.35) / 0.65, 0, 1)
-    t = (t * t * (3 - 2 * t))[:, None]
-    return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]
-
-
 def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
     """Write values (T, 14) or (14,) of a "left" or "right" hand into rotations (T, 55, 3)."""
     mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
@@ -79,11 +67,3 @@ def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
         rotations[:, first, 1] = -mirror[1] * SPREAD[k] * spread
     for k in range(3):
         rotations[:, JOINTS.index(f"{side}_thumb{k + 1}")] = mirror * thumb[:, k]
-
-
-def hand_rotations(gesture: str, side: str) -> dict[str, AxisAngle]:
-    """Return one of GESTURES on one ``side`` as rotations of its joints, by name."""
-    rotations = np.zeros((1, len(JOINTS), 3))
-    put_hand(rotations, side, GESTURES[gesture].values)
-    hand = LEFT_HAND if side == "left" else RIGHT_HAND
-    return {JOINTS[k]: tuple(rotations[0, k].tolist()) for k in range(hand.start, hand.stop)}

@@ -109,11 +109,8 @@ class _TurnJoints(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         rotations, joints, R, maps, a, b, square = ctx.saved_tensors
         tree: _Tree = ctx.tree
-        above = maps.index_select(1, tree.parents)
-        A, t = maps[:, :-1, :3, :3], maps[:, :-1, :3, 3]
-        A_parent, t_parent = above[..., :3, :3], above[..., :3, 3]
+        A, t, A_parent, places = _in_world(maps, joints, tree)
         turned = lambda A, x: (A @ x.unsqueeze(-1)).squeeze(-1)
-        places = turned(A_parent, joints) + t_parent  # without transl
 
         across = torch.linalg.cross(rotations, drotations)  # eq. 6
         turn = drotations + b * across + _c(a, square) * torch.linalg.cross(rotations, across)
@@ -134,10 +131,7 @@ class _TurnJoints(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor, None]:
         rotations, joints, R, maps, a, b, square = ctx.saved_tensors
         tree: _Tree = ctx.tree
-        above = maps.index_select(1, tree.parents)
-        A, t = maps[:, :-1, :3, :3], maps[:, :-1, :3, 3]
-        A_parent, t_parent = above[..., :3, :3], above[..., :3, 3]
-        places = (A_parent @ joints.unsqueeze(-1)).squeeze(-1) + t_parent  # without transl
+        A, t, A_parent, places = _in_world(maps, joints, tree)
 
         force, grad_A = grad_T[..., :3, 3], grad_T[..., :3, :3]  # eq. 3
         moment = torch.linalg.cross(t, force) + _vee(grad_A @ A.mT)
@@ -182,6 +176,14 @@ def _vee(X: Tensor) -> Tensor:
     """Return the vector (..., 3) with vee(X) · ω = ⟨X, [ω]×⟩ for all ω, from X (..., 3, 3)."""
     entries = X.flatten(-2)
     return entries[..., [7, 2, 3]] - entries[..., [5, 6, 1]]
+
+
+def _in_world(maps: Tensor, joints: Tensor, tree: _Tree) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return A, t and A_parent of each joint, and the joints' places p, all without transl."""
+    above = maps.index_select(1, tree.parents)
+    A_parent = above[..., :3, :3]
+    places = (A_parent @ joints.unsqueeze(-1)).squeeze(-1) + above[..., :3, 3]
+    return maps[:, :-1, :3, :3], maps[:, :-1, :3, 3], A_parent, places
 
 
 def _turned_back(A: Tensor, x: Tensor) -> Tensor:

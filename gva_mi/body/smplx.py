@@ -213,12 +213,12 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
-    path = body_file(path)
+    path = resolve_body(path)
     with expecting(path, "a body in SMPL-X's format"):
         return BodyModel(read_body(path), dtype)
 
 
-def body_file(path: Path | None) -> Path:
+def resolve_body(path: Path | None) -> Path:
     """Return the file that :func:`load_body` reads."""
     return BUILT_IN_BODY if path is None or str(path) == BUILT_IN_NAME else Path(path)
 

@@ -16,7 +16,6 @@ from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import Seed, Within
 
 CHECKOUT = Path(gva_mi.__file__).parents[1]
-MODULES = {"splat": "splatting"}  # modules of benchmarks whose command has another name
 Repeats = Annotated[int, Within(1, 100_000)]
 
 
@@ -44,7 +43,7 @@ def bench(
     """
     if what != "splat" and (scene is not None or no_growth):
         raise InputError(f"bench {what}: --scene and --no-growth are options of bench splat")
-    if not (CHECKOUT / "benchmarks/splatting.py").exists():
+    if not (CHECKOUT / "benchmarks/splat.py").exists():
         raise InputError(
             "bench: benchmarks are in the repository and not in the installed package; clone it "
             f"and run there: python -m benchmarks {what}"
@@ -53,7 +52,7 @@ def bench(
         require_room(json_file, overwrite=True)
     if str(CHECKOUT) not in sys.path:
         sys.path.insert(0, str(CHECKOUT))
-    benchmark = import_module(f"benchmarks.{MODULES.get(what, what)}")
+    benchmark = import_module(f"benchmarks.{what}")
     options = {"path": scene, "growth": not no_growth} if what == "splat" else {}
     tables = []
     for table in benchmark.run(repeats, seed, **options):

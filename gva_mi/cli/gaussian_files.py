@@ -12,7 +12,7 @@ from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
 from gva_mi.splat.formats.spz import save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
-from gva_mi.splat.geometry import with_axes
+from gva_mi.splat.principal_axes import with_axes
 
 COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
 SAVE = {

@@ -17,7 +17,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.gradcheck.avatar import check_avatar
 from gva_mi.gradcheck.engine import Report, write_reports
-from gva_mi.gradcheck.normals import COORDINATES, check_normals
+from gva_mi.gradcheck.normals import COORDINATES, LINES, POINTS, SIZE, SPP, check_normals
 from gva_mi.gradcheck.picture import write_picture
 from gva_mi.gradcheck.posed_avatar import PosedAvatar
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
@@ -46,11 +46,12 @@ class GradcheckOptions:
     window: Annotated[int, Within(1, 1024)] = 24
     camera_model: CameraModel | None = None  # splat: replaces the scene's own
     antialiased: Switch = False  # splat: reduce opacities by the area that the blur adds
-    size: Annotated[int, Within(32, 4096)] = 512  # normals: width and height of the picture, px
-    spp: Annotated[int, Within(1, 4096)] = 16  # normals: rays for a pixel of the gradient
+    size: Annotated[int, Within(32, 4096)] = SIZE  # normals: width and height of the picture, px
+    spp: Annotated[int, Within(1, 4096)] = SPP  # normals: rays for a pixel of the gradient
     # normals: lines across the moving rectangle, for the reference boundary term.
-    lines: Annotated[int, Within(1, 1_000_000)] = 16000
-    points: Annotated[int, Within(1, 10_000)] = 89  # normals: points per face, reference interior
+    lines: Annotated[int, Within(1, 1_000_000)] = LINES
+    # normals: points per face, for the reference interior.
+    points: Annotated[int, Within(1, 10_000)] = POINTS
 
     def require_only(self, what: What, **files: Path | None) -> None:
         """Raise an InputError for an option or a file that only another check has."""
@@ -68,7 +69,8 @@ class GradcheckOptions:
         """Return the scene with these options applied."""
         if self.camera_model is not None:
             scene = scene.through(self.camera_model)
-        return replace(scene, options=replace(scene.options, antialiased=self.antialiased))
+        antialiased = self.antialiased or scene.options.antialiased  # a .spz may ask for it
+        return replace(scene, options=replace(scene.options, antialiased=antialiased))
 
 
 def gradcheck(

@@ -20,7 +20,7 @@ from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Weight, Workers
 from gva_mi.core.provenance import versions
-from gva_mi.core.tasks import workers as local_workers
+from gva_mi.core.workers import local_executor
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.video import REFINED_POSES, Video, load_video
@@ -85,7 +85,7 @@ def refine(
         for subject in subjects:
             held.enter_context(folder_lock(subject, "gva-mi refine"))
             require_room(subject / REFINED_POSES, overwrite)
-        executor = held.enter_context(local_workers(workers))
+        executor = held.enter_context(local_executor(workers))
         way = printed if preset == "paper" else options
         for evaluation in refine_videos(videos, model, way, executor, workers):
             for line in _summary(evaluation):

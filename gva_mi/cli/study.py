@@ -20,7 +20,7 @@ from gva_mi.core.files import require_room, write_json
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, options_of
 from gva_mi.core.provenance import versions
-from gva_mi.core.tasks import workers as local_workers
+from gva_mi.core.workers import local_executor
 from gva_mi.pose.film.prepare_film import FilmOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
@@ -133,7 +133,7 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     if known:
         say(f"{len(known)} results are in {made.path}; --overwrite computes them again")
     outcomes: list[Outcome] = []
-    with bar("study") as progress, local_workers(what.workers) as executor:
+    with bar("study") as progress, local_executor(what.workers) as executor:
         for outcome in run_study(made, cases, known, progress, executor):
             outcomes.append(outcome)
             done = {outcome.key for outcome in outcomes}

@@ -20,7 +20,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     A symbolic link stays, and the file that it leads to is replaced. Every OSError, such as a full
     disk, gets the file's name.
     """
-    path = behind_links(path)
+    path = link_target(path)
     unfinished = part_of(path)
     try:
         with with_filename(path, always=True):
@@ -92,7 +92,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
     An ``out`` that holds something is replaced only if it has the file ``replaced``, by which this
     program knows its own folders.
     """
-    out = behind_links(out).absolute()
+    out = link_target(out).absolute()
     unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
     require_writable(out.parent)
     with folder_lock(out, "gva-mi") as locked:
@@ -126,7 +126,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
                 shutil.rmtree(left, ignore_errors=True)
 
 
-def behind_links(path: Path) -> Path:
+def link_target(path: Path) -> Path:
     """Return where an output is written: a symbolic link stays, and what it leads to changes."""
     return Path(os.path.realpath(path)) if Path(path).is_symlink() else Path(path)
 
@@ -134,7 +134,7 @@ def behind_links(path: Path) -> Path:
 def require_writable(folder: Path) -> None:
     """Create a folder if it is missing, and raise an InputError if it takes no file."""
     try:
-        behind_links(folder).mkdir(parents=True, exist_ok=True)
+        link_target(folder).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:

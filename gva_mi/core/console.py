@@ -96,7 +96,9 @@ def _short(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
 
 
-def within(progress: Progress | None, before: int, steps: int, total: int) -> Progress | None:
+def part_of_progress(
+    progress: Progress | None, before: int, steps: int, total: int
+) -> Progress | None:
     """Return a progress function for a piece of some work, or None if nothing is reported.
 
     The piece counts for ``steps`` of all ``total`` steps, after ``before`` others.

@@ -7,9 +7,10 @@ from pathlib import Path
 # By the first bytes of a file.
 _BEGINNINGS = {
     b"version https://git-lfs": "a Git LFS pointer instead of the file: git lfs pull fetches it",
-    b"<!DOCTYPE": "a web page, such as of a download that asks for an account",
-    b"<!doctype": "a web page, such as of a download that asks for an account",
-    b"<html": "a web page, such as of a download that asks for an account",
+    **dict.fromkeys(
+        (b"<!DOCTYPE", b"<!doctype", b"<html"),
+        "a web page, such as of a download that asks for an account",
+    ),
     b"Kaydara FBX": "an .fbx, a scene: export its skeleton's motion as .bvh",
     b"HIERARCHY": "a .bvh, the motion of a skeleton of its own",
     b"\x89HDF": "an HDF5 file (.h5, .hdf5, .mat of version 7.3): save its arrays as .npz",
@@ -18,7 +19,7 @@ _BEGINNINGS = {
     b"; FBX": "an .fbx, a scene: export its skeleton's motion as .bvh",
     b"7z\xbc\xaf": "a .7z archive: unpack it",
     b"Rar!": "a .rar archive: unpack it",
-    b"ply\n": "a .ply, points or a mesh", b"ply\r\n": "a .ply, points or a mesh",
+    **dict.fromkeys((b"ply\n", b"ply\r\n"), "a .ply, points or a mesh"),
 }  # fmt: skip
 # By the suffix, where the beginning says nothing.
 _SUFFIXES = {

@@ -26,8 +26,8 @@ from gva_mi.core.arrays import (
 )
 from gva_mi.core.atomic import (
     atomic_write,
-    behind_links,
     holds_something,
+    link_target,
     require_ours,
     require_writable,
     write_bytes,
@@ -40,6 +40,12 @@ T = TypeVar("T")
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 
 
+def require_file(path: Path, expected: str) -> None:
+    """Raise an InputError if there is no such file; ``expected`` says what it should hold."""
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; expected {expected}")
+
+
 def read_arrays(
     path: Path, expected: str, only: Collection[str] | None = None
 ) -> dict[str, np.ndarray]:
@@ -47,8 +53,7 @@ def read_arrays(
 
     ``expected`` says in the InputError what the file should hold.
     """
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file; expected {expected}")
+    require_file(path, expected)
     if not zipfile.is_zipfile(path):
         kind = known_container(path) or "not a readable .npz, or cut short"
         raise InputError(f"{path}: {kind}; expected {expected}")
@@ -69,8 +74,7 @@ def read_arrays(
 def read_array(path: Path, mapped: bool = False) -> np.ndarray:
     """Read a ``.npy``; pickled objects are refused. A ``mapped`` one is read on access."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected an array (.npy)")
+    require_file(path, "an array (.npy)")
     try:
         with path.open("rb") as file:
             dtype, shape, order = read_header(file)
@@ -98,8 +102,7 @@ def read_bytes(path: Path, expected: str) -> bytes:
 def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
     """Read a JSON file; ``expected`` says in the InputError what it should hold."""
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected {expected}")
+    require_file(path, expected)
     try:
         if path.stat().st_size > LARGEST_TEXT:
             raise ValueError(f"{path.stat().st_size:,} bytes")
@@ -183,7 +186,7 @@ def require_array(
 
 def require_room(path: Path, overwrite: bool) -> None:
     """Raise an InputError if a file cannot be written; called before the work starts."""
-    path = behind_links(path)
+    path = link_target(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file")
     if path.exists() and not path.is_file():
@@ -199,7 +202,7 @@ def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     A folder that holds something else than a run of ours lacks the file ``marker``.
     """
     require_replaceable(folder, marker, overwrite)
-    folder = behind_links(folder)
+    folder = link_target(folder)
     if not holds_something(folder, marker):
         return
     for path in folder.iterdir():  # the marker last, so that a killed process leaves our folder

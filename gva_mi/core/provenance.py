@@ -14,9 +14,6 @@ from pathlib import Path
 import numpy as np
 
 PACKAGES = ("gva_mi", "torch", "drjit", "numpy")  # whose versions may change results
-# Results of a study hold as long as its number stays. Raise it when the same options give other
-# figures than before.
-RESULTS_VERSIONS = {"refine": 11, "avatar": 6}
 _BLOCK = 1 << 20  # bytes read at once
 
 

@@ -16,14 +16,12 @@ from concurrent.futures import (
     Future,
     ThreadPoolExecutor,
 )
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from gva_mi.core.console import Progress, within
-from gva_mi.core.errors import InputError
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.core.workers import worker_died, worker_processes
+from gva_mi.core.workers import worker_died
 
 Item = TypeVar("Item")
 Result = TypeVar("Result", covariant=True)
@@ -71,7 +69,7 @@ def run(
     futures = [] if executor is None else [executor.submit(solve, task) for task in tasks]
     try:
         for number, task in enumerate(tasks):
-            of_task = within(progress, before, task.steps, total)
+            of_task = part_of_progress(progress, before, task.steps, total)
             if executor is None:
                 yield solve(task, of_task)
             else:
@@ -86,19 +84,6 @@ def run(
     finally:
         for future in futures:
             future.cancel()
-
-
-@contextmanager
-def workers(count: int) -> Iterator[Executor | None]:
-    """Start an executor of ``count`` processes; for one, yield None: this process itself."""
-    if count < 1:
-        raise InputError(f"refine: --workers must be at least 1, got {count}")
-    if count == 1:
-        yield None
-        return
-    threads = max(1, (os.cpu_count() or 1) // count)
-    with worker_processes(count, _start_worker, threads) as pool:
-        yield pool
 
 
 def in_order(
@@ -130,9 +115,3 @@ def on_all_cores(work: Callable[[Item], Result], items: Iterable[Item]) -> Itera
     cores = os.cpu_count() or 1
     with ThreadPoolExecutor(cores) as pool:
         yield from in_order(pool, work, items, cores + 1)
-
-
-def _start_worker(threads: int) -> None:
-    import drjit as dr
-
-    dr.set_thread_count(threads)

@@ -14,7 +14,7 @@ import torch
 
 OMP_PAUSE_SOFT = 1  # OpenMP's omp_pause_soft: settings are kept
 # Kept, because torch allocates its memory anew in every new thread.
-_BESIDE = ThreadPoolExecutor(1, "beside")
+_THREAD = ThreadPoolExecutor(1, "torch")
 
 Result = TypeVar("Result")
 
@@ -54,7 +54,7 @@ def one_thread() -> Iterator[None]:
         dr.set_thread_count(before)
 
 
-def beside(work: Callable[..., Result], *inputs: torch.Tensor) -> Future[Result]:
+def in_torch_thread(work: Callable[..., Result], *inputs: torch.Tensor) -> Future[Result]:
     """Start a computation of torch in another thread, which counts torch's threads as this one.
 
     torch chooses some algorithms by that number, so the bits are those of a call in this thread.
@@ -67,7 +67,7 @@ def beside(work: Callable[..., Result], *inputs: torch.Tensor) -> Future[Result]
             torch.set_num_threads(threads)
         return work(*inputs)
 
-    return _BESIDE.submit(run)
+    return _THREAD.submit(run)
 
 
 @contextmanager

@@ -57,6 +57,23 @@ def worker_processes(
     pool.shutdown(cancel_futures=True)
 
 
+@contextmanager
+def local_executor(count: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Yield an executor of ``count`` processes that share the cores; of one, None: this process."""
+    if count == 1:
+        yield None
+        return
+    threads = max(1, (os.cpu_count() or 1) // count)
+    with worker_processes(count, _set_drjit_threads, threads) as pool:
+        yield pool
+
+
+def _set_drjit_threads(threads: int) -> None:
+    import drjit as dr
+
+    dr.set_thread_count(threads)
+
+
 class _Pool(ProcessPoolExecutor):
     """An executor that starts its processes with Ctrl-C blocked until they can handle it."""
 

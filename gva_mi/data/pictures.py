@@ -12,7 +12,7 @@ import numpy as np
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
-from gva_mi.core.files import once_a_file, require_room
+from gva_mi.core.files import once_a_file, require_file, require_room
 from gva_mi.data.film_colors import rgb_of
 from gva_mi.data.mattes import matte_of
 
@@ -71,8 +71,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
     """Open a picture of an acceptable size, whose pixels are not decoded yet."""
     from PIL import Image
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file; expected an 8-bit PNG")
+    require_file(path, "an 8-bit PNG")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked

@@ -31,7 +31,7 @@ from torch.nn.utils import skip_init
 
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.same_bits import sqrt
-from gva_mi.core.threads import beside
+from gva_mi.core.threads import in_torch_thread
 
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
 VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
@@ -70,7 +70,7 @@ class FeatureDistance(nn.Module):
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
         """Return the distance, a scalar, differentiable in ``image`` but not in ``target``."""
-        constant = beside(torch.no_grad()(self.features), target)
+        constant = in_torch_thread(torch.no_grad()(self.features), target)
         pairs = zip(self.features(image), constant.result(), strict=True)
         # Permuted to the order of memory: in another one the gradient takes four times as long.
         return torch.stack([(f - g).permute(0, 2, 3, 1).abs().mean() for f, g in pairs]).mean()

@@ -30,7 +30,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Frame, Video
@@ -127,7 +127,7 @@ def _fit_clips(
         part = poses_of_clip(clip, pose)
         if frames:
             evidence = _evidence(avatar, part, dict(frames), arms, options)
-            report = within(progress, sum(steps[:number]), steps[number], sum(steps))
+            report = part_of_progress(progress, sum(steps[:number]), steps[number], sum(steps))
             part = descend(evidence, part, arms, options, report, try_uncorrected=True).pose
             with torch.no_grad():
                 turned = part[evidence.frames]

@@ -31,7 +31,7 @@ from gva_mi.avatar.held import Held
 from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, say, within
+from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.files import write_arrays
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
@@ -96,7 +96,7 @@ def fit(
         samples = FrameSampler(video, video.splits.train, *chosen, out)
     if options.first_steps:
         video = _after_first_fit(video, body, options, out, offsets, progress, samples)
-        progress = within(progress, options.first_steps, options.steps, options.all_steps)
+        progress = part_of_progress(progress, options.first_steps, options.steps, options.all_steps)
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = Run(video, body, options, offsets, state)
@@ -129,7 +129,7 @@ def _after_first_fit(
 ) -> Video:
     """Return the video under the poses that a first fit trains, in a folder of the run."""
     first, steps = out / run_folder.FIRST, options.first_steps
-    report = within(progress, 0, steps, options.all_steps)
+    report = part_of_progress(progress, 0, steps, options.all_steps)
     alone = replace(options, steps=steps, first_steps=0)
     found = {"resume": True, "progress": report, "samples": samples}
     fit(video, body, alone, first, offsets=offsets, **found)

@@ -11,9 +11,9 @@ Every check returns a :class:`Report`, a list of comparisons with errors and tol
 ``engine.py``               comparisons by all methods, a report, its table and JSON
 ``probes.py``               directions, tangents and finite differences
 ``splat.py``                a renderer against the reference implementation
-``avatar.py``              an avatar from pose to picture (``posed_avatar.py``)
+``avatar.py``               an avatar from pose to picture (``posed_avatar.py``)
 ``normals.py``              ``mesh_normals`` by the body's pose, against ``scanlines.py``
-                            and ``interior.py``
+                            and ``interior.py`` (``moving_mesh.py``)
 ``picture.py``              what ``gva-mi gradcheck --out`` draws
 ==========================  ===========================================================
 
@@ -22,7 +22,7 @@ Importing this package needs drjit, numpy and torch alone; avatar and normals ar
 
 from gva_mi.gradcheck.engine import Comparison, Report
 from gva_mi.gradcheck.probes import Renderer, difference_image, tangent_image
-from gva_mi.gradcheck.splat import RendererReport, Tolerances, gradcheck
+from gva_mi.gradcheck.splat import RendererReport, gradcheck
 from gva_mi.splat.scene import Scene, random_scene
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "RendererReport",
     "Report",
     "Scene",
-    "Tolerances",
     "difference_image",
     "gradcheck",
     "random_scene",

@@ -22,7 +22,7 @@ from torch import Generator, Tensor
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.engine import Check, Report
 from gva_mi.gradcheck.posed_avatar import NETWORK, PosedAvatar
-from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, gradients, leaves
+from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, leaves
 from gva_mi.splat import reference, render
 
 F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed
@@ -84,8 +84,6 @@ def _check_of(posed: PosedAvatar, entries: int, generator: Generator) -> Check:
     w[band] = 0
     weights = dict(zip(IMAGES, (w[..., :3], w[..., 3], w[..., 4]), strict=True))
     images = dict(zip(IMAGES, _images(posed, inputs), strict=True))
-    truth = gradients(images.values(), inputs, weights.values())
     count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
-    probes = {k: Probe.among(g, count(g), generator) for k, g in truth.items()}
-    images = {name: image.detach() for name, image in images.items()}
-    return Check(posed.values, images, weights, truth, probes, band)
+    probe = lambda gradient: Probe.among(gradient, count(gradient), generator)
+    return Check.of(inputs, images, weights, band, probe)

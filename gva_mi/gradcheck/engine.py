@@ -14,7 +14,7 @@ from gva_mi.core.console import aligned
 from gva_mi.core.files import write_json
 from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, gradients, leaves, tangents
 
-Images = Callable[[Tensors], Sequence[Tensor]]
+Draw = Callable[[Tensors], Sequence[Tensor]]  # from the inputs to the images
 PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
 COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; above, it is wrong
 
@@ -64,19 +64,33 @@ class Check:
     probes: dict[str, Probe]  # directions of each input
     band: Tensor  # (H, W) bool, pixels at a step of the picture, which are left out
 
+    @staticmethod
+    def of(
+        leaves: Tensors,
+        images: Tensors,
+        weights: Tensors,
+        band: Tensor,
+        probe: Callable[[Tensor], Probe],
+    ) -> Check:
+        """Differentiate true images by their inputs, and choose directions by each gradient."""
+        truth = gradients(images.values(), leaves, weights.values())
+        probes = {name: probe(gradient) for name, gradient in truth.items()}
+        detached = lambda tensors: {name: x.detach() for name, x in tensors.items()}
+        return Check(detached(leaves), detached(images), weights, truth, probes, band)
+
     def methods(
-        self, function: Images, label: str, image: float, adjoint: float, tangent: float
+        self, draw: Draw, label: str, image: float, adjoint: float, tangent: float
     ) -> Iterator[Comparison]:
         """Compare images, adjoints and tangents of a function in one precision.
 
         Args:
-            function: from the inputs to the images.
+            draw: the function.
             label: of PRECISIONS.
             image, adjoint, tangent: the greatest errors allowed.
         """
         method, dtype = f"adjoint {label}", PRECISIONS[label]
         inputs = leaves(self.values, dtype)
-        images = function(inputs)
+        images = draw(inputs)
         for (name, true), found in zip(self.images.items(), images, strict=True):
             inside = ~self.band.view(*self.band.shape, *[1] * (true.ndim - 2))
             shown = found.detach().double() * inside, true * inside
@@ -85,13 +99,13 @@ class Check:
         for name, gradient in found.items():
             true = self.truth[name]
             yield Comparison.of(method, name, gradient.double(), true, adjoint)
-        yield from self.tangents(function, label, tangent)
+        yield from self.tangents(draw, label, tangent)
 
-    def tangents(self, function: Images, label: str, allowed: float) -> Iterator[Comparison]:
+    def tangents(self, draw: Draw, label: str, allowed: float) -> Iterator[Comparison]:
         """Compare the tangents of a function by every input in one precision."""
         inputs = leaves(self.values, PRECISIONS[label])
         for name in inputs:
-            moves = partial(tangents, function, inputs, name)
+            moves = partial(tangents, draw, inputs, name)
             yield self.along(f"tangent {label}", name, moves, allowed)
 
     def along(

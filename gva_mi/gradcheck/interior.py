@@ -15,10 +15,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
-from gva_mi.mesh.mesh_scene import load_plugins, scene_of
+from gva_mi.mesh.mesh_scene import load_plugins
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -37,8 +36,7 @@ def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> n
         points: on each face.
     """
     load_plugins()
-    vertices = torch.from_numpy(mesh.vertices.astype(np.float32))
-    scene = scene_of(torch.from_numpy(mesh.faces), vertices)
+    scene = mesh.scene()
     p = mesh.vertices[mesh.faces]  # (F, 3, 3)
     moved = [
         (mesh.at(s)[mesh.faces], mesh.corner_normals(s) @ lens.rotation) for s in (step, -step)

@@ -5,12 +5,17 @@ Nothing here or in ``scanlines.py`` and ``interior.py`` is shared with the plugi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
+from gva_mi.mesh.mesh_scene import scene_of
 from gva_mi.splat import Camera
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 STILL = 1e-6  # of the greatest speed: a vertex slower than that counts as still
 
@@ -61,20 +66,6 @@ class MovingMesh:
     vertices: np.ndarray  # (V, 3) float64
     faces: np.ndarray  # (F, 3)
     motion: np.ndarray  # (V, 3) dx
-    facets: np.ndarray | bool = False  # (F,) faces with their own normal; the others are smooth
-
-    @staticmethod
-    def joined(parts: Sequence[MovingMesh]) -> MovingMesh:
-        """Join several meshes; faces of different parts share no vertex."""
-        before = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-        faces = [part.faces + n for part, n in zip(parts, before, strict=True)]
-        facets = [np.broadcast_to(part.facets, len(part.faces)) for part in parts]
-        return MovingMesh(
-            np.concatenate([part.vertices for part in parts]),
-            np.concatenate(faces),
-            np.concatenate([part.motion for part in parts]),
-            np.concatenate(facets),
-        )
 
     def at(self, step: float) -> np.ndarray:
         """Return the vertices after a step, (V, 3)."""
@@ -86,9 +77,13 @@ class MovingMesh:
         c = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
         n = np.zeros_like(v)
         np.add.at(n, f.ravel(), np.repeat(c, 3, axis=0))
-        facets = np.broadcast_to(self.facets, len(f))[:, None, None]
-        corners = np.where(facets, c[:, None], n[f])
+        corners = n[f]
         return corners / np.linalg.norm(corners, axis=2, keepdims=True)
+
+    def scene(self) -> mi.Scene:
+        """Return a scene of Mitsuba with this mesh."""
+        vertices = torch.from_numpy(self.vertices.astype(np.float32))
+        return scene_of(torch.from_numpy(self.faces), vertices)
 
     def window(self, lens: PinholeLens, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the rectangle of pixels in which something moves: first (2,) and end (2,), x y."""

@@ -30,10 +30,11 @@ from gva_mi.gradcheck.engine import Comparison
 from gva_mi.gradcheck.interior import interior
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
 from gva_mi.gradcheck.scanlines import boundary
-from gva_mi.mesh.mesh_scene import load_plugins, scene_of
+from gva_mi.mesh.mesh_scene import load_plugins
 from gva_mi.mesh.sensor import sensor_of
 from gva_mi.splat import Camera, look_at
 
+SIZE, SPP, LINES, POINTS = 512, 16, 16000, 89  # see check_normals
 LIMITS = {"mask": 0.03, "interior": 0.05, "boundary": 0.05}  # relative errors
 WEIGHTINGS = 16
 WIDTH = 0.025  # standard deviation of their blur, as a share of the image's width
@@ -88,7 +89,7 @@ COORDINATES = tuple(
 
 
 def check_normals(
-    count: int, size: int = 512, spp: int = 16, lines: int = 16000, points: int = 89
+    count: int, size: int = SIZE, spp: int = SPP, lines: int = LINES, points: int = POINTS
 ) -> Iterator[list[Comparison]]:
     """Yield the comparisons of the first coordinates in COORDINATES, one coordinate at a time.
 
@@ -132,10 +133,8 @@ def _by_plugin(mesh: MovingMesh, camera: Camera, spp: int) -> tuple[np.ndarray, 
     """Return interior and boundary derivative of ``mesh_normals``' image, (H, W, 4) each."""
     import mitsuba as mi
 
-    vertices = torch.from_numpy(mesh.vertices.astype(np.float32))
-    scene = scene_of(torch.from_numpy(mesh.faces), vertices)
     sensor = mi.load_dict(sensor_of(camera))
-    view = mi.load_dict({"type": "mesh_normals"}).view(scene, sensor, spp)
+    view = mi.load_dict({"type": "mesh_normals"}).view(mesh.scene(), sensor, spp)
     parts = view.tangent_parts(mi.Vector3f(mesh.motion.T.astype(np.float32)))
     return tuple(np.array(part).astype(np.float64) for part in parts)
 

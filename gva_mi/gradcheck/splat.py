@@ -57,23 +57,12 @@ STEP = 1e-6  # of the central differences, in the input's units
 # alpha of a pixel outside the excluded band (1e-4 around its cut-off) does not reach the cut-off.
 METRES = {"means": 0.02, "scales": 0.02, "T_camera_world": 0.02}
 
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Greatest allowed relative L2 error of an image, or of an input's gradient.
-
-    float32 has 6e-8 per operation, and a pixel is a product of many: 1e-5 leaves two digits for
-    that. float64 has nine digits more, of which 1e-10 asks for five.
-    """
-
-    image32: float = 1e-5
-    image64: float = 1e-10
-    adjoint32: float = 1e-5
-    adjoint64: float = 1e-10
-    tangent32: float = 1e-5
-    tangent64: float = 1e-10
-    # with a step h = 1e-6, rounding leaves 1e-16 / h, and sums over the picture add many such
-    differences: float = 1e-6
+# Greatest relative L2 error allowed of an image, or of an input's gradient. float32 has 6e-8 per
+# operation, and a pixel is a product of many: 1e-5 leaves two digits for that. float64 has nine
+# digits more, of which 1e-10 asks for five.
+ALLOWED = {"f32": 1e-5, "f64": 1e-10}
+# With a step h = 1e-6, rounding leaves 1e-16 / h, and sums over the picture add many such.
+ALLOWED_DIFFERENCES = 1e-6
 
 
 @dataclass(frozen=True)
@@ -110,12 +99,7 @@ class RendererReport(Report):
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
 
-_DEFAULTS = Tolerances()
-
-
-def gradcheck(
-    fn: Renderer, scene: Scene, tolerances: Tolerances = _DEFAULTS, *, seed: int = 0
-) -> RendererReport:
+def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
     """Compare a renderer's image and gradients with those of the reference implementation.
 
     Args:
@@ -123,7 +107,6 @@ def gradcheck(
             must take float32 tensors. Where it refuses float64 or forward-mode AD, or does not
             differentiate by the camera's tensors, the report notes it and omits those comparisons.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
-        tolerances: the greatest errors allowed.
         seed: of the weights in the loss and of the choice of entries.
     """
     with one_torch_thread():  # faster for the reference's thousands of small tensors
@@ -133,7 +116,7 @@ def gradcheck(
             scene = scene.with_camera_inputs().to(torch.float64)
         check = _check_of(scene, generator)
         notes = [] if by_camera else [NO_CAMERA]
-        rows = _answers(fn, scene, check, tolerances, notes)
+        rows = _answers(fn, scene, check, notes)
         images = drawn(fn, scene, leaves(scene.inputs(), torch.float32))
         moved = leaves(_last_digit(scene.inputs(), generator))
         other = gradients(drawn(reference.render, scene, moved), moved, check.weights.values())
@@ -169,20 +152,15 @@ def _check_of(scene: Scene, generator: Generator) -> Check:
     names, inputs = images_of(scene), leaves(scene.inputs())
     weights = dict(zip(names, (w[..., :D], w[..., D], w[..., D + 1]), strict=False))
     images = drawn(reference.render, scene, inputs)
-    truth = gradients(images, inputs, weights.values())
-    probes = {k: Probe.among(g, ENTRIES, generator) for k, g in truth.items()}
-    images = {name: image.detach() for name, image in zip(names, images, strict=True)}
-    return Check(scene.inputs(), images, weights, truth, probes, band)
+    probe = lambda gradient: Probe.among(gradient, ENTRIES, generator)
+    return Check.of(inputs, dict(zip(names, images, strict=True)), weights, band, probe)
 
 
-def _answers(
-    fn: Renderer, scene: Scene, check: Check, tolerances: Tolerances, notes: list[str]
-) -> list[Comparison]:
+def _answers(fn: Renderer, scene: Scene, check: Check, notes: list[str]) -> list[Comparison]:
     """Return all comparisons of the renderer; ``notes`` receives what it lacks."""
     rows, images = [], lambda inputs: drawn(fn, scene, inputs)
     for label in PRECISIONS:
-        allowed = (getattr(tolerances, f"{k}{label[1:]}") for k in ("image", "adjoint", "tangent"))
-        begun = len(rows)
+        begun, allowed = len(rows), 3 * [ALLOWED[label]]
         try:
             for row in check.methods(images, label, *allowed):
                 rows.append(row)
@@ -198,7 +176,7 @@ def _answers(
     for name in check.truth:
         step = STEP * METRES.get(name, 1.0)
         moves = partial(differences, images, check.values, name, step=step, order=2)
-        rows.append(check.along("differences", name, moves, tolerances.differences))
+        rows.append(check.along("differences", name, moves, ALLOWED_DIFFERENCES))
     return rows
 
 

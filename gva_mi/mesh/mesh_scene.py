@@ -8,6 +8,7 @@ boundary.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.jit.tensors import tensor_of, to_drjit
 from gva_mi.mesh.sensor import pixel_aspect, sensor_of, tile_of
 from gva_mi.splat import Camera
 
@@ -59,7 +61,8 @@ class MeshScene:
         )
         self._parameters = mi.traverse(self._scene)
         self._integrators: dict[tuple[float, str], MeshNormals] = {}
-        self._sensors: dict[tuple, tuple[mi.Sensor, SensorProjection]] = {}
+        # A video has few cameras, a browser has many.
+        self._sensor = lru_cache(MOST_SENSORS)(_sensor_and_projection)
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
@@ -141,27 +144,12 @@ class MeshScene:
 
         The ray tracer's tree is built again, which takes a good part of a rendering's time.
         """
+        import mitsuba as mi
+
         if self._shown is not vertices:
-            self._parameters["group.mesh.vertex_positions"] = _to_mitsuba(vertices)
+            self._parameters["group.mesh.vertex_positions"] = to_drjit(vertices, mi.Float)
             self._parameters.update()
             self._shown = vertices
-
-    def _sensor(self, camera: Camera) -> tuple[mi.Sensor, SensorProjection]:
-        """Return the sensor of a camera and its projection, from a cache that drops the oldest.
-
-        A video has few cameras, a browser has many.
-        """
-        import mitsuba as mi
-        from gva_mi_plugins.mesh_normals.projection import SensorProjection
-
-        key = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-        key += (camera.model, camera.T_camera_world.tobytes())
-        if key not in self._sensors:
-            if len(self._sensors) == MOST_SENSORS:
-                del self._sensors[next(iter(self._sensors))]
-            sensor = mi.load_dict(sensor_of(camera))
-            self._sensors[key] = sensor, SensorProjection.of(sensor, pixel_aspect(camera))
-        return self._sensors[key]
 
 
 def load_plugins() -> None:
@@ -172,6 +160,14 @@ def load_plugins() -> None:
     if mi.variant() is None:
         mi.set_variant("llvm_ad_rgb")
     gva_mi_plugins.register()
+
+
+def _sensor_and_projection(camera: Camera) -> tuple[mi.Sensor, SensorProjection]:
+    import mitsuba as mi
+    from gva_mi_plugins.mesh_normals.projection import SensorProjection
+
+    sensor = mi.load_dict(sensor_of(camera))
+    return sensor, SensorProjection.of(sensor, pixel_aspect(camera))
 
 
 def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
@@ -187,7 +183,7 @@ def _mesh_of(faces: Tensor, vertices: Tensor) -> mi.Mesh:
 
     mesh = mi.Mesh("mesh", len(vertices), len(faces))
     parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = _to_mitsuba(vertices)
+    parameters["vertex_positions"] = to_drjit(vertices, mi.Float)
     parameters["faces"] = mi.UInt32(faces.to(torch.int32).flatten().numpy().astype(np.uint32))
     parameters.update()
     return mesh
@@ -210,7 +206,7 @@ class _RenderNormals(torch.autograd.Function):
         ctx.view = scene.view(shown, picture, crops, normals)
         image = ctx.view.image()
         ctx.shape = image.shape
-        return _to_torch(image).flatten(0, 1)
+        return tensor_of(image).flatten(0, 1)
 
     @staticmethod
     def backward(ctx: FunctionCtx, grad_pixels: Tensor) -> tuple[Tensor | None, ...]:
@@ -219,20 +215,4 @@ class _RenderNormals(torch.autograd.Function):
 
         ctx.scene.show(ctx.shown)  # another pose may have been rendered in between
         grad = ctx.view.adjoint(mi.TensorXf(grad_pixels.contiguous().view(ctx.shape)))
-        return _to_torch(dr.ravel(grad)).view(-1, 3), None, None, None, None
-
-
-def _to_mitsuba(vertices: Tensor) -> mi.Float:
-    """Pass vertices to Mitsuba without a copy: Dr.Jit keeps the tensor's memory alive."""
-    import mitsuba as mi
-
-    return mi.Float(vertices.detach().contiguous().view(-1))
-
-
-def _to_torch(value: mi.TensorXf) -> Tensor:
-    """Pass an array to torch without a copy, after its kernels have ended."""
-    import drjit as dr
-
-    dr.eval(value)
-    dr.sync_thread()
-    return value.torch()
+        return tensor_of(dr.ravel(grad)).view(-1, 3), None, None, None, None

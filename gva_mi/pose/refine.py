@@ -24,7 +24,7 @@ from dataclasses import replace
 from functools import cache, partial
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.tasks import Done, run
 from gva_mi.data.video import Video
 from gva_mi.pose.job import RefineOptions, Solution
@@ -91,13 +91,14 @@ def refine_all(
         return run(shared, executor if len(tasks) > 1 else None, progress)
 
     found = solved(
-        [task for task in first if task is not None], within(progress, 0, steps, steps + later)
+        [task for task in first if task is not None],
+        part_of_progress(progress, 0, steps, steps + later),
     )
     known = [None if task is None else next(found) for task in first]
     second = [video.clip_tasks(of_video) for video, of_video in zip(videos, known, strict=True)]
     found = solved(
         [task for tasks in second for task in tasks],
-        within(progress, steps, later, steps + later),
+        part_of_progress(progress, steps, later, steps + later),
     )
     for video, lenses, of_video, tasks in zip(videos, given, known, second, strict=True):
         refined = video.finished(of_video, [next(found) for _ in tasks])

@@ -20,8 +20,17 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.exclusive import exclusive
-from gva_mi.splat.tensors import not_compiled
-from gva_mi.splat.torch_passes import IMAGES, Drawn, Images, Tensors, adjoint, draw, images, tangent
+from gva_mi.jit.not_compiled import not_compiled
+from gva_mi.splat.torch_passes import (
+    IMAGE_COUNT,
+    Drawn,
+    Images,
+    Tensors,
+    adjoint,
+    draw,
+    images,
+    tangent,
+)
 
 NO_SECOND_DERIVATIVES = (
     "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "
@@ -109,15 +118,15 @@ class Adjoint(torch.autograd.Function):
     @staticmethod
     def forward(*arguments: Any) -> tuple[Tensor | None, ...]:  # noqa: ANN401
         *values, drawn, requested = arguments
-        tensors, grads = Tensors(*values[:-IMAGES]), tuple(values[-IMAGES:])
+        tensors, grads = Tensors(*values[:-IMAGE_COUNT]), tuple(values[-IMAGE_COUNT:])
         return tuple(adjoint(tensors, grads, drawn, requested))
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, inputs: tuple, output: tuple) -> None:
         *values, ctx.drawn, ctx.requested = inputs
-        ctx.given = [grad is not None for grad in values[-IMAGES:]]
-        ctx.save_for_backward(*values[:-IMAGES])
-        ctx.save_for_forward(*values[:-IMAGES])
+        ctx.given = [grad is not None for grad in values[-IMAGE_COUNT:]]
+        ctx.save_for_backward(*values[:-IMAGE_COUNT])
+        ctx.save_for_forward(*values[:-IMAGE_COUNT])
         ctx.set_materialize_grads(False)
 
     @staticmethod
@@ -189,4 +198,4 @@ class FirstOrder(torch.autograd.Function):
 
 def _three(images: tuple) -> Images:
     """Append None for a depth that is not made."""
-    return *images, *[None] * (IMAGES - len(images))
+    return *images, *[None] * (IMAGE_COUNT - len(images))

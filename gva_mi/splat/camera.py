@@ -117,10 +117,8 @@ class Camera:
         if k.shape != (3, 3):
             raise _refusal("K", f"must be (3, 3), got {k.shape}")
         T, size = _numbers(T_camera_world), (int(width), int(height))
-        if isinstance(model, str):
-            checked = _checked_cached(k.tobytes(), T.tobytes(), T.shape, *size, model)
-        else:
-            checked = _checked(k, T, *size, model)
+        make = _checked if isinstance(model, str) else _checked.__wrapped__  # not hashable
+        checked = make(k.tobytes(), T.tobytes(), T.shape, *size, model)
         # the numbers come from the tensors: no need to compare them
         tensors = CameraTensors(*(x if _is_tensor(x) else None for x in (T_camera_world, K)))
         camera = object.__new__(Camera)
@@ -206,19 +204,13 @@ def _refusal(name: str, problem: str) -> ArgumentError:
     return ArgumentError("Camera", name, problem)
 
 
-def _checked(K: np.ndarray, T: np.ndarray, width: int, height: int, model: CameraModel) -> Camera:
-    """Make a camera from numbers."""
-    fx, fy, cx, cy = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    return Camera(fx, fy, cx, cy, T, width, height, model)
-
-
 @functools.lru_cache(CHECKED_VIEWS)
-def _checked_cached(
+def _checked(
     K: bytes, T: bytes, shape: tuple[int, ...], width: int, height: int, model: CameraModel
 ) -> Camera:
     """Make a camera from float64 memory, cached: training renders the same views repeatedly."""
-    arrays = np.frombuffer(K).reshape(3, 3), np.frombuffer(T).reshape(shape)
-    return _checked(*arrays, width, height, model)
+    fx, _, cx, _, fy, cy, *_ = np.frombuffer(K).tolist()
+    return Camera(fx, fy, cx, cy, np.frombuffer(T).reshape(shape), width, height, model)
 
 
 def _is_rotation(R: np.ndarray) -> bool:

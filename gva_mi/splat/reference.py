@@ -23,6 +23,8 @@ from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 
+SWAPPED = 2**-22  # relative distance of depths, four float32 roundings
+
 
 def render(
     gaussians: Gaussians,
@@ -44,9 +46,11 @@ def threshold_band(
     options: SplatOptions | None = None,
     alpha: float = 1e-4,
     transmittance: float = 1e-3,
-    depth: float = 2**-22,
 ) -> Tensor:
     """Find pixels that may change by a step when the last digits do, (H, W) bool.
+
+    A pixel counts where two consecutive Gaussians have depths relatively nearer than
+    :data:`SWAPPED` and not equal, because they may change places; and near a cut-off:
 
     Args:
         gaussians: torch tensors.
@@ -55,12 +59,10 @@ def threshold_band(
         alpha: a pixel counts where a Gaussian's alpha is relatively nearer to ``alpha_min`` or
             ``alpha_max`` than this.
         transmittance: relative distance of T to ``transmittance_min`` below which a pixel counts.
-        depth: a pixel counts where two consecutive Gaussians have depths relatively nearer than
-            this (four float32 roundings), and not equal: they may change places.
     """
     with torch.no_grad():
         margins = _render(gaussians, camera, options or SplatOptions(), None)[1]
-    return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < depth)
+    return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < SWAPPED)
 
 
 class _Margins(NamedTuple):
@@ -84,7 +86,7 @@ def _render(
     T_camera_world, K = _matrices(camera)
     to64 = lambda t: t.to(torch.float64)
     means, opacities = map(to64, (gaussians.means, gaussians.opacities))
-    covariances = _covariances(gaussians)
+    covariances = covariances_of(gaussians)
     R, t = T_camera_world[:3, :3], T_camera_world[:3, 3]
     H, W = camera.height, camera.width
     grid = torch.meshgrid(torch.arange(W) + 0.5, torch.arange(H) + 0.5, indexing="xy")
@@ -107,7 +109,7 @@ def _render(
     off = lambda value, cut: (value.detach() / cut - 1).abs()
     nearer = lambda known, where, value: torch.minimum(known, torch.where(where, value, torch.inf))
     for i in order[visible[order]].tolist():
-        mean2d, sharp = _project(x[i], covariances[i], R, camera, K)
+        mean2d, sharp = project(x[i], covariances[i], R, camera, K)
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
@@ -139,7 +141,7 @@ def _render(
     return Image(color, 1 - remaining, depth if options.depth else None), steps
 
 
-def _covariances(gaussians: Gaussians) -> list[Tensor]:
+def covariances_of(gaussians: Gaussians) -> list[Tensor]:
     """Return Sigma (3, 3) of each Gaussian, square metres."""
     if gaussians.covars is not None:
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
@@ -160,7 +162,7 @@ def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
     return torch.clamp(sums + 0.5, min=0)
 
 
-def _project(
+def project(
     x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Project one Gaussian at ``x`` in camera space: mean (2,), covariance (2, 2) before blur."""

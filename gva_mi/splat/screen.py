@@ -24,7 +24,6 @@ from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.project import ProjectedMemory
 from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
 from gva_mi.splat.kernels.saved import SavedState
-from gva_mi.splat.tensors import first_two_columns
 
 
 @dataclass
@@ -131,3 +130,20 @@ class Screen:
     def _number(self, name: str) -> Tensor:
         """Return the field ``name`` of ``ProjectedMemory``, (N,)."""
         return self._empty if self._projected is None else tensor_of(getattr(self._projected, name))
+
+
+def first_two_columns(table: np.ndarray, rows: Tensor | None = None) -> Tensor:
+    """Copy the first two columns of a table (N, 2 k), contiguous, of rows (M,) int64 or all, to a
+    tensor.
+
+    A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
+    long ones, and takes longer to be called.
+    """
+    number = np.complex64 if table.dtype == np.float32 else np.complex128
+    pairs = table.view(number)[:, 0]
+    if rows is None:
+        found = pairs.copy()
+    else:  # take() would copy the whole column first if it is not contiguous
+        index = rows.numpy()
+        found = pairs.take(index) if pairs.flags.contiguous else pairs[index]
+    return torch.from_numpy(found.view(table.dtype).reshape(-1, 2))

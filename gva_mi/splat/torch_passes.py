@@ -6,11 +6,14 @@ copied. autograd.py joins the passes to torch's autograd.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import drjit as dr
 import numpy as np
+import torch
+from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.core.threads import quiet_openmp
@@ -21,11 +24,11 @@ from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.planes import Planes
 from gva_mi.splat.kernels.saved import SavedState
+from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.screen import Screen
-from gva_mi.splat.tensors import first_two_columns, image_of, plane_of
+from gva_mi.splat.screen import Screen, first_two_columns
 
-IMAGES = 3  # color, alpha, depth
+IMAGE_COUNT = 3  # color, alpha, depth
 NO_BATCHES = (
     "render(): it takes no gradients or tangents in batches, as is_grads_batched and "
     "functional.jacobian's vectorize make them; torch.func's jacrev, jacfwd and vmap work"
@@ -118,9 +121,9 @@ def adjoint(
     saved, screen = drawn.saved, drawn.call.screen
     layout, F = saved.layout, saved.inputs.float_type
     grad = Planes(
-        plane_of(color, layout, F, saved.plan.channels),
-        None if alpha is None else plane_of(alpha, layout, F),
-        None if depth is None else plane_of(depth, layout, F),
+        _plane_of(color, layout, F, saved.plan.channels),
+        None if alpha is None else _plane_of(alpha, layout, F),
+        None if depth is None else _plane_of(depth, layout, F),
     )
     found = render_adjoint(saved, grad, requested)
     dr.sync_thread()
@@ -179,9 +182,30 @@ def tangent(given: Tensors, drawn: Drawn) -> Images:
 def images(planes: Planes, saved: SavedState) -> Images:
     """Return the images that are made, without their padding."""
     layout = saved.layout
-    color = image_of(planes.color, layout, saved.plan.channels)
-    rest = [image_of(plane, layout) for plane in (planes.alpha, planes.depth) if plane is not None]
+    color = _image_of(planes.color, layout, saved.plan.channels)
+    rest = [_image_of(plane, layout) for plane in (planes.alpha, planes.depth) if plane is not None]
     return color, *rest
+
+
+def _image_of(plane: Array, layout: Layout, *channels: int) -> Tensor:
+    """Return a plane's own memory as an image (H, W, *channels), without its padding.
+
+    The slice is taken by numpy: torch then sees no view, and lets a caller write into the image.
+    """
+    numbers = plane.numpy()[: math.prod((*layout.padded, *channels))]
+    padded = numbers.reshape(*layout.padded, *channels)
+    return torch.from_numpy(padded[: layout.height, : layout.width])
+
+
+def _plane_of(image: Tensor | None, layout: Layout, F: type, *channels: int) -> Array:
+    """Return an image as a plane, padded with zeros; zeros if there is no image."""
+    if image is None:
+        return dr.opaque(F, 0, math.prod((*layout.padded, *channels)))
+    if image.shape[:2] != layout.padded:
+        padded = image.new_zeros(*layout.padded, *channels)
+        padded[: layout.height, : layout.width] = image
+        image = padded
+    return to_drjit(image, F)
 
 
 def _refuse_batches(*tensors: Tensor | None) -> None:

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from gva_mi.jit.not_compiled import not_compiled
 from gva_mi.jit.tensors import PRECISION
 from gva_mi.splat.autograd import Render
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.screen import Screen
-from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_passes import RenderCall, Tensors
 
 _DEFAULTS = SplatOptions()

@@ -24,7 +24,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.files import json_equals, write_json
 from gva_mi.core.options import PictureSide, options_of
-from gva_mi.core.provenance import RESULTS_VERSIONS, versions
+from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
@@ -37,7 +37,7 @@ from gva_mi.fit.train import fit
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
-from gva_mi.study.engine import Study, Work
+from gva_mi.study.engine import RESULTS_VERSIONS, Study, Work
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, Metrics, measure_run, save_metrics
 from gva_mi.study.pictures import ShownAvatar

@@ -22,6 +22,7 @@ import torch
 
 from gva_mi.body import so3
 from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import require_file
 
 CALIBRATION = (
     "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
@@ -63,8 +64,7 @@ def read_calibration(path: Path) -> list[CalibratedCamera]:
     Raises:
         InputError: the file is not one.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected {CALIBRATION}")
+    require_file(path, CALIBRATION)
     with expecting(path, CALIBRATION):
         tables = tomllib.loads(path.read_text())
         tables = {name: table for name, table in tables.items() if "matrix" in table}

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.data.video import Video
 from gva_mi.fit.photometric import FITTED, PhotometricOptions, fit_poses
 from gva_mi.study.evaluate import OF_VIDEO, SplitView, evaluate_views, views_of, with_trained_poses
@@ -56,7 +56,10 @@ def with_fitted_poses(
     steps = [len(frames) * options.passes for _, frames, options in plans]
     rows, kept, made_with, seconds = [], {}, {}, 0.0
     for done, (group, frames, options) in enumerate(plans):
-        name, part = group[0].split, within(progress, sum(steps[:done]), steps[done], sum(steps))
+        name, part = (
+            group[0].split,
+            part_of_progress(progress, sum(steps[:done]), steps[done], sum(steps)),
+        )
         found = fit_poses(avatar, group[0].video, options, frames, part)
         posed = [v.through(lambda source, p=found.pose: replace(source, pose=p)) for v in group]
         rows += evaluate_views(avatar, posed, FITTED, scorer)

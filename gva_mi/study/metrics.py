@@ -25,7 +25,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.core.options import from_json
@@ -187,7 +187,9 @@ def measure_run(
     rows: list[SplitScores] = []
     for title, some in named:
         frames = sum(len(view.frames) for view in some)
-        rows += evaluate_views(avatar, some, title, scorer, within(progress, done, frames, total))
+        rows += evaluate_views(
+            avatar, some, title, scorer, part_of_progress(progress, done, frames, total)
+        )
         done += frames
     return Metrics(
         rows=tuple(rows),

@@ -17,7 +17,7 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, within
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
 from gva_mi.pose.film.landmark_noise import BONES, person_sizes
@@ -195,7 +195,7 @@ def multiview(
     for k, (film, camera) in enumerate(zip(films, cameras, strict=True)):
         scale = min(1.0, options.side / min(camera.size))
         lens = str(scale * camera.K[0, 0]) if known_lens else None
-        part = within(progress, k, 1, len(films))
+        part = part_of_progress(progress, k, 1, len(films))
         motions.append(motion_of_film(film, options, body, lens=lens, progress=part))
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(

@@ -18,7 +18,7 @@ from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Video, spread
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
-from gva_mi.splat.geometry import with_axes
+from gva_mi.splat.principal_axes import with_axes
 from gva_mi.study.evaluate import SplitView
 from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from gva_mi.body.built_in import EXPRESSIONS
-from gva_mi.body.gestures import AxisAngle, hand_rotations
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.gestures import GESTURES, AxisAngle, put_hand
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.cameras import camera_around
@@ -70,9 +70,9 @@ def pose_sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.nda
     whole = [Portrait(A_POSE, azimuth=0.5)]
     for name, azimuth in WHOLE.items():
         action = (ACTIONS | POSES)[name]
-        hands = hand_rotations(action.left, "left") | hand_rotations(action.right, "right")
+        hands = _hand_rotations(action.left, "left") | _hand_rotations(action.right, "right")
         whole.append(Portrait(A_POSE | action.joints | hands, azimuth=azimuth))
-    hands = [Portrait(hand_rotations(name, "left"), at, 0.24, *view) for name, *view in HANDS]
+    hands = [Portrait(_hand_rotations(name, "left"), at, 0.24, *view) for name, *view in HANDS]
     faces = [Portrait(A_POSE | turned, face, 0.29, view, 0.05, *e) for turned, view, *e in FACES]
     render = _PortraitRenderer(body)
     rows = [render.row(whole, round(size / SHOWN), samples)]
@@ -110,3 +110,11 @@ class _PortraitRenderer:
         T_camera_world = look_at(target + DISTANCE * portrait.height * away, target)
         camera = Camera(focal, focal, centre, centre, T_camera_world, size, size)
         return self._renderer(surface, camera, samples).color
+
+
+def _hand_rotations(gesture: str, side: str) -> dict[str, AxisAngle]:
+    """Return one of GESTURES on one ``side`` as rotations of its joints, by name."""
+    rotations = np.zeros((1, len(JOINTS), 3))
+    put_hand(rotations, side, GESTURES[gesture].values)
+    hand = LEFT_HAND if side == "left" else RIGHT_HAND
+    return {JOINTS[k]: tuple(rotations[0, k].tolist()) for k in range(hand.start, hand.stop)}

@@ -12,7 +12,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig, moved_by
 from gva_mi.body.kinematics import joint_places
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import LEFT_HAND, Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.data.normals import normal_colors
 from gva_mi.mesh.coarse_body import collapse
@@ -27,7 +27,7 @@ COLORS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {  # of normals, by t
     "mesh": lambda n: (0.2 + 0.75 * np.clip(-n[..., 2:], 0, 1)) * np.float32(CLAY),  # lit from here
 }
 BONE = (0.25, 0.27, 0.30)
-FINE = 25  # joints from this number on belong to fingers and are drawn thinner
+FINE = LEFT_HAND.start  # joints from this number on belong to fingers and are drawn thinner
 THICK = 400  # picture height / width of a bone, which is at least a pixel
 SAMPLES = 2  # per pixel and axis of a fine picture
 
@@ -75,11 +75,12 @@ class SurfaceRenderer:
         part = camera.cropped(left, top, right - left, bottom - top)
         mesh = self._fine if fine else self._coarse
         if fine:
-            part = part.resized(2 * part.width, 2 * part.height)
+            part = part.resized(SAMPLES * part.width, SAMPLES * part.height)
         seen = mesh.seen(surface, part)
         seen[..., :3] = COLORS[mode](seen[..., :3]) * seen[..., 3:]
         if fine:
-            seen = (seen[::2, ::2] + seen[1::2, ::2] + seen[::2, 1::2] + seen[1::2, 1::2]) / 4
+            shifts = [(i, j) for j in range(SAMPLES) for i in range(SAMPLES)]
+            seen = sum(seen[i::SAMPLES, j::SAMPLES] for i, j in shifts) / SAMPLES**2
         layer[top:bottom, left:right] = seen
         return layer
 

@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gva_mi.splat import Gaussians
-from gva_mi.splat.gaussians import MAX_DEGREE
+from gva_mi.splat.gaussians import MAX_DEGREE, degree_of
 from gva_mi.splat.kernels import sh
 
 DATA = 10  # floats of an ellipsoid in ``data``
@@ -50,7 +50,7 @@ def gaussians_of(scene: mi.Scene) -> Gaussians:
 def seen_along(gaussians: Gaussians, direction: list[mi.Float]) -> Gaussians:
     """Evaluate the colours for parallel rays along a unit vector."""
     n, K, _ = gaussians.sh.shape
-    basis = sh.basis(sh.degree_of(K), *direction)
+    basis = sh.basis(degree_of(K), *direction)
     k = dr.arange(mi.UInt32, 3 * n)
     first = k // 3 * (3 * K) + k % 3
     total = mi.Float(0.5)

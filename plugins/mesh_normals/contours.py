@@ -115,8 +115,8 @@ class _EdgesOnImage:
     @staticmethod
     def of(surface: MeshSurface, projection: SensorProjection) -> _EdgesOnImage:
         topology = surface.topology
-        corner = dr.gather(mi.Vector3f, surface.positions, topology.vertices[0])
-        turned_away = dr.dot(surface.face_normals, projection.toward(corner)) > 0
+        toward = projection.toward(surface.corners[0])
+        turned_away = dr.dot(surface.face_normals, toward) > 0
         depth = projection.depth(surface.positions)
         dr.eval(turned_away, depth)
         on_left = [
@@ -226,9 +226,7 @@ def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
 
 def _covers(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32, t: mi.Float) -> mi.Bool:
     """Whether rays meet a face before their parameter ``t``."""
-    corners = [dr.gather(mi.UInt32, vertex, face) for vertex in surface.topology.vertices]
-    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in corners]
-    b1, b2, t_face = meet_plane(ray, *p)
+    b1, b2, t_face = meet_plane(ray, *surface.corners_of(face))
     return (b1 > 0) & (b2 > 0) & (b1 + b2 < 1) & (t_face < t)
 
 

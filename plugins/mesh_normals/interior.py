@@ -58,9 +58,7 @@ class Interior:
         dr.eval(at, faces)
         ray = projection.ray(at)
         c = dr.gather(mi.Vector3f, surface.face_normals, faces)
-        vertex = dr.gather(mi.UInt32, surface.topology.vertices[0], faces)
-        corner = dr.gather(mi.Vector3f, surface.positions, vertex)
-        crowd = 2 * projection.density(c, corner, ray)
+        crowd = 2 * projection.density(c, surface.corners_of(faces)[0], ray)
         weight = filter.balance(crowd, rays)
         crowd = _entries_from(crowd, dr.width(rays))
         return Interior(caster, filter, rays, q, ray, faces, weight, crowd)
@@ -143,9 +141,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
 
 def _one_point_each(surface: MeshSurface) -> mi.Vector3f:
     """A point on every triangle (F,), world, of a lattice folded into the triangle."""
-    topology = surface.topology
-    face = dr.arange(mi.UInt32, topology.face_count)
-    p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in topology.vertices]
+    face, p = dr.arange(mi.UInt32, surface.topology.face_count), surface.corners
     b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in GOLDEN))
     folded = b1 + b2 > 1
     b1, b2 = dr.select(folded, 1 - b1, b1), dr.select(folded, 1 - b2, b2)

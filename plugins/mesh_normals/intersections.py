@@ -65,10 +65,9 @@ class Intersections:
         jump = caster.jump(inner, outer, seen)
         vertices, sweeps = [], []
         for face, push in ((samples.f, A * cf), (samples.g, B * cg)):
-            corners = [dr.gather(mi.UInt32, vertex, face) for vertex in surface.topology.vertices]
-            p = [dr.gather(mi.Vector3f, surface.positions, vertex) for vertex in corners]
-            vertices += corners
-            sweeps += [dr.select(seen, beta * push, 0) for beta in _barycentric(samples.x, *p)]
+            vertices += surface.vertices_of(face)
+            shares = _barycentric(samples.x, *surface.corners_of(face))
+            sweeps += [dr.select(seen, beta * push, 0) for beta in shares]
         q = dr.select(seen, samples.q, 0)
         dr.eval(vertices, sweeps, q, jump)
         return Intersections(surface.topology.vertex_count, vertices, sweeps, q, jump)

@@ -9,8 +9,9 @@ With a filter ``f`` of radius ``r`` and pixel centres ``c_p``, and samples ``v_i
 3. adjoint  ``∂L/∂v_i = Σ_p f(q_i - c_p) ∂L/∂I_p / N_p``.
 4. a point  ``q`` of an edge adds ``f(q - c_p) / M_p`` of what it carries to pixel ``p``.
 
-Pixels gather, and so the order of every sum is fixed. The ``box`` filter is the case in which a
-sample belongs to one pixel, and costs nothing.
+Pixels gather from samples, and what points add is sorted by pixel (``segment_sums.py``): the order
+of every sum is fixed. The ``box`` filter is the case in which a sample belongs to one pixel, and
+costs nothing.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal
 3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
    the point hit, ``o + t d = Σ_k b_k p_k``.
 
-Every sum runs over fixed lists in a fixed order (``segment_sums.py``); no step
-scatters.
+Every sum runs over fixed lists in a fixed order (``segment_sums.py``); no step adds with
+atomics.
 """
 
 from __future__ import annotations
@@ -60,9 +60,23 @@ class MeshSurface:
         dr.eval(normals, inverse_length)
         return normals, inverse_length
 
+    @property
+    def corners(self) -> list[mi.Vector3f]:
+        """The corners of all faces, three (F,) world."""
+        return self._at_corners(self.positions)
+
+    def vertices_of(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
+        """Return the vertices of some faces, three (S,)."""
+        return [dr.gather(mi.UInt32, vertex, face, active) for vertex in self.topology.vertices]
+
+    def corners_of(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.Vector3f]:
+        """Return the corners of some faces, three (S,) world."""
+        vertices = self.vertices_of(face, active)
+        return [dr.gather(mi.Vector3f, self.positions, i, active) for i in vertices]
+
     def flat_faces(self) -> np.ndarray:
         """Return the numbers of the faces without area, most often none."""
-        p = self._corners(self.positions)
+        p = self.corners
         side = dr.maximum(dr.norm(p[1] - p[0]), dr.norm(p[2] - p[0]))
         side = dr.maximum(side, dr.norm(p[2] - p[1]))
         reach = [dr.max(dr.abs(corner)) for corner in p]
@@ -71,7 +85,7 @@ class MeshSurface:
 
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
         """Eq. 1 and 2 forward: how the shading normals (N,) move with the positions (V,)."""
-        p, dp = self._corners(self.positions), self._corners(d_positions)
+        p, dp = self.corners, self._at_corners(d_positions)
         dc = dr.cross(dp[1] - dp[0], p[2] - p[0]) + dr.cross(p[1] - p[0], dp[2] - dp[0])
         dr.eval(dc)
         d_total = self.topology.faces_of_normal.sum(dc)
@@ -84,7 +98,7 @@ class MeshSurface:
         grad_total = self._tangential(topology.corners_of_normal.sum(grad_corner_normals))
         dr.eval(grad_total)
         grad_c = sum(dr.gather(mi.Vector3f, grad_total, normal) for normal in topology.normals)
-        p = self._corners(self.positions)
+        p = self.corners
         grad_1 = dr.cross(p[2] - p[0], grad_c)
         grad_2 = dr.cross(grad_c, p[1] - p[0])
         face = dr.arange(mi.UInt32, topology.face_count)
@@ -106,7 +120,7 @@ class MeshSurface:
     ) -> tuple[mi.Vector3f, mi.Float]:
         """Eq. 3 forward, for rays that all hit."""
         leaves = self._at(face, True)
-        tangents = [dr.gather(mi.Vector3f, d_positions, i) for i in self._vertices(face)]
+        tangents = [dr.gather(mi.Vector3f, d_positions, i) for i in self.vertices_of(face)]
         tangents += [dr.gather(mi.Vector3f, d_normals, i) for i in self._normals(face)]
         with dr.isolate_grad(), dr.resume_grad():
             dr.enable_grad(leaves)
@@ -139,22 +153,16 @@ class MeshSurface:
         """Derivative of eq. 2's normalisation, its own transpose: ``± (I - n nᵀ) x / |Σ c_f|``."""
         return (x - self.normals * dr.dot(self.normals, x)) * self.inverse_length
 
-    def _corners(self, values: mi.Vector3f) -> list[mi.Vector3f]:
+    def _at_corners(self, values: mi.Vector3f) -> list[mi.Vector3f]:
         return [dr.gather(mi.Vector3f, values, vertex) for vertex in self.topology.vertices]
-
-    def _vertices(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
-        return [dr.gather(mi.UInt32, vertex, face, active) for vertex in self.topology.vertices]
 
     def _normals(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
         return [dr.gather(mi.UInt32, normal, face, active) for normal in self.topology.normals]
 
     def _at(self, face: mi.UInt32, active: mi.Bool) -> list[mi.Vector3f]:
         """Corners and their shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
-        p = [
-            dr.gather(mi.Vector3f, self.positions, i, active) for i in self._vertices(face, active)
-        ]
         n = [dr.gather(mi.Vector3f, self.normals, i, active) for i in self._normals(face, active)]
-        return p + n
+        return self.corners_of(face, active) + n
 
 
 def interpolate(

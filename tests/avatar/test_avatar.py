@@ -15,7 +15,7 @@ from gva_mi.avatar.skin_weights import SkinningOptions
 from gva_mi.body import Pose, Shape
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 from gva_mi.body.skinning import strongest
-from gva_mi.splat.geometry import matrices
+from gva_mi.splat.principal_axes import matrices
 
 PLAIN = AvatarOptions(residual=ResidualOptions(enabled=False))
 

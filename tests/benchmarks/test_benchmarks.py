@@ -16,7 +16,7 @@ from gva_mi.splat.scene import person_scene
 
 ROOT = Path(__file__).parents[2]
 TINY = {
-    "splatting": {"gaussians": 300, "size": 64, "growth": False},
+    "splat": {"gaussians": 300, "size": 64, "growth": False},
     "fit": {"gaussians": 300, "size": 32},
     "mesh": {"sizes": (48,)},
     "viewer": {"gaussians": 300},

@@ -18,14 +18,15 @@ from gva_mi.core import cpu
 from gva_mi.core.same_bits import sqrt
 
 ROOT = Path(__file__).parents[2]
+LEDGER = Path(__file__).with_name("ledger")  # whose scenes are drawn here, too
 OURS = [path for folder in ("gva_mi", "plugins") for path in (ROOT / folder).rglob("*.py")]
 ESTIMATED = {"rsqrt", "normalize"}  # Dr.Jit functions that use the processor's estimate
 SET_TARGET = "_Z19jit_llvm_set_targetPKcS0_j"  # (processor, features, lanes) of Dr.Jit 1.5
 CORE = Path(dr.__file__).parent / "libdrjit-core.so"
 
 HASHES = """
-import ctypes, hashlib, json, sys
-import numpy as np, torch
+import ctypes, json, sys
+import torch
 import gva_mi
 import drjit as dr
 from drjit.llvm import Float
@@ -38,28 +39,16 @@ if len(sys.argv) > 1:
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.skin_gaussians import skin_gaussians
 from gva_mi.body.polar import apply_lbs
-from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import load_body
-from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.splat import look_at, render
-from gva_mi.splat.scene import person_scene
-from gva_mi.splat import Camera
+from sums import mesh_normals, of_tensors, splatting
 
-found = {"rsqrt": dr.rsqrt(dr.arange(Float, 1000) + 0.3).torch()}
+found = {"rsqrt": of_tensors([dr.rsqrt(dr.arange(Float, 1000) + 0.3).torch()])}
+found |= dict(splatting()) | dict(mesh_normals())
 def add(name, out, inputs):
     weights = torch.linspace(-1, 1, out.numel(), dtype=out.dtype).reshape(out.shape)
-    found[name] = out
+    found[name] = of_tensors([out])
     for k, grad in enumerate(torch.autograd.grad((out * weights).sum(), inputs, retain_graph=True)):
-        found[f"{name}, adjoint {k}"] = grad
+        found[f"{name}, adjoint {k}"] = of_tensors([grad])
 
-s = person_scene(np.random.default_rng(0), 500, 64).to(torch.float32)
-inputs = [x.requires_grad_() for x in s.inputs().values()]
-add("splatting", render(s.gaussians, s.camera, s.options, s.background).color, inputs)
-body = load_body()
-v = body(Pose.rest(1), Shape(torch.zeros(10))).vertices[0].detach().contiguous().requires_grad_()
-K = [[90.0, 0, 32], [0, 90, 32], [0, 0, 1]]
-camera = Camera.from_matrices(K, look_at((0.3, 0.4, 3.0), (0, -0.1, 0)), 64, 64)
-add("normals and silhouette", MeshScene(body.faces, body.v_template).render(v, camera), [v])
 generator = torch.Generator().manual_seed(0)
 random = lambda *shape: torch.randn(*shape, generator=generator)
 A = (torch.eye(3, 4).reshape(12) + 0.3 * random(300, 12)).requires_grad_()
@@ -71,15 +60,15 @@ outs = skin_gaussians(weights, *inputs)
 add("skinned", torch.cat([x.flatten() for x in outs]), inputs)
 for name, out in zip(("means", "frames"), apply_lbs(A, means, quats)):
     add(name, out, [A])
-bits = lambda x: hashlib.md5(x.detach().contiguous().numpy().tobytes()).hexdigest()
-print(json.dumps({name: bits(x) for name, x in found.items()}))
+print(json.dumps(found))
 """
 
 
 def hashes(*lanes):
     target = (str(CORE), SET_TARGET, *map(str, lanes)) if lanes else ()
+    code = f"import sys; sys.path.append({str(LEDGER)!r})" + HASHES
     done = subprocess.run(
-        [sys.executable, "-c", HASHES, *target], capture_output=True, text=True, cwd=ROOT
+        [sys.executable, "-c", code, *target], capture_output=True, text=True, cwd=ROOT
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

@@ -6,13 +6,12 @@ import drjit as dr
 import numpy as np
 import pytest
 import torch
+from samples.subjects import write_subject
 
-from gva_mi.body.pose import JOINTS, Pose, save_poses
-from gva_mi.data.pictures import in_8_bits, write_image
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.renders import DRAWN
-from gva_mi.splat import Camera, look_at, render
+from gva_mi.splat import Camera, look_at
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
 OPTIONS = PhotometricOptions(passes=12, prior_weight=1e-6, step=0.015, translation_lr=0.015)
@@ -57,7 +56,7 @@ def test_a_known_error_is_found(fitted, known, wrong, video, camera):
 @pytest.fixture(scope="module")
 def talking(tmp_path_factory, known, turning):
     """12 frames of a head, from half a metre in front of it."""
-    folder, frames = tmp_path_factory.mktemp("talking"), 12
+    frames = 12
     pose, shape = turning(frames)
     t = torch.arange(frames) / frames
     rotations, expression = pose.rotations.clone(), pose.expression.clone()
@@ -69,14 +68,7 @@ def talking(tmp_path_factory, known, turning):
         fx=200.0, fy=200.0, cx=48.0, cy=48.0, width=96, height=96,
         T_camera_world=look_at(head + np.array([0.0, 0.05, 0.6]), head + np.array([0, 0.05, 0])),
     )  # fmt: skip
-    for k in range(frames):
-        with torch.no_grad():
-            image = render(known(pose[k]), near, DRAWN, torch.full((3,), 0.3))
-        write_image(folder / f"frames/{k:06d}.png", in_8_bits(image.color.numpy()))
-        write_image(folder / f"masks/{k:06d}.png", in_8_bits(image.alpha.numpy()))
-    save_poses(folder / "poses.npz", pose, shape, stage=1)
-    save_cameras(folder / "cameras.npz", [near] * frames)
-    return load_video(folder)
+    return load_video(write_subject(tmp_path_factory.mktemp("talking"), known, near, pose, shape))
 
 
 def test_expressions_come_closer_to_the_pictures(known, talking):

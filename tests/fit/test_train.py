@@ -180,11 +180,9 @@ def test_skinning_weights_follow_gaussians_that_moved(every, video, body, tmp_pa
     assert torch.equal(avatar.canonical.weights, here) == (every > 0)
 
 
-def test_the_same_seed_gives_the_same_bits(fitted, video, body, tmp_path):
-    assert same(fit(video, body, OPTIONS, tmp_path), fitted[0])
-
-
-def test_the_number_of_torch_threads_changes_no_bit(fitted, video, body, tmp_path):
+def test_the_same_seed_gives_the_same_bits_on_any_number_of_torch_threads(
+    fitted, video, body, tmp_path
+):
     before = torch.get_num_threads()
     torch.set_num_threads(1 if before > 1 else 2)
     try:

@@ -1,18 +1,19 @@
 """Small closed meshes with shared vertices, and scenes of them: the fixture ``scenes``."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
-import gva_mi_plugins
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from gva_mi.gradcheck.moving_mesh import MovingMesh
+from gva_mi.mesh.mesh_scene import load_plugins
+
 
 @pytest.fixture(scope="session")
 def scenes():
-    if mi.variant() is None:
-        mi.set_variant("llvm_ad_rgb")
-    gva_mi_plugins.register()
+    load_plugins()
     names = (load, moving, move, weights, weightings, mesh, camera, sphere, torus)
     return SimpleNamespace(**{f.__name__: f for f in names})
 
@@ -135,17 +136,29 @@ SCENES = {
 }
 
 
+@dataclass(frozen=True)
+class FacetedMesh(MovingMesh):
+    """A moving mesh of which some faces have a normal of their own."""
+
+    facets: np.ndarray  # (F,) bool
+
+    def corner_normals(self, step):
+        p = np.moveaxis(self.at(step)[self.faces], 1, 0)
+        c = np.cross(p[1] - p[0], p[2] - p[0])[:, None]
+        flat = c / np.linalg.norm(c, axis=2, keepdims=True)
+        return np.where(self.facets[:, None, None], flat, super().corner_normals(step))
+
+
 def moving(name):
     """A scene as one mesh, each part with a motion of its own: moved, turned, sheared."""
-    from gva_mi.gradcheck.moving_mesh import MovingMesh
-
     ways = [([1.0, 0.5, 0.6], 0.7, 0.6), ([-0.6, 0.7, -0.5], 0.3, -0.5)]
-    parts = []
+    parts, count = [], 0
     for (vertices, faces, facets), (way, turn, shear) in zip(SCENES[name](), ways, strict=False):
         x, y, z = vertices.T
         motion = way + np.stack([turn * z + shear * y, x * y, shear * x * y - turn * x], axis=1)
-        parts.append(MovingMesh(vertices, faces, motion, facets))
-    return MovingMesh.joined(parts)
+        parts.append((vertices, faces + count, motion, np.full(len(faces), facets)))
+        count += len(vertices)
+    return FacetedMesh(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def load(name):

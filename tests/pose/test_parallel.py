@@ -1,8 +1,6 @@
-"""Any number of workers gives the same bits, and lost workers one sentence."""
+"""Any number of workers gives the same bits, and a lost helper one sentence."""
 
-import os
-import signal
-from concurrent.futures import BrokenExecutor, CancelledError, Future
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.core.tasks import run, workers
+from gva_mi.core.workers import local_executor
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, frame_losses, refine
 from gva_mi.pose.refine import refine_all
 
@@ -68,7 +66,7 @@ def test_single_frames_are_independent(clip, coarse):
 @pytest.mark.parametrize("count", [2, 3])
 def test_any_number_of_workers_finds_the_same_bits(alone, clip, coarse, count):
     calls = []
-    with workers(count) as pool:
+    with local_executor(count) as pool:
         found = list(
             refine_all(subjects(clip), coarse, lambda *a, **figures: calls.append(a), pool)
         )
@@ -129,83 +127,3 @@ def test_a_helper_that_died_is_one_sentence():
     pool.submit = lambda *given: lost
     with pytest.raises(InputError, match="a worker process is gone"):
         shared([0, 1], torch.zeros(2, 4, 3), True)
-
-
-class Killed:
-    """A task that ends its process."""
-
-    steps = 1
-
-    def solve(self, progress=None):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-class Nested:
-    """A task that runs other tasks."""
-
-    steps = 1
-
-    def __init__(self, *parts):
-        self.parts = parts
-
-    def solve(self, progress=None):
-        return 1 + sum(done.result for done in run(self.parts))
-
-
-def test_a_task_may_run_tasks():
-    (done,) = run([Nested(Nested(), Nested(Nested()))])
-    assert done.result == 4
-
-
-@pytest.mark.slow
-def test_a_killed_worker_is_one_sentence():
-    with workers(2) as pool, pytest.raises(InputError) as error:
-        list(run([Killed(), Nested()], pool))
-    assert "a worker process is gone" in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-class Failing:
-    """An executor whose tasks end with an error."""
-
-    def __init__(self, error):
-        self.error = error
-
-    def submit(self, function, task):
-        future = Future()
-        future.set_exception(self.error)
-        return future
-
-
-def test_cancelled_work_is_one_sentence():
-    with pytest.raises(InputError, match="a worker process is gone"):
-        list(run([Nested()], Failing(CancelledError())))
-
-
-def test_an_error_of_the_task_itself_is_raised_as_it_is():
-    with pytest.raises(ValueError, match="a bug"):
-        list(run([Nested()], Failing(ValueError("a bug"))))
-
-
-def test_remaining_tasks_are_cancelled():
-    class Pending:
-        cancelled = 0
-        result = staticmethod(lambda: "solved")
-
-        def cancel(self):
-            Pending.cancelled += 1
-
-    class Executor:
-        submit = staticmethod(lambda function, task: Pending())
-
-    found = run([Nested()] * 3, Executor())
-    assert next(found) == "solved"
-    found.close()
-    assert Pending.cancelled == 3
-
-
-def test_one_worker_is_this_process():
-    with workers(1) as executor:
-        assert executor is None
-    with pytest.raises(InputError, match="--workers must be at least 1, got 0"):
-        workers(0).__enter__()

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from gva_mi.splat import render
+from gva_mi.splat import Gaussians, render
 from gva_mi.splat.scene import random_scene
 
 
@@ -17,6 +17,21 @@ def draw(s, **kwargs):
 
 def double(*values):
     return torch.tensor(values, dtype=torch.float64)
+
+
+def some_gaussians(coefficients=4, count=20):
+    """Make random Gaussians with harmonics, as files hold them."""
+    generator = torch.Generator().manual_seed(0)
+    draw = lambda *size: torch.randn(count, *size, generator=generator)
+    return Gaussians(
+        draw(3), draw(4), draw(3).exp(), torch.sigmoid(draw()), sh=draw(coefficients, 3)
+    )
+
+
+def in_drjit(gaussians, kind):
+    """Convert Gaussians of torch to Dr.Jit's tensors of a kind."""
+    arrays = {k: kind(v.detach().numpy()) for k, v in gaussians.arrays().items()}
+    return Gaussians(**{"quats": None, "scales": None} | arrays)
 
 
 def save_scene(path, scene):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drjit.llvm import TensorXf64
-from samples.scenes import draw, scene
+from samples.scenes import draw, in_drjit, scene
 
 from gva_mi.splat import drjit_render as native
 from gva_mi.splat.camera import Camera
@@ -15,8 +15,7 @@ from gva_mi.splat.torch_render import render
 
 
 def draw_drjit(s):
-    arrays = {k: TensorXf64(v.numpy()) for k, v in s.gaussians.arrays().items()}
-    return native.render(Gaussians(**arrays), s.camera, s.options)
+    return native.render(in_drjit(s.gaussians, TensorXf64), s.camera, s.options)
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "sh"])

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 import torch
+from samples.scenes import in_drjit
 
 from gva_mi.splat import Gaussians, drjit_render, rasterization, reference, render
-from gva_mi.splat.geometry import matrices, with_axes
 from gva_mi.splat.options import SplatOptions
+from gva_mi.splat.principal_axes import matrices, with_axes
 from gva_mi.splat.scene import random_scene
 
 ROWS, COLUMNS = torch.triu_indices(3, 3)
@@ -115,6 +116,5 @@ def test_gaussians_have_one_form_or_the_other(scene):
         render(infinite, scene.camera)
     from drjit.llvm import TensorXf64
 
-    tensors = {k: TensorXf64(v.detach().numpy()) for k, v in by_covars(g).arrays().items()}
     with pytest.raises(ValueError, match="covars are taken as torch tensors"):
-        drjit_render.render(Gaussians(**{"quats": None, "scales": None} | tensors), scene.camera)
+        drjit_render.render(in_drjit(by_covars(g), TensorXf64), scene.camera)

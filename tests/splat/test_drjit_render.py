@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import drjit as dr
 import numpy as np
 import pytest
 import torch
 from drjit.llvm import TensorXf, ad
+from samples.scenes import in_drjit
 
 from gva_mi.splat import torch_render
 from gva_mi.splat.drjit_render import render
@@ -41,18 +43,16 @@ def test_same_bits_as_torch(dtype, kind, degree):
 
 def test_without_autodiff():
     scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
-    arrays = {k: TensorXf(v.detach().numpy()) for k, v in scene.gaussians.arrays().items()}
-    image = render(Gaussians(**arrays), scene.camera)
+    image = render(in_drjit(scene.gaussians, TensorXf), scene.camera)
     assert type(image.color) is TensorXf
     assert image.color.shape == (32, 32, 3) and image.depth.shape == (32, 32)
 
 
 def test_kinds_must_agree():
     scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
-    arrays = {k: TensorXf(v.detach().numpy()) for k, v in scene.gaussians.arrays().items()}
-    arrays["quats"] = ad.TensorXf(arrays["quats"])
+    gaussians = in_drjit(scene.gaussians, TensorXf)
     with pytest.raises(ValueError, match="one kind"):
-        render(Gaussians(**arrays), scene.camera)
+        render(replace(gaussians, quats=ad.TensorXf(gaussians.quats)), scene.camera)
     with pytest.raises(ValueError, match="one kind"):
         render(scene.gaussians, scene.camera)
 

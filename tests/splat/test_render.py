@@ -146,7 +146,7 @@ def test_other_sizes_and_poses_compile_nothing():
 
 def test_other_distances_and_blurs_are_not_traced_again():
     s = scene(gaussians=400, width=160, height=90).to(torch.float32)
-    first, frozen = bits(s), (passes._project, passes._gaussians_adjoint)
+    first, frozen = bits(s), (passes.project_gaussians, passes.gaussians_adjoint)
     before = [recordings(function) for function in frozen]
     found = {"": first}
     for name, value in (("blur", 0.5), ("near", 2.8), ("far", 3.1), ("radius_min", 30.0)):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from gva_mi.core import provenance
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.data.fingerprint import FILM
@@ -17,7 +16,7 @@ from gva_mi.pose import SequenceOptions
 from gva_mi.pose.stature import Stature
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import TUNING
-from gva_mi.study.engine import Outcome, Study, run_study
+from gva_mi.study.engine import RESULTS_VERSIONS, Outcome, Study, run_study
 from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions, height_of, with_true_focal
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.variants import FULL
@@ -84,9 +83,7 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
     ):
         assert other.made_with != made
-    monkeypatch.setitem(
-        provenance.RESULTS_VERSIONS, "refine", provenance.RESULTS_VERSIONS["refine"] + 1
-    )
+    monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).made_with != made
 
 
@@ -103,9 +100,7 @@ def test_what_the_refinements_version_changes_is_made_again(tmp_path, body, monk
         return avatars.made_with, filming.subject(film), filming.subject(other)
 
     before = made()
-    monkeypatch.setitem(
-        provenance.RESULTS_VERSIONS, "refine", provenance.RESULTS_VERSIONS["refine"] + 1
-    )
+    monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert [one == two for one, two in zip(before, made(), strict=True)] == [False, False, True]
 
 

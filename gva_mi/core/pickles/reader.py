@@ -15,6 +15,7 @@ from typing import Any
 from gva_mi.core.arrays import LARGEST, Budget, Damaged, Refused, arrays_in, read_entry, read_npy
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.files import require_file
 from gva_mi.core.pickles.unpickler import require_modest, resolve
 from gva_mi.core.pickles.values import load, load_row_of_pickles, storage_of
 
@@ -28,8 +29,7 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     ``expected`` says in the error what it should hold.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; expected {expected}")
+    require_file(path, expected)
     budget = Budget()
     try:
         return resolve(_load(path), budget)

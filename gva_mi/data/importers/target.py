@@ -12,7 +12,7 @@ from gva_mi.body.body_file import read_body
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Shape
 from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
-from gva_mi.body.smplx import BodyModel, body_file, body_name
+from gva_mi.body.smplx import BodyModel, body_name, resolve_body
 from gva_mi.data.fingerprint import belongs_to
 
 # The pelvis of the neutral mean person at rest, metres, as the public models regress it.
@@ -39,10 +39,10 @@ class TargetBody:
     def read(path: Path | None) -> TargetBody:
         """Read a body's file; the built-in body for the word ``puppet``, or for None."""
         path = path or BUILT_IN_BODY
-        arrays = read_body(body_file(path))
+        arrays = read_body(resolve_body(path))
         hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
         components = None
-        if body_file(path) != BUILT_IN_BODY and "hands_componentsl" in arrays:
+        if resolve_body(path) != BUILT_IN_BODY and "hands_componentsl" in arrays:
             components = np.stack([arrays[f"hands_components{side}"] for side in "lr"])
         model = BodyModel(arrays)
         joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()

@@ -20,7 +20,7 @@ import numpy as np
 
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
-from gva_mi.core.console import Progress, listed, within
+from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
@@ -131,13 +131,13 @@ def prepare_film(
         keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
         motion = motion_of_film(
             film, options, model, person=person, lens=lens, on_silhouette=keep,
-            progress=within(progress, 0, 6, 10),
+            progress=part_of_progress(progress, 0, 6, 10),
         )  # fmt: skip
         pictures = motion.pictures.pictures
         stored = _Stored(out / "frames", ".png", lambda path: read_image(path, 3))
         write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
         rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
-        notes = film_masks(stored, rough, out / "masks", within(progress, 6, 4, 10))
+        notes = film_masks(stored, rough, out / "masks", part_of_progress(progress, 6, 4, 10))
     solved, watched = motion.solved, motion.watched
     save_poses(out / POSES, solved.pose, solved.shape, stage=1)
     save_cameras(out / "cameras.npz", [solved.camera] * len(pictures))
@@ -236,7 +236,7 @@ def motion_of_film(
         pictures.pictures,
         on_silhouette,
         WatchOptions(person=person, weights=options.weights),
-        within(progress, 0, 4, 5),
+        part_of_progress(progress, 0, 4, 5),
     )
     if options.keypoints is not None:
         landmarks, said = with_keypoints(
@@ -251,7 +251,7 @@ def motion_of_film(
     lines = vertical_of(pictures.pictures, watched.landmarks, known.K(size))
     known = replace(known, lines=lines)
     solved = solve_film(
-        watched.landmarks, body, size, pictures.fps, known, within(progress, 4, 1, 5)
+        watched.landmarks, body, size, pictures.fps, known, part_of_progress(progress, 4, 1, 5)
     )
     solved, of_face = with_face(solved, watched.landmarks, body, pictures.fps)
     watched = replace(watched, notes=[*watched.notes, *of_face])

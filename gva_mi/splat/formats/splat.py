@@ -51,7 +51,9 @@ def load_splat(path: Path) -> Gaussians:
             finite.
     """
     content = read_bytes(path, "a .splat")
-    found = known_container(path) or f"{len(content)} bytes" * (len(content) % ROW.itemsize > 0)
+    found = known_container(path)
+    if found is None and len(content) % ROW.itemsize:
+        found = f"{len(content)} bytes"
     if found:
         raise InputError(f"{path}: {found}; expected a .splat, {ROW.itemsize} bytes a Gaussian")
     rows = np.frombuffer(content, ROW)

@@ -223,7 +223,10 @@ def _of_version_4(path: Path, content: bytes, sizes: list[int]) -> list[bytes]:
         ) from None
     number, start = _HEADER_4.unpack(content[: _HEADER_4.size])[-2:]
     toc = content[start : start + 16 * number]
-    if number != len(sizes) - (not sizes[-1]) and number != len(sizes) or len(toc) < 16 * number:
+    expected = (
+        {len(sizes)} if sizes[-1] else {len(sizes) - 1, len(sizes)}
+    )  # the last may be left out
+    if number not in expected or len(toc) < 16 * number:
         raise InputError(f"{path}: holds {number} streams; expected the {len(sizes)} of a .spz")
     streams, start = [], start + 16 * number
     for (packed, _), size in zip(struct.iter_unpack("<QQ", toc), sizes, strict=False):

@@ -25,8 +25,8 @@ from torch.func import vjp
 from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.not_compiled import not_compiled
 from gva_mi.splat.autograd import one_by_one
-from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_passes import Drawn, Tensors, draw
 
 ON_AXIS = 1e-6  # below this (r / z)^2 a fisheye's s is the start of its series

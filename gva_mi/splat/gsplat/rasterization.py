@@ -8,6 +8,7 @@ raise.
 from __future__ import annotations
 
 import functools
+import re
 from typing import Any
 
 import torch
@@ -16,6 +17,7 @@ from torch import Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.not_compiled import not_compiled
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
@@ -33,7 +35,6 @@ from gva_mi.splat.gsplat.arguments import (
 )
 from gva_mi.splat.gsplat.views import Meta, RenderedView, RenderedViews, joined
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.tensors import not_compiled
 from gva_mi.splat.torch_render import expected_depth
 
 
@@ -178,8 +179,9 @@ def _options(**given: Any) -> SplatOptions:  # noqa: ANN401
     try:
         return _checked_once(**given) if plain else SplatOptions(**given)
     except InputError as error:
-        name, problem = str(error).removeprefix("SplatOptions: ").split(" ", 1)
-        raise ArgumentError("rasterization()", NAMES.get(name, name), problem) from None
+        problem = str(error).removeprefix("SplatOptions: ")
+        renamed = re.sub(r"\w+", lambda word: NAMES.get(word[0], word[0]), problem)
+        raise ValueError(f"rasterization(): {renamed}") from None
 
 
 def _gaussians(

@@ -15,7 +15,7 @@
 | tile_pixels.py | a tile's pixels in memory of the lane | |
 | blend.py | the loops around these steps, one tile per SIMD lane | |
 | chunks.py | wide colours, some channels at a time | |
-| composite.py | blend.py for all chunks, forward and adjoint | |
+| composite.py | blend.py for all chunks: forward, adjoint, tangent | |
 | passes.py | everything in order: forward, adjoint, tangent | |
 
 Below them: geometry.py, inputs.py and camera_arrays.py (the Gaussians and the camera as arrays),

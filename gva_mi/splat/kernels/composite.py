@@ -1,4 +1,4 @@
-"""Compositing of all chunks of the channels, and its adjoint: blend.py, called once per chunk."""
+"""Compositing of all chunks of the channels, its adjoint and tangent: blend.py, once per chunk."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit.packets import Packets
 from gva_mi.splat.kernels import chunks
-from gva_mi.splat.kernels.blend import blend, blend_adjoint
+from gva_mi.splat.kernels.blend import blend, blend_adjoint, blend_tangent
 from gva_mi.splat.kernels.inputs import Plan, RequestedGradients
 from gva_mi.splat.kernels.planes import Limit, Planes, SavedPixels
 from gva_mi.splat.kernels.records import RecordFormat
@@ -84,6 +84,27 @@ def composite_adjoint(
         slot_formats.append(slot_format)
         by_background.append(shares)
     return slots, tuple(slot_formats), by_background
+
+
+def composite_tangent(
+    saved: SavedState, dsplats: list[Packets], dbackground: list[Array]
+) -> Planes:
+    """Return the tangent of the picture.
+
+    Args:
+        saved: the forward pass.
+        dsplats: tangents of the splats, one entry per chunk.
+        dbackground: of the background, D arrays of size one.
+    """
+    plan, pictures = saved.plan, []
+    dbehind = chunks.split_background(dbackground, plan.formats)
+    parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
+    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
+    for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
+        constants = {"pixels": capacity(saved.layout.pixels), "options": plan.options}
+        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, format=format, **constants)
+        pictures.append(picture)
+    return chunks.join_planes(pictures, plan.channels)
 
 
 def background_gradient(by_lanes: list[Array], plan: Plan) -> list[float]:

@@ -91,7 +91,7 @@ def product_adjoint(gB: list[Array], J: Matrix, R: list[Array]) -> tuple[list[Ar
 
 
 def rotation_entries(q: list[Array]) -> list[Array]:
-    """Rotation matrix of a unit quaternion wxyz, row by row; for arrays of any kind."""
+    """Rotation matrix of a unit quaternion wxyz, row by row."""
     w, i, j, k = q
     M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
     M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]

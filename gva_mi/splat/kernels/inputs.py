@@ -1,7 +1,7 @@
 """The Gaussians as the kernels take them, flat arrays, and where their gradients are written.
 
-Both front ends (torch's autograd.py, Dr.Jit's drjit_render.py) hand their arrays over in this form,
-without copies.
+Both front ends (torch's torch_passes.py, Dr.Jit's drjit_render.py) hand their arrays over in this
+form, without copies.
 """
 
 from __future__ import annotations

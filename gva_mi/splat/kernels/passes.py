@@ -4,8 +4,8 @@
     render_adjoint:   project_adjoint  <-  sum_slots  <-  blend_adjoint
     render_tangent:   project_tangent  ->  blend_tangent
 
-drjit_render.py wraps them for Dr.Jit's autodiff, autograd.py for torch's. Pictures are *planes*
-here: flat arrays, padded to whole tiles.
+drjit_render.py wraps them for Dr.Jit's autodiff, torch_passes.py for torch's tensors. Pictures are
+*planes* here: flat arrays, padded to whole tiles.
 
 The kernels are frozen (frozen.py). The first call traces and compiles them (0.1-0.5 s each, cached
 on disk). Later calls replay them for any number of Gaussians, pose and cut-off of distance or size
@@ -27,7 +27,6 @@ from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.argument_error import ArgumentError
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels import chunks, tiles
-from gva_mi.splat.kernels.blend import blend_tangent
 from gva_mi.splat.kernels.camera_arrays import (
     CameraArrays,
     camera_adjoint,
@@ -38,6 +37,7 @@ from gva_mi.splat.kernels.composite import (
     background_gradient,
     composite,
     composite_adjoint,
+    composite_tangent,
     sum_rows,
 )
 from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, RequestedGradients
@@ -48,9 +48,14 @@ from gva_mi.splat.kernels.project import (
     project,
     project_adjoint,
     project_tangent,
-    splat_memory,
 )
-from gva_mi.splat.kernels.records import CameraGradient, Footprint, PairGradient, RecordFormat
+from gva_mi.splat.kernels.records import (
+    CameraGradient,
+    Footprint,
+    PairGradient,
+    RecordFormat,
+    Splat,
+)
 from gva_mi.splat.kernels.saved import Gradients, SavedState
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
@@ -109,7 +114,7 @@ def render_forward(
 
 def _project_checked(inputs: Inputs, plan: Plan, view: CameraArrays, grid: Grid) -> ProjectedMemory:
     """Project the Gaussians and check that all their numbers are finite."""
-    projected = _project(inputs, view, grid, rows=tiles.capacity(len(inputs)), plan=plan)
+    projected = project_gaussians(inputs, view, grid, rows=tiles.capacity(len(inputs)), plan=plan)
     if not dr.all(projected.finite):
         inputs.require_finite(plan.harmonics)
     return projected
@@ -129,7 +134,7 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     slots, formats, by_lanes = composite_adjoint(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
     given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
-    found = _gaussians_adjoint(*given, slots, formats=formats, **constants)
+    found = gaussians_adjoint(*given, slots, formats=formats, **constants)
     by_background = background_gradient(by_lanes, plan)  # last: the host waits for its kernels here
     by_camera = (None, None)
     if requested.camera:
@@ -163,18 +168,11 @@ def render_tangent(
     dview = camera_tangent(saved.camera, dT, dK)
     rows = tiles.capacity(len(saved.inputs))
     dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, rows=rows, plan=plan)
-    dbehind, pictures = chunks.split_background(behind, plan.formats), []
-    parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
-    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
-    for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
-        constants = {"pixels": tiles.capacity(saved.layout.pixels), "options": plan.options}
-        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, format=format, **constants)
-        pictures.append(picture)
-    return chunks.join_planes(pictures, plan.channels)
+    return composite_tangent(saved, dsplats, behind)
 
 
 @Frozen
-def _project(
+def project_gaussians(
     inputs: Inputs,
     view: CameraArrays,
     grid: Grid,
@@ -183,7 +181,7 @@ def _project(
     plan: Plan,
 ) -> ProjectedMemory:
     F, i = inputs.float_type, inputs.index()
-    splats = splat_memory(F, rows, plan.formats)
+    splats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
     footprints = packets.empty(Footprint, None, rows, F)
     found = project(inputs, plan, view)
     parts = chunks.split_splat(found.splat, plan.formats)
@@ -199,7 +197,7 @@ def _project(
 
 
 @Frozen
-def _gaussians_adjoint(
+def gaussians_adjoint(
     inputs: Inputs,
     view: CameraArrays,
     lists: Lists,
@@ -236,8 +234,8 @@ def _project_tangent(
     plan: Plan,
 ) -> list[packets.Packets]:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
-    dsplats = splat_memory(inputs.float_type, rows, plan.formats)
-    i = inputs.index()
+    F, i = inputs.float_type, inputs.index()
+    dsplats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
     for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)
     dr.eval(dsplats)

@@ -39,7 +39,6 @@ from gva_mi.splat.kernels.records import (
     CameraGradient,
     Footprint,
     PairGradient,
-    RecordFormat,
     Splat,
 )
 from gva_mi.splat.options import SplatOptions
@@ -69,11 +68,6 @@ class ProjectedMemory:
     radii: Array  # (N,) px, 3 sigma along the longer axis; 0 where not drawn
     boxed: Array  # (N,) whether its bounding box in whole pixels overlaps the picture
     finite: Array  # (N,)
-
-
-def splat_memory(F: type, n: int, formats: tuple[RecordFormat, ...]) -> list[packets.Packets]:
-    """Allocate memory for the splats of n Gaussians, one per chunk, inside a frozen kernel."""
-    return [packets.empty(Splat, format, n, F) for format in formats]
 
 
 def _in_camera(m: list[Array], view: CameraArrays) -> tuple[list[Array], Array]:

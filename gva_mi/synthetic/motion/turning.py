@@ -5,10 +5,12 @@ The person turns as on a turntable, feet included. ``t`` are moments (T,) in rou
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
-from gva_mi.body.gestures import GESTURES, blend_between, put_hand
+from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import POSES
@@ -69,7 +71,7 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
         rotations[:, of("ankle"), 2] = -sign * 0.06
         names = rng.permutation(["open", "fist", "point", "pinch", "three", "thumb"])
         at = ((t + rng.uniform(0, 0.08)) % 1.0) * (len(names) + 1)
-        put_hand(rotations, side, blend_between(["rest", *(str(n) for n in names)], at))
+        put_hand(rotations, side, _blend_between(["rest", *(str(n) for n in names)], at))
     transl = np.stack([wave(0.008), np.zeros(frames), wave(0.008)], axis=1)
     yaw = direction * 2 * np.pi * t
     lean = np.stack([wave(0.015), wave(0.015)], axis=1)
@@ -110,3 +112,15 @@ def _to_pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) 
     """Convert to a float32 Pose."""
     tensor = lambda x: torch.from_numpy(x).float()
     return Pose(tensor(rotations), tensor(transl), tensor(expression))
+
+
+def _blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
+    """Blend a cycle of gestures at moments (T,), to :attr:`Gesture.values` (T, 14).
+
+    Gesture k is held from moment k on for a third of a unit.
+    """
+    keys = np.stack([GESTURES[name].values for name in names])
+    index = np.floor(at).astype(int)
+    t = np.clip((at - index - 0.35) / 0.65, 0, 1)
+    t = (t * t * (3 - 2 * t))[:, None]
+    return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]

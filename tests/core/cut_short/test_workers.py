@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from gva_mi import InputError
-from gva_mi.core.tasks import run, workers
+from gva_mi.core.tasks import run
+from gva_mi.core.workers import local_executor
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
 
@@ -97,7 +98,12 @@ class Waits:
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
 def test_a_killed_worker_is_one_sentence(sign):
-    with pytest.raises(InputError) as error, workers(2) as pool:
+    with pytest.raises(InputError) as error, local_executor(2) as pool:
         list(run([Waits(sign)], pool))
     assert "a worker process is gone" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_one_worker_is_this_process():
+    with local_executor(1) as executor:
+        assert executor is None

@@ -48,8 +48,8 @@ def stages() -> Iterator[tuple[str, str]]:
         yield "poses of synth", _of_files(subject.glob("**/*.npz"))
         yield "pictures of synth", _of_files(subject.glob("**/frames/*.png"))
         yield "masks and normals of synth", _of_files(subject.glob("[mn]*s/*.png"))
-        yield from _splatting()
-        yield from _mesh_normals()
+        yield from splatting()
+        yield from mesh_normals()
         _command("refine", subject, "--passes", "1", "--size", "64")
         yield "refined poses", _of_files([subject / "poses_refined.npz"])
         _command("fit", subject, "--out", run, "--steps", "10", "--avatar.seed.count", "800")
@@ -89,12 +89,13 @@ def _hash(arrays: Iterable[np.ndarray]) -> str:
     return digest.hexdigest()[:16]
 
 
-def _of_tensors(tensors: Iterable) -> str:
+def of_tensors(tensors: Iterable) -> str:
+    """Hash tensors."""
     return _hash(x.detach().numpy() for x in tensors)
 
 
-def _splatting() -> Iterator[tuple[str, str]]:
-    """Yield forward pass, adjoint and tangent in both precisions."""
+def splatting() -> Iterator[tuple[str, str]]:
+    """Yield the hashes of an image and of its adjoint, in both precisions."""
     import torch
 
     from gva_mi.splat import render
@@ -107,11 +108,12 @@ def _splatting() -> Iterator[tuple[str, str]]:
         weights = torch.linspace(-1, 1, color.numel(), dtype=dtype).reshape(color.shape)
         gradients = torch.autograd.grad((color * weights).sum(), inputs)
         name = f"splatting, {str(dtype).removeprefix('torch.')}"
-        yield name, _of_tensors([color])
-        yield f"{name}, adjoint", _of_tensors(gradients)
+        yield name, of_tensors([color])
+        yield f"{name}, adjoint", of_tensors(gradients)
 
 
-def _mesh_normals() -> Iterator[tuple[str, str]]:
+def mesh_normals() -> Iterator[tuple[str, str]]:
+    """Yield the hashes of an image of a mesh and of its adjoint."""
     import torch
 
     from gva_mi.body.pose import Pose, Shape
@@ -127,8 +129,8 @@ def _mesh_normals() -> Iterator[tuple[str, str]]:
     image = MeshScene(body.faces, body.v_template).render(vertices, camera)
     weights = torch.linspace(-1, 1, image.numel()).reshape(image.shape)
     (gradient,) = torch.autograd.grad((image * weights).sum(), [vertices])
-    yield "mesh normals and silhouette", _of_tensors([image])
-    yield "mesh normals and silhouette, adjoint", _of_tensors([gradient])
+    yield "mesh normals and silhouette", of_tensors([image])
+    yield "mesh normals and silhouette, adjoint", of_tensors([gradient])
 
 
 def this_cpu() -> str:

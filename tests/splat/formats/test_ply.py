@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from samples.scenes import some_gaussians
 
 from gva_mi import InputError
 from gva_mi.splat import Gaussians
@@ -10,14 +11,6 @@ from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.stored import with_degree
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
-
-
-def some_gaussians(coefficients=4, count=20):
-    generator = torch.Generator().manual_seed(0)
-    draw = lambda *size: torch.randn(count, *size, generator=generator)
-    return Gaussians(
-        draw(3), draw(4), draw(3).exp(), torch.sigmoid(draw()), sh=draw(coefficients, 3)
-    )
 
 
 @pytest.mark.parametrize("coefficients", [1, 16])

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from samples.scenes import some_gaussians
 
 from gva_mi import InputError
-from gva_mi.splat import Gaussians
 from gva_mi.splat.formats.splat import load_splat, plain_colors, save_splat
-
-
-def some_gaussians(coefficients=4, count=20):
-    generator = torch.Generator().manual_seed(0)
-    draw = lambda *size: torch.randn(count, *size, generator=generator)
-    colors = 0.7 * draw(coefficients, 3)
-    return Gaussians(draw(3), draw(4), draw(3).exp(), torch.sigmoid(draw()), sh=colors)
 
 
 def in_order(g):

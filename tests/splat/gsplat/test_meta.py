@@ -31,8 +31,8 @@ def test_numbers_match_the_reference(arguments, camera_of):
         assert ((meta["radii"][c] > 0).all(dim=1) | ~screen.visible).all()
         R = torch.tensor(camera.T_camera_world[:3, :3])
         for i in torch.nonzero(screen.visible)[:, 0].tolist():
-            parts = (torch.tensor(x[i]), reference._covariances(g)[i], R, camera)
-            C2 = reference._project(*parts, torch.tensor(camera.K))[1].detach()
+            parts = (torch.tensor(x[i]), reference.covariances_of(g)[i], R, camera)
+            C2 = reference.project(*parts, torch.tensor(camera.K))[1].detach()
             C2 = C2 + 0.3 * torch.eye(2, dtype=torch.float64)
             conic = torch.linalg.inv(C2)[[0, 0, 1], [0, 1, 1]]
             torch.testing.assert_close(meta["conics"][c, i], conic, rtol=1e-9, atol=1e-12)

@@ -67,8 +67,6 @@ def test_torchs_gradcheck_agrees_in_both_modes(camera_model):
     g = random_scene(torch.Generator().manual_seed(3), 2, 5, 4).gaussians
     view = torch.tensor(look_at((0, 0, 2.9), (0, 0, 0)))[None]
     K = torch.tensor([[[6.0, 0, 2.7], [0, 7, 2.1], [0, 0, 1]]]).double()
-    if camera_model == "ortho":
-        K = K * torch.tensor([0.4, 0.4, 1]).double()[:, None]
     leaves = (g.means, g.quats, g.scales, g.opacities, g.colors, view, K)
 
     def images(*tensors):
@@ -174,6 +172,7 @@ def test_errors_use_the_names_of_the_callers_arguments(arguments):
         r"means\[7, 1\] is nan, must be finite": {"means": bad},
         "width and height must be 1x1 to": {"width": 0},
         "near_plane must be above 0 and at most .*, got 0": {"near_plane": 0.0},
+        "near_plane < far_plane is needed, got 2.0, 1.0": {"near_plane": 2.0, "far_plane": 1.0},
         "scales must be a torch tensor, got ndarray": {"scales": a["scales"].detach().numpy()},
     }
     for message, changed in wrong.items():

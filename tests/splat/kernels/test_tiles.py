@@ -42,10 +42,10 @@ def test_lists_are_exact_and_in_depth_order(width, height):
 
     v, u = np.mgrid[:height, :width] + 0.5
     tile = (v.astype(int) // tiles.HEIGHT) * layout.columns + u.astype(int) // tiles.WIDTH
-    expected, covariances = {k: [] for k in lists}, reference._covariances(g)
+    expected, covariances = {k: [] for k in lists}, reference.covariances_of(g)
     for i in torch.argsort(x[:, 2]).tolist():
         K = torch.tensor(camera.K)
-        mean, sharp = reference._project(x[i], covariances[i], R, camera, K)
+        mean, sharp = reference.project(x[i], covariances[i], R, camera, K)
         covariance = sharp + options.blur * torch.eye(2)
         d = np.stack([u, v], axis=-1) - mean.numpy()
         power = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covariance.numpy()), d)

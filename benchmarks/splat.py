@@ -23,12 +23,12 @@ from gva_mi.splat.kernels import composite, passes, tiles
 from gva_mi.splat.scene import Scene, person_scene
 
 STAGES = {  # a stage's name, and the function that is it
-    "project": (passes, "_project"),
+    "project": (passes, "project_gaussians"),
     "tile lists": (tiles, "make_lists"),
     "composite": (composite, "blend"),
     "composite, adjoint": (composite, "blend_adjoint"),
     "places of the pairs": (tiles.Lists, "places"),
-    "sum and project, adjoint": (passes, "_gaussians_adjoint"),
+    "sum and project, adjoint": (passes, "gaussians_adjoint"),
 }
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)
 WIDTHS = (128, 256, 512, 1024, 2048)  # px, of square pictures

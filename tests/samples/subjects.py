@@ -1,0 +1,21 @@
+"""Subject folders that are rendered from a known avatar."""
+
+import torch
+
+from gva_mi.body.pose import save_poses
+from gva_mi.data.pictures import in_8_bits, write_image
+from gva_mi.data.video import save_cameras
+from gva_mi.fit.renders import DRAWN
+from gva_mi.splat import render
+
+
+def write_subject(folder, avatar, camera, pose, shape):
+    """Write frames with a grey background, alpha as masks, poses and cameras; return the folder."""
+    for k in range(len(pose)):
+        with torch.no_grad():
+            image = render(avatar(pose[k]), camera, DRAWN, torch.full((3,), 0.3))
+        write_image(folder / f"frames/{k:06d}.png", in_8_bits(image.color.numpy()))
+        write_image(folder / f"masks/{k:06d}.png", in_8_bits(image.alpha.numpy()))
+    save_poses(folder / "poses.npz", pose, shape, stage=1)
+    save_cameras(folder / "cameras.npz", [camera] * len(pose))
+    return folder

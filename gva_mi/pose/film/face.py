@@ -146,9 +146,8 @@ class _FaceProblem:
         by_jaw, *by_expression = (
             part[_LIPS[0], 1] - part[_LIPS[1], 1] for part in (self.b, *self.d)
         )
-        parted = (
-            q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
-        )  # as if by the jaw alone
+        # The mouth's opening, as if by the jaw alone.
+        parted = q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
         opened = (q[:, 6] - torch.quantile(parted[seen], CLOSED)).clamp_min(0)
         rotations = pose.rotations.clone()
         rotations[:, _HEAD] = compose(rotations[:, _HEAD].double(), q[:, :3]).float()
@@ -208,15 +207,10 @@ class _FaceProblem:
         s, c = q.new_tensor(kinds).unbind(1)
         e = torch.exp(-self.dt / c)
         level, end, slope = (x / (s**2 * (1 + e)) for x in (1 - e, e, e / (1 - e)))
-        steps = q.diff(dim=0)
         diagonal = equations.frames.diagonal(dim1=1, dim2=2)
         equations.pull -= level * q
         diagonal += level
         for k in (0, -1):
             equations.pull[k] -= end * q[k]
             diagonal[k] += end
-        diagonal[1:] += slope
-        diagonal[:-1] += slope
-        equations.next[:-1] -= slope
-        equations.pull[1:] -= slope * steps
-        equations.pull[:-1] += slope * steps
+        equations.add_steps(q.diff(dim=0), slope)

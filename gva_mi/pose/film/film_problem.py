@@ -36,14 +36,13 @@ class FilmProblem:
     shared_prior: SharedPrior
     smoothness: Smoothness
 
-    def minimised(self, state: FilmState, steps: int) -> tuple[FilmState, NormalEquations]:
-        """Take at most some steps; return the state, and the equations around it."""
+    def minimised(self, state: FilmState, steps: int) -> FilmState:
+        """Take at most some steps."""
         which, offsets = list(self.which), state.offsets
         state = replace(state, offsets=offsets[which])
         damping, energy = DAMPING, float(self.energy(state))
-        equations = self.equations(state)
         for _ in range(steps):
-            before = energy
+            equations, before = self.equations(state), energy
             while damping < LARGEST:
                 trial = self.free.moved(state, *equations.solve(damping))
                 found = float(self.energy(trial))
@@ -53,12 +52,11 @@ class FilmProblem:
             else:
                 break
             state, energy, damping = trial, found, max(damping * EASIER, LEAST)
-            equations = self.equations(state)
             if before - energy < ENOUGH * abs(before):
                 break
         whole = offsets.clone()
         whole[which] = state.offsets
-        return replace(state, offsets=whole), equations
+        return replace(state, offsets=whole)
 
     def energy(self, state: FilmState) -> Tensor:
         """Return the sum of all terms, nats."""

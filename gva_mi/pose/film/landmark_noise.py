@@ -101,7 +101,6 @@ class LandmarkNoise:
         bones: (K, 2) from and to, indices of the P landmarks.
         gain, bias: (K,) of eq. 2, ``bias`` in metres.
         depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
-        size: S, pixels of a person of 1.7 m; its median over the frames.
     """
 
     pixels: Tensor
@@ -109,7 +108,6 @@ class LandmarkNoise:
     gain: Tensor
     bias: Tensor
     depth: Tensor
-    size: float
 
     @staticmethod
     def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
@@ -142,7 +140,6 @@ class LandmarkNoise:
             tensor([bone.gain for _, bone in known]),
             tensor([bone.bias for _, bone in known]),
             tensor(depth),
-            float(np.median(sizes)),
         )
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, _alexnet
+from gva_mi.fit.feature_networks import ALEXNET_TAPS, alexnet
+from gva_mi.fit.perceptual import Weights
 from gva_mi.study.scores import NETWORK_LONGEST, NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
 
 
@@ -62,9 +63,9 @@ def test_large_pictures_are_shrunk_for_the_networks_alone():
 
 def test_networks_and_weights_are_named(tmp_path):
     assert Scorer(Weights()).networks()["lpips"] is None
-    layers, alexnet, heads = _alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
+    layers, weights, heads = alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
     torch.save(
-        {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, alexnet
+        {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, weights
     )
     widths = [layers[tap - 1].out_channels for tap in ALEXNET_TAPS]
     torch.save(

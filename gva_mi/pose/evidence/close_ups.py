@@ -27,6 +27,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.cameras import depths
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Outline
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
@@ -148,8 +149,7 @@ def close_up_scale(
         hand_size: pixels of a hand's length.
     """
     pelvis = (body.rest(shape).joints[0] + pose.transl).double().numpy()
-    T = np.stack([camera.T_camera_world for camera in cameras])
-    depth = (T[:, 2, :3] * pelvis).sum(1) + T[:, 2, 3]
+    depth = depths(cameras, pelvis)
     focal = np.array([camera.fx for camera in cameras])
     if not (depth > 0).any():
         return None

@@ -37,9 +37,10 @@ from gva_mi.body.so3 import compose, to_matrix
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face_points import FacePoints
-from gva_mi.pose.film.landmark_noise import FREEDOM, MEMORY
-from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.landmark_noise import MEMORY
+from gva_mi.pose.film.normal_equations import CHUNK, NormalEquations
 from gva_mi.pose.film.solver import SolvedFilm
+from gva_mi.pose.prior.error_model import FREEDOM
 
 NO_FACE = "the body has no face that moves: head, jaw and expression stay as the body's points say"
 METRES, PIXELS = 0.003, 0.8  # σ of a point on the face, and in the picture: both together
@@ -49,7 +50,6 @@ LOOSE = 0.006  # metres
 TURN, PLACE, OPEN, EXPRESSION = (0.15, 0.5), (0.03, 1.0), (0.2, 0.3), (1.0, 0.4)
 CLOSED = 0.05  # share of the frames with a face in which the mouth is closed
 STEPS = 6
-CHUNK = 32  # frames whose derivatives are in memory at once
 _LIPS = FACE.index("face_62"), FACE.index("face_66")  # the middle of the upper and the lower one
 _HEAD, _JAW = JOINTS.index("head"), JOINTS.index("jaw")
 

@@ -32,16 +32,16 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
+from gva_mi.pose.film.landmark_noise import LandmarkNoise, independent_points
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.upright import MASSES, SHARE, Leaning, above_one_another
+from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
 
 METRIC = 0.1  # σ_m, metres
 UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
-T_PEAK = 0.3676  # of Student's t with that freedom
 SOLES = 4  # points after the landmarks; then the joints that have mass
 
 

@@ -10,10 +10,9 @@ from torch import Tensor
 from gva_mi.pose.film.body_prior import BodyPrior, SharedPrior
 from gva_mi.pose.film.film_evidence import FilmEvidence
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.normal_equations import CHUNK, NormalEquations
 from gva_mi.pose.film.smoothness import Smoothness
 
-CHUNK = 32  # frames whose derivatives are in memory at once
 ENOUGH = 1e-4  # of the energy; a smaller gain ends the steps
 DAMPING, LEAST, LARGEST = 1e-3, 1e-8, 1e6
 EASIER, HARDER = 0.2, 6.0  # factors on the damping after a step that succeeds, and one that fails

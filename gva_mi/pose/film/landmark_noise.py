@@ -49,7 +49,6 @@ from torch import Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
 
-FREEDOM = 3.0  # ν of the Student's t distribution of errors: some are far off
 PERSON = 1.7  # metres, whose pixels are S
 SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
 LEAST_CONFIDENCE = 0.05  # a landmark of less is not used

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+CHUNK = 32  # frames whose derivatives are in memory at once
 UNDETERMINED = 1e-6  # added to the diagonal
 
 

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import FREEDOM
 from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.pose.stage1 import turns_between
 
 PLACE = (8.0, 1.5)  # a, v of the person: m/s², m/s

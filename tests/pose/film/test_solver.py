@@ -11,7 +11,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.core.errors import InputError
-from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import LandmarkNoise
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import KnownOfFilm, solve_film
@@ -94,8 +94,9 @@ def mirrored(landmarks):
 
 def film_of(body, pose, shape, camera):
     """Project every landmark of a posed body; depths are damped and biased as a network's are."""
-    rig = LandmarkRig.of(body)
-    places = rig.places(body(pose, shape).T_world_rest, shape.betas).double().numpy()
+    rig = LandmarkRig.of(body, (*BODY, *hand_names("left"), *hand_names("right")))
+    T_world_rest = body(pose, shape).T_world_rest
+    places = rig.places(T_world_rest, shape.betas, 0 * rig.rest).double().numpy()
     T = camera.T_camera_world
     metric = places @ T[:3, :3].T
     metric[..., 2] = as_networks_see(metric[..., 2], rig.names)

@@ -157,7 +157,7 @@ class _SparseDirections:
         return moved.view(self.count, 3)
 
 
-@options_of("SeedOptions")
+@options_of("fit")
 class SeedOptions:
     """Options of the first Gaussians, which cover the rest body."""
 
@@ -172,7 +172,7 @@ class SeedOptions:
     flatness: Annotated[float, Within(0, 100, "low")] = 0.25
 
     def __post_init__(self) -> None:
-        require_count("SeedOptions", self.count)
+        require_count("fit", self.count)
 
 
 def seed_on_surface(

@@ -28,7 +28,7 @@ MIN_OPACITY = 0.05  # below it a Gaussian is removed
 MAX_SCALE = 0.1  # metres; above it a Gaussian is removed
 
 
-@options_of("DensifyOptions")
+@options_of("fit")
 class DensifyOptions:
     """Thresholds of density control. Defaults are those of 3DGS and GART."""
 

@@ -64,7 +64,7 @@ CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 
 NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
 
 
-@options_of("ReinitOptions")
+@options_of("fit")
 class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
@@ -87,7 +87,7 @@ class ReinitOptions:
     random: bool = False  # any orientation, and no flat side, instead of discs in the surface
 
     def __post_init__(self) -> None:
-        require_count("ReinitOptions", self.count)
+        require_count("fit", self.count)
 
 
 @dataclass(frozen=True)

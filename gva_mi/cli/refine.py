@@ -150,6 +150,6 @@ def _summary(evaluation: Evaluation) -> Iterator[str]:
     folder, refined = evaluation.video.folder, evaluation.refined
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
-    yield from describe_prior(refined.noise, refined.footing)
+    yield from describe_prior(refined.noise, refined.contact)
     yield from evaluation.measured.means.lines()
     yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"

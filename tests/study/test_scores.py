@@ -71,10 +71,10 @@ def test_networks_and_weights_are_named(tmp_path):
     torch.save(
         {f"lin{k}.model.1.weight": torch.ones(1, n, 1, 1) for k, n in enumerate(widths)}, heads
     )
-    scorer = Scorer(Weights(alexnet=alexnet, lpips_alex=heads))
+    scorer = Scorer(Weights(alexnet=weights, lpips_alex=heads))
     named = scorer.networks()
     assert named["lpips"]["network"] == "AlexNet"
-    digest = hashlib.sha256(alexnet.read_bytes()).hexdigest()
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     assert named["lpips"]["sha256"]["alexnet.pth"] == digest
     assert named["rand_vgg"]["weights"] == "random, seed 0"
     box = np.zeros((16, 16, 3), np.uint8)  # of a small hand

@@ -8,9 +8,8 @@ little of its fingers. If the video has more pixels, they are used:
 2. A close-up is a box of that image around the part's vertices ``P`` in the current pose, with half
    of the part's length added on each side. It is cropped anew for each pose, which costs nothing.
 3. It is compared as the whole person is (:mod:`gva_mi.pose.evidence.masks_normals`), divided by the
-part's mean
-   area in pixels over all view directions: ``A / 4`` in square metres for a convex surface ``A``
-   (Cauchy), times ``fx fy / z²``. So a hand counts the same, edge-on or flat.
+   part's mean area in pixels over all view directions: ``A / 4`` in square metres for a convex
+   surface ``A`` (Cauchy), times ``fx fy / z²``. So a hand counts the same, edge-on or flat.
 
 The whole mesh is rendered, so whatever else a close-up shows, such as a sleeve or the trunk, is
 compared too. A hidden part gets no gradient.

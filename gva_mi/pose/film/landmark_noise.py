@@ -110,7 +110,7 @@ class LandmarkNoise:
 
     @staticmethod
     def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
-        """Say how far off the landmarks with some names are; the order is that of ``names``.
+        """Return the noise of the landmarks with some names, in the order of ``names``.
 
         Raises:
             InputError: no frame has a person.

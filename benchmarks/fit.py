@@ -59,7 +59,7 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
         for k in range(WARM_UP + repeats):
             frame = k % len(video)
             with clock("a frame of the driven avatar"), torch.no_grad():
-                render(fit.avatar(video.pose[frame]), video.cameras[frame], options.splat)
+                render(fit.avatar(video.pose[frame]), video.cameras[frame], DRAWN)
         for k in range(WARM_UP + min(repeats, 5)):  # one takes as long as dozens of steps
             generator = torch_state(seed, RandomStream.REINIT, k)
             with clock("a re-initialisation"):
@@ -108,7 +108,7 @@ def _stages(
         with clock("target"):
             target = sample.target(g)
         with clock("splatting"):
-            image = render(g, target.camera, fit.options.splat, screen=Screen())
+            image = render(g, target.camera, DRAWN, screen=Screen())
         seen = image.color, image.alpha
         for name, loss in weights.items():
             with clock(name):

@@ -113,9 +113,9 @@ class Avatar(nn.Module):
         for name in RIG:
             self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
         self.set_skin_weights(skin)
-        fingers = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
-        fingers[LEFT_HAND] = fingers[RIGHT_HAND] = not options.hands
-        self.register_buffer("_held", fingers, persistent=False)
+        at_rest = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
+        at_rest[LEFT_HAND] = at_rest[RIGHT_HAND] = not options.hands
+        self.register_buffer("_joints_at_rest", at_rest, persistent=False)
         self.light = nn.Parameter(torch.tensor(_LIGHT, dtype=rig.joints.dtype))
 
     @property
@@ -158,26 +158,23 @@ class Avatar(nn.Module):
         skeleton, G = self.posed_skeleton(pose), self.canonical
         sh = G.sh if sh is None else sh
         if self.options.residual.enabled:
-            residual = self.residual(G.means, G.weights, self.followed(pose)[0])
+            residual = self.residual(G.means, G.weights, self.applied_rotations(pose)[0])
         else:
             residual = torch.zeros_like(G.means)
         means = G.means + G.moved_by(skeleton.coefficients) + residual
         T = skeleton.T_world_rest
-        if not self.options.stretch:
+        if self.options.stretch:
+            own = means, G.quats, G.scales, sh, self.light
+            means, covars, lit_sh = skin_gaussians(G.sparse_weights, T, *own)
+            quats = scales = None
+        else:
             A, _ = lbs_transforms(G.sparse_weights, T[:, :3].flatten(1), means)
             lit_sh = lit(sh, A, light_vector(self.light))
             means, quats = apply_lbs(A, means, G.quats)
-            colors = self._color(sh, lit_sh)
-            return Animated(Gaussians(means, quats, G.scales, G.opacities, sh=colors), residual)
-        own = means, G.quats, G.scales, sh, self.light
-        means, covars, lit_sh = skin_gaussians(G.sparse_weights, T, *own)
-        colors = self._color(sh, lit_sh)
-        gaussians = Gaussians(means, None, None, G.opacities, sh=colors, covars=covars)
+            scales, covars = G.scales, None
+        colors = lit_sh if self.options.color == "light" else sh
+        gaussians = Gaussians(means, quats, scales, G.opacities, sh=colors, covars=covars)
         return Animated(gaussians, residual)
-
-    def _color(self, sh: Tensor, lit_sh: Tensor) -> Tensor:
-        """Return the harmonics to render: of the colours in the light, or those of the view."""
-        return lit_sh if self.options.color == "light" else sh
 
     def posed_skeleton(self, pose: Pose) -> PosedSkeleton:
         """Pose blend shapes and skeleton, for the Gaussians and for the rig's surface.
@@ -193,14 +190,15 @@ class Avatar(nn.Module):
         psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
         joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
         # In float64: cheap for 55 joints, and chains of products lose digits.
-        turned, at_rest, transl = (x.double() for x in (self.followed(pose), joints, pose.transl))
+        parts = self.applied_rotations(pose), joints, pose.transl
+        turned, at_rest, transl = (x.double() for x in parts)
         R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
         bent = self.coefficients(R[0].to(self.rest_joints.dtype), psi)
         return PosedSkeleton(bent, joints, T_world_rest[0])
 
-    def followed(self, pose: Pose) -> Tensor:
+    def applied_rotations(self, pose: Pose) -> Tensor:
         """Return the rotations (T, 55, 3) to apply; without hands, fingers stay at rest."""
-        return pose.rotations.masked_fill(self._held, 0)
+        return pose.rotations.masked_fill(self._joints_at_rest, 0)
 
     def coefficients(self, R: Tensor, psi: Tensor) -> Tensor:
         """Return c of eq. 1 from rotations (55, 3, 3) and the expression (up to E,)."""

@@ -37,6 +37,7 @@ from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 FEWEST = 100  # Gaussians that can cover a person
+NEIGHBOURS = 3  # whose mean distance is the spacing of points
 Count = Annotated[int, Within(0, 100_000)]  # of more, distances of all pairs would take hours
 PARAMETERS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 BINDING = ("weights", "slopes", "directions")  # taken from the outer skin, not learned
@@ -51,8 +52,7 @@ def require_count(where: str, count: int) -> None:
 class CanonicalGaussians(nn.Module):
     """N Gaussians in the rest pose: raw parameters, their activations, and skinning weights.
 
-    Shapes are those of the table above; K is 1 or 4 coefficients of colour. Without ``slopes``
-    weights are constant, without ``directions`` there are no blend shapes.
+    Shapes are those of the table above; K is 1 or 4 coefficients of colour.
     """
 
     def __init__(
@@ -63,13 +63,11 @@ class CanonicalGaussians(nn.Module):
         logit_opacities: Tensor,
         sh: Tensor,
         weights: Tensor,
-        slopes: Tensor | None = None,
-        directions: Tensor | None = None,
+        slopes: Tensor,
+        directions: Tensor,
     ) -> None:
         super().__init__()
         N, J = means.shape[0], weights.shape[-1]
-        slopes = means.new_zeros(N, 3, J) if slopes is None else slopes
-        directions = means.new_zeros(N, 3, 0) if directions is None else directions
         given = means, quats, log_scales, logit_opacities, sh, weights, slopes, directions
         given = dict(zip((*PARAMETERS, *BINDING), given, strict=True))
         shapes = {
@@ -159,7 +157,7 @@ class _SparseDirections:
         return moved.view(self.count, 3)
 
 
-@options_of("SeedOptions")
+@options_of("fit")
 class SeedOptions:
     """Options of the first Gaussians, which cover the rest body."""
 
@@ -174,7 +172,7 @@ class SeedOptions:
     flatness: Annotated[float, Within(0, 100, "low")] = 0.25
 
     def __post_init__(self) -> None:
-        require_count("SeedOptions", self.count)
+        require_count("fit", self.count)
 
 
 def seed_on_surface(
@@ -255,12 +253,12 @@ def spread_over_faces(vertices: Tensor, faces: Tensor, count: int) -> tuple[Tens
     return chosen, torch.stack([1 - u - v, u, v], -1).to(vertices.dtype)
 
 
-def neighbour_spacing(points: Tensor, neighbours: int = 3) -> Tensor:
+def neighbour_spacing(points: Tensor) -> Tensor:
     """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,) metres."""
     found = []
     for block in points.split(1024):  # the whole (N, N) table would not fit
         # The product form of squared lengths is off by more than the spacing on fingers, 1 mm.
         distance = torch.cdist(block, points, compute_mode="donot_use_mm_for_euclid_dist")
-        nearest = distance.topk(min(neighbours + 1, len(points)), dim=1, largest=False).values
+        nearest = distance.topk(min(NEIGHBOURS + 1, len(points)), dim=1, largest=False).values
         found.append(nearest[:, 1:].mean(1))
     return torch.cat(found)

@@ -28,7 +28,7 @@ MIN_OPACITY = 0.05  # below it a Gaussian is removed
 MAX_SCALE = 0.1  # metres; above it a Gaussian is removed
 
 
-@options_of("DensifyOptions")
+@options_of("fit")
 class DensifyOptions:
     """Thresholds of density control. Defaults are those of 3DGS and GART."""
 
@@ -54,15 +54,6 @@ class ScreenGradients:
     @torch.no_grad()
     def add(self, screen: Screen, area: float) -> None:
         """Add one view after its backward pass, in which the person's box has so many pixels."""
-        if screen.grad is None:
-            raise ValueError(
-                "ScreenGradients.add(): the screen has no gradient; call backward first"
-            )
-        if len(screen.grad) != len(self.total):
-            raise ValueError(
-                f"ScreenGradients.add(): the screen shows {len(screen.grad)} Gaussians, expected "
-                f"{len(self.total)}; start anew after the number has changed"
-            )
         self.total += (area**0.5 / 2 * screen.grad.norm(dim=1)).to(self.total.dtype)
         self.views += screen.visible
 
@@ -86,8 +77,6 @@ def densify(
     G = avatar.canonical
     with torch.no_grad():
         wanted = gradients.mean().to(G.means.dtype)
-        if len(wanted) != len(G):
-            raise ValueError(f"densify(): gradients of {len(wanted)} Gaussians, but {len(G)} exist")
         size = G.scales.amax(1)
         pruned = (G.opacities < MIN_OPACITY) | (size > MAX_SCALE)
         grows = (wanted > options.grad_threshold) & ~pruned
@@ -119,8 +108,7 @@ def replace_gaussians(
     parents: Tensor | None = None,
     inherited: int = 0,
 ) -> None:
-    """Put other Gaussians into an avatar, and into the groups of its optimiser that had the old
-    ones.
+    """Put other Gaussians into an avatar, and into its optimiser in the place of the old ones.
 
     ``parents`` (N,) are the old rows of the new ones; None: Adam starts afresh. The first
     ``inherited`` rows keep the moments of their parents; the others start with zero moments.

@@ -7,16 +7,10 @@ from the rest body, and Gaussians of fingers stay on them (:mod:`gva_mi.avatar.h
 from __future__ import annotations
 
 import numpy as np
-from torch import Tensor
 
 from gva_mi.avatar.offset_surface import SurfaceMesh
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
-
-
-def finger_weights(weights: Tensor) -> Tensor:
-    """Return the share of each row of skinning weights (N, 55) that belongs to fingers, (N,)."""
-    return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
+from gva_mi.body.skinning import finger_weights
 
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:

@@ -26,9 +26,9 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.fingers import finger_weights
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import vertex_normals
 
 FINGER, ARMPIT, BEYOND = 0.004, 0.015, 0.03  # metres

@@ -31,14 +31,12 @@ from drjit import ArrayBase as Array
 from drjit.llvm import Float64, UInt32
 from torch import Tensor
 
-from gva_mi.jit.rowwise import load_columns, to_tensors
+from gva_mi.jit.rowwise import Lane, load_columns, to_tensors
 from gva_mi.jit.tensors import PRECISION
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
 AXES = range(3)
 ENTRIES = [(i, k) for i in AXES for k in range(4)]  # of a transform, row by row
-
-Lane = list[Any]  # numbers of one Gaussian
 
 
 @dataclass(frozen=True)

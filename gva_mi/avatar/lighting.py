@@ -18,15 +18,13 @@ Near a bent joint the blend A_rot is no rotation and shortens the slopes, which 
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
+from gva_mi.jit.rowwise import Lane
+
 AXES = range(3)
 SHARE = 0.3  # |l|
-
-Lane = list[Any]  # numbers of one Gaussian
 
 
 def light_vector(light: Tensor) -> Tensor:

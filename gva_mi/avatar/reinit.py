@@ -44,13 +44,14 @@ from gva_mi.avatar.canonical import (
     disc_quats,
     require_count,
 )
-from gva_mi.avatar.fingers import finger_weights, with_fingers
+from gva_mi.avatar.fingers import with_fingers
 from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
 from gva_mi.avatar.rig import Rig
 from gva_mi.avatar.skin_weights import Skin, diffused
 from gva_mi.avatar.spread_limbs import SpreadLimbs
 from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
 from gva_mi.body.pose import EYES
+from gva_mi.body.skinning import finger_weights
 from gva_mi.core.options import Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 
@@ -63,7 +64,7 @@ CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 
 NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
 
 
-@options_of("ReinitOptions")
+@options_of("fit")
 class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
@@ -86,7 +87,7 @@ class ReinitOptions:
     random: bool = False  # any orientation, and no flat side, instead of discs in the surface
 
     def __post_init__(self) -> None:
-        require_count("ReinitOptions", self.count)
+        require_count("fit", self.count)
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,6 @@ class Reinitialised:
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # smooth and watertight
     skin: Skin  # the surface with fingers, the avatar's next outer skin
-    floaters: int  # opaque Gaussians that were left out
 
 
 def reinitialise(
@@ -128,13 +128,13 @@ def reinitialise(
     body = rig.skin(avatar.options.skinning)
     skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
-    return Reinitialised(canonical, surface, skin, int(floats.sum()))
+    return Reinitialised(canonical, surface, skin)
 
 
 def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
     """Return which Gaussians carry the surface, (M,) int64; None if they are too few for one.
 
-    So it is in a fit that has diverged, or that has only just begun.
+    A fit that has diverged, or that has only just begun, has too few.
     """
     solid = torch.nonzero(avatar.canonical.opacities.detach() > OPAQUE).flatten()
     return solid if len(solid) > max(FLOATER_NEIGHBOURS, FEWEST) else None

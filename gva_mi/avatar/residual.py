@@ -34,7 +34,7 @@ from gva_mi.core.options import Within, options_of
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 
 
-@options_of("ResidualOptions")
+@options_of("fit")
 class ResidualOptions:
     """The size of the network."""
 

@@ -25,10 +25,10 @@ from torch.autograd.function import FunctionCtx
 from torch.nn.functional import pad
 
 from gva_mi.avatar import lbs_reference, lbs_transforms, lighting, stretch
-from gva_mi.avatar.lbs_transforms import Lane, PairLists, SparseWeights
+from gva_mi.avatar.lbs_transforms import PairLists, SparseWeights
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
-from gva_mi.jit.rowwise import flat_array, load_columns, store_columns, to_tensors
+from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 
 WIDTHS = (3, 4, 3, 12)  # widths of rows of means, quats, scales and colours
 

@@ -48,7 +48,7 @@ STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 
 FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
 
 
-@options_of("SkinningOptions")
+@options_of("fit")
 class SkinningOptions:
     """How Gaussians take their skinning weights from the outer skin."""
 
@@ -135,7 +135,7 @@ class Skin:
         return tuple(part.reshape(len(x), -1) for part in found)
 
     def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
-        """Return the result of :meth:`around`, from at least those vertices."""
+        """Return the result of :meth:`around`, from distances and numbers of near vertices."""
         distance, nearest = (x[:, : self.options.neighbours + 1] for x in (distance, nearest))
         d = np.maximum(distance, 1e-9)
         share = np.square(1 / d - 1 / d[:, -1:])
@@ -162,14 +162,12 @@ def _largest(slopes: Tensor, joints: int, like: Tensor) -> Tensor:
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
-    """Average blend shapes (V, 3, K) of the body's vertices (N, k) by their shares (N, k), to (N,
-    3, K).
-    """
+    """Return means (N, 3, K) of k vertices' blend shapes (V, 3, K), by their shares (N, k)."""
     return _means(share, vertices, directions.flatten(1)).unflatten(1, directions.shape[1:])
 
 
 def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
-    """Average rows (N, k) of a matrix (V, K) by their shares (N, k), to (N, K)."""
+    """Return the means (N, K) of k rows of a matrix (V, K), by their shares (N, k)."""
     from scipy.sparse import csr_array
 
     N, k = share.shape
@@ -181,8 +179,10 @@ def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
 def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
     """Make the skin of an outer surface by diffusing the body's weights on it (eq. 2).
 
-    The outer surface is at rest, metres. ``body`` is the rest body's surface, which clothes
-    displaced by ``looseness`` (vertices,) metres; without spread it is the result.
+    Args:
+        vertices, faces: the outer surface at rest, metres.
+        body: the skin of the rest body; it is the result if its options have no spread.
+        looseness: metres by which clothes displaced each vertex of the body.
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu

@@ -4,7 +4,7 @@ At rest, thighs, calves and trouser legs are a few centimetres apart, and arms a
 closes holes of that width would also join the legs, and arms and trunk, by webs that hang from
 both. So points are moved by linear blend skinning, and what was made of them is moved back:
 
-    1. x = A(w) x_rest,        A(w) = Σ_j w_j T_j,   T: legs turned outward and arms up by SPREAD
+    1. x = A(w) x_rest,        A(w) = Σ_j w_j T_j,   T_j: legs turn outward, arms up, by SPREAD
     2. v_rest = A(w_v)⁻¹ v,    w_v: mean weights of the points around v, by 1 / distance²
 
 A skirt is stretched between the legs, and covers them both.
@@ -33,7 +33,7 @@ class SpreadLimbs:
 
     points: np.ndarray  # (N, 3) metres, x of eq. 1
     weights: np.ndarray  # (N, 55) rows sum to 1
-    T: np.ndarray  # (55, 4, 4)
+    T: np.ndarray  # (55, 4, 4) of eq. 1: from the rest pose to the one with the limbs spread
 
     @staticmethod
     def of(rig: Rig, points: np.ndarray, weights: np.ndarray) -> SpreadLimbs:

@@ -25,13 +25,12 @@ from typing import Any
 
 import drjit as dr
 
+from gva_mi.jit.rowwise import Lane
 from gva_mi.splat.kernels.ellipse import Rotation
 
 LARGEST = 3.0  # of |J - A_rot|: cloth that is pulled to four times its length would tear
 AXES = range(3)
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]  # of a covariance's six numbers
-
-Lane = list[Any]  # numbers of one Gaussian; a matrix row by row
 
 
 def _bound(E: Lane) -> Any:  # noqa: ANN401

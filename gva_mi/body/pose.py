@@ -33,6 +33,7 @@ PARENTS: tuple[int, ...] = (
 # The fields of SMPL-X as slices of JOINTS.
 ROOT, BODY = slice(0, 1), slice(1, 22)
 JAW, EYES, JAW_AND_EYES = slice(22, 23), slice(23, 25), slice(22, 25)
+WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
 SMPLX_FIELDS: Mapping[str, slice] = {
     "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": slice(23, 24),
@@ -98,6 +99,13 @@ class Pose:
         if isinstance(frames, int):
             frames = [frames]
         return self.map(lambda x: x[frames])
+
+    def with_frames(self, frames: Sequence[int], found: Pose) -> Pose:
+        """Replace n of the T frames, by their numbers, by those found."""
+        frames, taken = list(frames), self.map(torch.clone)
+        taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
+        taken.expression[frames] = found.expression
+        return taken
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Pose:
         """Apply a function to rotations, translation and expression."""

@@ -11,6 +11,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
+from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
+
 _FRAMES = 4  # frames per block of skin_points; 10k blended transforms take 0.5 MB
 
 
@@ -92,6 +94,11 @@ def _parts(frames: int) -> list[slice]:
 def _of(x: Tensor, part: slice) -> Tensor:
     """Select frames of points, which may be shared by all frames."""
     return x if len(x) == 1 else x[part]
+
+
+def finger_weights(weights: Tensor) -> Tensor:
+    """Return the share of each row of skinning weights (N, 55) that belongs to fingers, (N,)."""
+    return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
 
 
 def strongest(weights: Tensor, joints: int = 4) -> Tensor:

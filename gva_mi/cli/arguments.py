@@ -53,6 +53,15 @@ def body_of(subject: Path, given: Path | None = None) -> Path | None:
     return found
 
 
+def nth_person(text: str | None) -> int | None:
+    """Return the person of a film that ``--person`` names, from the left; None: the largest."""
+    if text is not None and not (text.isdecimal() and int(text) > 0):
+        raise InputError(
+            f"--person of a film must be a number from 1 on, from the left; got {text}"
+        )
+    return None if text is None else int(text)
+
+
 def warn_if_outside_masks(video: Video, model: BodyModel) -> None:
     """Warn if the body does not stand where the masks are, before the work starts."""
     if doubt := sanity_check(video, model):

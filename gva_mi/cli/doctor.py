@@ -132,4 +132,6 @@ def _weights() -> Iterator[Component]:
         vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
     yield Component("VGG16", vgg)
     network = weights.lpips_network
-    yield Component("LPIPS", f"on {network}" if network else "none; rand_vgg is reported instead")
+    yield Component(
+        "LPIPS", f"on {network.name}" if network else "none; rand_vgg is reported instead"
+    )

@@ -9,13 +9,13 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from gva_mi.body.pose import save_poses
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import Flat, Switch, nth_person
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film, nth_person
+from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
 from gva_mi.pose.film.solver import CAMERAS
 from gva_mi.pose.stature import PEOPLE
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from gva_mi.cli.arguments import Flat, Switch, given
+from gva_mi.cli.arguments import Flat, Switch, given, nth_person
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
@@ -17,7 +17,7 @@ from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import prepare_folder
 from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.pose.film.prepare_film import FilmOptions, nth_person, prepare_film
+from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
 
 OF_FILMS = ("body", "person", "lens")  # of PrepareOptions
 _HELP = (

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import BodyModel, load_body
@@ -26,7 +27,9 @@ from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.video import REFINED_POSES, Video, load_video
 from gva_mi.fit.paper import REFINE
 from gva_mi.pose.job import RefineOptions
-from gva_mi.pose.prior.inference import describe_prior
+from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
+from gva_mi.pose.prior.ground import ContactStats
+from gva_mi.pose.prior.inference import AXES
 from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import Steps
@@ -115,6 +118,24 @@ def refine_videos(
             yield evaluation
 
 
+def describe_prior(
+    noise: Mapping[str, Stage1ErrorModel], contact: ContactStats | None
+) -> Iterator[str]:
+    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
+    if not noise:
+        return
+    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
+    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
+    moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
+    yield f"stage 1     errs by {turns}; by {places}{moving}"
+    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
+    lasts = sorted({noise[name].memory for name in GROUPS})
+    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
+    if contact is not None:
+        stands = f"soles stand {contact.share:.0%} of the time"
+        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
+
+
 def _truth(video: Video, model: BodyModel) -> GroundTruth | None:
     """Read the ground truth; one that cannot be used costs the figures and not the refinement."""
     try:
@@ -129,6 +150,6 @@ def _summary(evaluation: Evaluation) -> Iterator[str]:
     folder, refined = evaluation.video.folder, evaluation.refined
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
-    yield from describe_prior(refined.noise, refined.footing)
+    yield from describe_prior(refined.noise, refined.contact)
     yield from evaluation.measured.means.lines()
     yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"

@@ -112,12 +112,12 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
 def _choices(avatar: Avatar, motion: Pose, video: Video | None) -> Choices:
     """Return what the avatar, its motion and its video let a user choose."""
     every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
-    followed = avatar.followed(every).any(2)[0].tolist()
+    turned = avatar.applied_rotations(every).any(2)[0].tolist()
     count = avatar.rig.expression_joints.shape[2]
     of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
     return Choices(
         frames=len(motion),
-        joints=[name for name, follows in zip(JOINTS, followed, strict=True) if follows],
+        joints=[name for name, turns in zip(JOINTS, turned, strict=True) if turns],
         expression=EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)],
         video=video is not None,
     )

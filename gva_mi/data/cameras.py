@@ -71,6 +71,12 @@ def _pixels(path: Path, name: str, value: np.ndarray) -> int:
     return int(value.item())
 
 
+def depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
+    """Return the depths (T,) of points (T, 3), world, each before its own camera, metres."""
+    T = np.stack([camera.T_camera_world for camera in cameras])
+    return (T[:, 2, :3] * points).sum(1) + T[:, 2, 3]
+
+
 def save_cameras(path: Path, cameras: Sequence[Camera]) -> None:
     """Write ``cameras.npz``; equal cameras are written once."""
     K = np.stack([c.K for c in cameras])

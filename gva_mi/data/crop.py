@@ -14,18 +14,30 @@ So the images of a video on one grid show the person at one scale, wherever they
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.spill_cache import SpillCache
 from gva_mi.splat import Camera
 
 SMALLEST = 16  # pixels: a mask of a smaller area counts as empty
 
 Image = TypeVar("Image", np.ndarray, Tensor)
+Seen = TypeVar("Seen")
+
+
+class Numbered(Protocol):
+    """What a video reads of a frame: a ``Frame``, or an ``Outline``."""
+
+    index: int
+
+
+Read = TypeVar("Read", bound=Numbered)
 
 
 class NoEvidence(Exception):
@@ -186,6 +198,32 @@ def person_box(
     """Return the whole pixels around :func:`person_extent`, with a margin as in ``Extent.box``."""
     extent = person_extent(mask, camera, points, shown)
     return extent.box(margin, np.array([camera.width, camera.height]))
+
+
+def gather(
+    frames: Iterable[int],
+    absent: Mapping[int, str],
+    read: Callable[[Iterable[int]], Iterable[Read]],
+    look: Callable[[Read], Seen],
+    found: dict[int, Seen] | SpillCache[Seen],
+) -> dict[int, str]:
+    """Gather the evidence of some frames; return why the other frames have none.
+
+    Args:
+        frames: numbers of the frames that are used.
+        absent: frames that cannot be read, and why.
+        read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
+        look: makes the evidence of what was read, or raises :class:`NoEvidence`.
+        found: receives the evidence.
+    """
+    wanted = list(frames)
+    reasons = {k: absent[k] for k in wanted if k in absent}
+    for frame in read(k for k in wanted if k not in absent):
+        try:
+            found[frame.index] = look(frame)
+        except NoEvidence as reason:
+            reasons[frame.index] = str(reason)
+    return reasons
 
 
 def _shares(first: int, count: int, scale: float, part: slice) -> np.ndarray:

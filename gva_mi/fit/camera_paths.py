@@ -70,16 +70,15 @@ class CameraShot:
     camera: Camera
 
 
-def shots(options: CameraPath, rig: Rig, motion: Pose, held: int = 0) -> list[CameraShot]:
+def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
     """Return the pictures of a path in order.
 
-    The motion of T frames repeats if more pictures are wanted; a turntable shows its frame
-    ``held``.
+    The motion of T frames repeats if more pictures are wanted; a turntable shows the first frame.
     """
     T, still = len(motion), options.path == "turntable"
     count = options.frames or (_TURN if still else T)
-    frames = [held if still else k % T for k in range(count)]
-    around = cylinder(rig, motion[held] if still else motion[: max(frames) + 1])
+    frames = [0 if still else k % T for k in range(count)]
+    around = cylinder(rig, motion[0] if still else motion[: max(frames) + 1])
     width, height = options.size
     focal = _FOCAL * max(width, height)
     fits = max(around.height / height, 2 * around.radius / width) * focal

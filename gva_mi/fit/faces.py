@@ -95,9 +95,7 @@ class Face:
         return sum((part.energy() for part in self.parts), start=0.0)
 
     def leaves(self, arms: Tensor, options: FaceSteps) -> list[tuple[Tensor, float]]:
-        """Return the leaves, each with the size of its first step; the jaw's follows from its lever
-        arm.
-        """
+        """Return the leaves and their first steps; the jaw's follows from its lever arm."""
         turn = min(options.step / max(float(arms[JAW]), 1e-6), options.largest_turn)
         return [(p.u, turn if p.name == "jaw" else options.expression_lr) for p in self.parts]
 

@@ -56,7 +56,7 @@ class Lambert(nn.Module):
         normals = (shares[..., None] * self._on_body[skin.beneath[vertices]]).sum(1)
         self.normals = torch.nn.functional.normalize(normals, dim=1)
 
-    def __call__(self, sh: Tensor) -> Tensor:
+    def forward(self, sh: Tensor) -> Tensor:
         """Return f_0 and f (N, 4, 3) from f_0 and δ, differentiable in these and in s.
 
         Constant colours, (N, 1, 3), have no slopes and stay.

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 
 
-@options_of("LossOptions")
+@options_of("fit")
 class LossOptions:
     """Weights of the terms; the reconstruction term has weight 1. The defaults are the paper's."""
 

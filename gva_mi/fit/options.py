@@ -13,8 +13,6 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import InnerShare, Rate, Seed, Share, Within, options_of
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.renders import DRAWN
-from gva_mi.splat import SplatOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
@@ -114,7 +112,6 @@ class FitOptions:
     densify: DensifyOptions = DensifyOptions()
     reinit: ReinitOptions = REINIT
     loss: LossOptions = LossOptions()
-    splat: SplatOptions = DRAWN
     poses: PoseOptions = PoseOptions()
 
     def __post_init__(self) -> None:

@@ -19,31 +19,48 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.utils import skip_init
 
-from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.errors import InputError
 from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import in_torch_thread
+from gva_mi.fit.feature_networks import (
+    ALEXNET_TAPS,
+    VGG16_TAPS,
+    alexnet,
+    load_heads,
+    load_layers,
+    random_vgg,
+    vgg16,
+)
 
-VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
-VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
-ALEXNET_TAPS = (1, 4, 7, 9, 11)  # each of its ReLUs
 LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window holds
-RAND_SEED = 0  # part of the definition of rand_vgg
-RAND_WIDTH = 0.25  # share of VGG16's channels: a tenth of its time on a CPU
-
 LpipsNetwork = Literal["alex", "vgg"]  # under the names of the package lpips
 
 # Input of the trained networks: ImageNet's mean and standard deviation per channel.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class LpipsParts(NamedTuple):
+    """A network that LPIPS may use."""
+
+    name: str  # as reports give it
+    make: Callable[[], nn.Sequential]
+    taps: Sequence[int]
+    files: tuple[str, str]  # fields of Weights: the network's and its linear heads'
+
+
+LPIPS: Mapping[LpipsNetwork, LpipsParts] = {  # the first that is found is used
+    "alex": LpipsParts("AlexNet", alexnet, ALEXNET_TAPS, ("alexnet", "lpips_alex")),
+    "vgg": LpipsParts("VGG16", vgg16, VGG16_TAPS, ("vgg16", "lpips_vgg")),
+}
 
 
 class FeatureDistance(nn.Module):
@@ -86,18 +103,23 @@ class FeatureMetric(FeatureDistance):
         self.heads = heads  # one (D_l,) per tap; None: all weights 1/L
 
     @torch.no_grad()
-    def forward(self, image: Tensor, target: Tensor, whole: Sequence[int] | None = None) -> Tensor:
-        """Return the distance, without gradients; ``whole``: of pictures that differ here alone."""
+    def forward(self, image: Tensor, target: Tensor, size: Sequence[int] | None = None) -> Tensor:
+        """Return the distance, without gradients.
+
+        Args:
+            image, target: two pictures (H, W, 3), or the same part of them.
+            size: (H, W) of pictures that are equal outside of this part; None: the part is all.
+        """
         total = torch.zeros(())
-        sizes = self._sizes(np.array(whole or image.shape[:2]))
-        seen = zip(self.features(image), self.features(target), sizes, strict=True)
-        for k, (f, g, size) in enumerate(seen):
+        counts = self._positions(np.array(size or image.shape[:2]))
+        seen = zip(self.features(image), self.features(target), counts, strict=True)
+        for k, (f, g, count) in enumerate(seen):
             difference = (_unit(f) - _unit(g)).square()
             weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
-            total = total + (weight * difference).sum() / size
+            total = total + (weight * difference).sum() / count
         return total
 
-    def _sizes(self, sides: np.ndarray) -> Iterator[int]:
+    def _positions(self, sides: np.ndarray) -> Iterator[int]:
         """Yield the number of positions of features at each tap, for a picture's (H, W)."""
         for k, layer in enumerate(self.layers):
             if not isinstance(layer, nn.ReLU):
@@ -107,9 +129,9 @@ class FeatureMetric(FeatureDistance):
                 yield int(sides.prod())
 
 
-def rand_vgg_loss(seed: int = RAND_SEED) -> FeatureDistance:
+def rand_vgg_loss() -> FeatureDistance:
     """Return the perceptual loss in random features."""
-    return FeatureDistance(_random_vgg(seed), LOSS_TAPS)
+    return FeatureDistance(random_vgg(), LOSS_TAPS)
 
 
 def vgg16_loss(weights: Path) -> FeatureDistance:
@@ -118,12 +140,12 @@ def vgg16_loss(weights: Path) -> FeatureDistance:
     Raises:
         InputError: the file does not hold them.
     """
-    return FeatureDistance(_load_layers(_vgg16(), weights, "VGG16"), LOSS_TAPS)
+    return FeatureDistance(load_layers(vgg16(), weights, "VGG16"), LOSS_TAPS)
 
 
-def rand_vgg(seed: int = RAND_SEED) -> FeatureMetric:
-    """Return the metric ``rand_vgg``, whose value is defined by the default seed."""
-    return FeatureMetric(_random_vgg(seed), VGG16_TAPS)
+def rand_vgg() -> FeatureMetric:
+    """Return the metric ``rand_vgg``."""
+    return FeatureMetric(random_vgg(), VGG16_TAPS)
 
 
 def lpips(weights: Weights) -> FeatureMetric | None:
@@ -132,13 +154,12 @@ def lpips(weights: Weights) -> FeatureMetric | None:
     Raises:
         InputError: a file does not hold what its name says.
     """
-    if weights.alexnet and weights.lpips_alex:
-        layers, taps = _load_layers(_alexnet(), weights.alexnet, "AlexNet"), ALEXNET_TAPS
-        return FeatureMetric(layers, taps, _load_heads(weights.lpips_alex, layers, taps))
-    if weights.vgg16 and weights.lpips_vgg:
-        layers, taps = _load_layers(_vgg16(), weights.vgg16, "VGG16"), VGG16_TAPS
-        return FeatureMetric(layers, taps, _load_heads(weights.lpips_vgg, layers, taps))
-    return None
+    found = weights.lpips_network
+    if found is None:
+        return None
+    of_layers, of_heads = weights.lpips_files
+    layers = load_layers(found.make(), of_layers, found.name)
+    return FeatureMetric(layers, found.taps, load_heads(of_heads, layers, found.taps))
 
 
 @dataclass(frozen=True)
@@ -151,11 +172,17 @@ class Weights:
     lpips_alex: Path | None = None  # linear heads likewise
 
     @property
-    def lpips_network(self) -> str | None:
+    def lpips_network(self) -> LpipsParts | None:
         """The network that :func:`lpips` would use."""
-        if self.alexnet and self.lpips_alex:
-            return "AlexNet"
-        return "VGG16" if self.vgg16 and self.lpips_vgg else None
+        return next((parts for parts in LPIPS.values() if all(self._files(parts))), None)
+
+    @property
+    def lpips_files(self) -> list[Path]:
+        """The files of that network and of its linear heads; empty without them."""
+        return self._files(self.lpips_network) if self.lpips_network else []
+
+    def _files(self, parts: LpipsParts) -> list[Path | None]:
+        return [getattr(self, name) for name in parts.files]
 
     def of_lpips(self, network: LpipsNetwork | None) -> Weights:
         """Return the files of LPIPS on one network alone; all of them if ``network`` is None.
@@ -167,7 +194,7 @@ class Weights:
         """
         if network is None:
             return self
-        needed = {"vgg": ("vgg16", "lpips_vgg"), "alex": ("alexnet", "lpips_alex")}[network]
+        needed = LPIPS[network].files
         if missing := [f"{name}*.pth" for name in needed if getattr(self, name) is None]:
             raise InputError(
                 f"--lpips {network}: found no {' and no '.join(missing)} in torch's cache of "
@@ -176,23 +203,14 @@ class Weights:
         return Weights(**{name: getattr(self, name) for name in needed})
 
 
-def find_weights(folder: Path | None = None) -> Weights:
-    """Look for weights in a folder, in torch's cache, and in an installed ``lpips``.
+def find_weights() -> Weights:
+    """Look for weights in torch's cache, and in an installed ``lpips``.
 
-    Args:
-        folder: files ``vgg16*.pth``, ``alexnet*.pth``, ``lpips_vgg.pth``, ``lpips_alex.pth``.
-
-    Raises:
-        InputError: ``folder`` does not exist.
+    Files are ``vgg16*.pth``, ``alexnet*.pth``, ``lpips_vgg.pth`` and ``lpips_alex.pth``.
     """
-    if folder is not None and not folder.is_dir():
-        raise InputError(
-            f"{folder}: no such folder; expected one with vgg16*.pth or alexnet*.pth, "
-            "and lpips_vgg.pth or lpips_alex.pth"
-        )
     cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
     torch_home = Path(os.environ.get("TORCH_HOME", str(Path(cache) / "torch")))
-    folders = [f for f in (folder, torch_home / "hub" / "checkpoints") if f is not None]
+    checkpoints = torch_home / "hub" / "checkpoints"
     package = importlib.util.find_spec("lpips")  # importing it requires torchvision
     heads = Path(package.origin).parent / "weights" / "v0.1" if package else None
 
@@ -200,7 +218,7 @@ def find_weights(folder: Path | None = None) -> Weights:
         return next((p for p in paths if p.is_file()), None)
 
     def named(pattern: str) -> Path | None:
-        return first(*(p for f in folders for p in sorted(f.glob(pattern))))
+        return first(*sorted(checkpoints.glob(pattern)))
 
     return Weights(
         vgg16=named("vgg16*.pth"),
@@ -213,78 +231,3 @@ def find_weights(folder: Path | None = None) -> Weights:
 def _unit(features: Tensor) -> Tensor:
     """Normalise feature vectors (1, D, H, W) along the channels."""
     return features / (sqrt(features.square().sum(1, keepdim=True)) + 1e-10)
-
-
-def _conv(*arguments: int, **options: int) -> nn.Conv2d:
-    """Make a convolution without weights; torch's default would draw from the global seed."""
-    return skip_init(nn.Conv2d, *arguments, **options)
-
-
-def _vgg16(width: float = 1.0) -> nn.Sequential:
-    """Make VGG16's convolutions, with layers indexed as in the keys ``features.N``."""
-    layers, channels = [], 3
-    for group in VGG16_WIDTHS:
-        for full in group:
-            wanted = round(full * width)
-            layers += [_conv(channels, wanted, 3, padding=1), nn.ReLU()]
-            channels = wanted
-        layers.append(nn.MaxPool2d(2))
-    return nn.Sequential(*layers)
-
-
-def _alexnet() -> nn.Sequential:
-    """Make AlexNet's convolutions, with layers indexed as in the keys ``features.N``."""
-    return nn.Sequential(
-        *(_conv(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(_conv(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(_conv(192, 384, 3, padding=1), nn.ReLU()),
-        *(_conv(384, 256, 3, padding=1), nn.ReLU()),
-        *(_conv(256, 256, 3, padding=1), nn.ReLU()),
-    )
-
-
-def _random_vgg(seed: int) -> nn.Sequential:
-    """Make a quarter of VGG16's width with He et al.'s random weights, which keep the scale."""
-    layers = _vgg16(RAND_WIDTH)
-    generator = torch.Generator().manual_seed(seed)
-    for layer in layers:
-        if isinstance(layer, nn.Conv2d):
-            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-            nn.init.zeros_(layer.bias)
-    return layers
-
-
-def _load_layers(layers: nn.Sequential, path: Path, name: str) -> nn.Sequential:
-    state = _load_state(path)
-    found = {key.removeprefix("features."): x for key, x in state.items() if "features." in key}
-    for key, wanted in layers.state_dict().items():
-        if key not in found or found[key].shape != wanted.shape:
-            got = f"{tuple(found[key].shape)}" if key in found else "nothing"
-            raise InputError(
-                f"{path}: not weights of {name}: 'features.{key}' must be "
-                f"{tuple(wanted.shape)}, found {got}"
-            )
-    layers.load_state_dict({key: found[key] for key in layers.state_dict()})
-    return layers
-
-
-def _load_heads(path: Path, layers: nn.Sequential, taps: Sequence[int]) -> list[Tensor]:
-    state, heads = _load_state(path), []
-    for k, tap in enumerate(taps):
-        key, channels = f"lin{k}.model.1.weight", layers[tap - 1].out_channels
-        if key not in state or state[key].numel() != channels:
-            raise InputError(f"{path}: not LPIPS heads: '{key}' must hold {channels} numbers")
-        heads.append(state[key].flatten().float())
-    return heads
-
-
-def _load_state(path: Path) -> dict[str, Tensor]:
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a torch state dict") from None
-    except Exception as error:
-        raise InputError(f"{path}: not a torch state dict ({reason_of(error)})") from None
-    if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):
-        raise InputError(f"{path}: not a torch state dict of tensors")
-    return state

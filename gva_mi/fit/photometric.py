@@ -33,12 +33,12 @@ from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.crop import gather
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.faces import Face
 from gva_mi.fit.picture_evidence import PhotometricOptions, PictureAndMask, PictureEvidence
-from gva_mi.pose.clips import cut, join, poses_of_clip
-from gva_mi.pose.evidence.masks_normals import gather
-from gva_mi.pose.optimize import descend, with_frames, worse_frames
+from gva_mi.pose.clips import cut, join
+from gva_mi.pose.optimize import descend, worse_frames
 from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.stage1 import Stage1
 
@@ -101,7 +101,7 @@ def fit_poses(
     after = torch.where(after <= before, after, before)
     taken = [k for k in seen if k not in worse]
     return FittedPoses(
-        with_frames(video.pose, taken, pose[taken]),
+        video.pose.with_frames(taken, pose[taken]),
         before,
         after,
         dict(sorted((kept | worse).items())),
@@ -124,7 +124,7 @@ def _fit_clips(
     steps = [options.passes * -(-len(frames) // options.batch) for frames in seen_in]
     found = []
     for number, (clip, frames) in enumerate(zip(clips, seen_in, strict=True)):
-        part = poses_of_clip(clip, pose)
+        part = pose[clip.start : clip.stop]
         if frames:
             evidence = _evidence(avatar, part, dict(frames), arms, options)
             report = part_of_progress(progress, sum(steps[:number]), steps[number], sum(steps))
@@ -132,7 +132,7 @@ def _fit_clips(
             with torch.no_grad():
                 turned = part[evidence.frames]
                 turned = evidence.face.corrected(turned, range(len(turned)))
-            part = with_frames(part, evidence.frames, turned)
+            part = part.with_frames(evidence.frames, turned)
         found.append(part)
     return join(clips, found)
 

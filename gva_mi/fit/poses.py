@@ -36,7 +36,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import WRISTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.core.options import Metres, Turn, Within, options_of
 from gva_mi.fit.faces import Face
@@ -48,7 +48,6 @@ from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera
 
-WRISTS = [JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
 LEARN_AT = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
 DECAY = 0.1  # what is left of the step sizes at the end
 
@@ -189,7 +188,7 @@ class _Clip:
     def state(self) -> dict[str, Any]:
         leaves = self._leaves()
         return {
-            "told": self._learned,
+            "learned": self._learned,
             "start": self.corrections.start,
             "face": [part.start for part in self.face.parts],
             "leaves": [leaf.detach() for leaf in leaves],
@@ -199,7 +198,7 @@ class _Clip:
         }
 
     def load_state(self, state: dict[str, Any], options: PoseOptions) -> None:
-        for turns, moves, face in state["told"]:
+        for turns, moves, face in state["learned"]:
             self._update_prior(turns, moves, face, options)
         self.corrections.start = state["start"]
         for part, start in zip(self.face.parts, state["face"], strict=True):

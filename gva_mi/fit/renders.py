@@ -8,11 +8,10 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
 from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Frame
 from gva_mi.fit.camera_paths import CameraShot
 from gva_mi.splat import Camera, Gaussians, SplatOptions, render
 
@@ -71,18 +70,3 @@ def to_rgba(layer: np.ndarray) -> np.ndarray:
 def cut_out(frame: Frame, background: tuple[float, float, float] = WHITE) -> np.ndarray:
     """Return the target of a frame: the person on a plain background, 8-bit (H, W, 3)."""
     return in_8_bits(frame.on_background(np.array(background, dtype=np.float32)))
-
-
-@torch.no_grad()
-def smallest_pixel(video: Video, rig: Rig) -> float:
-    """Return the smallest size on the person of a pixel of the training frames, metres.
-
-    Finer detail was never seen, and finer Gaussians leave cracks between them, which the blur of a
-    pixel hides until a camera comes closer (Yu et al., *Mip-Splatting*, 2024).
-    """
-    train = list(video.splits.train)
-    pelvis = (rig.joints[0] + video.pose.transl[train]).double().numpy()
-    T = np.stack([video.cameras[k].T_camera_world for k in train])
-    depth = (T[:, 2, :3] * pelvis).sum(1) + T[:, 2, 3]
-    focal = np.array([max(video.cameras[k].fx, video.cameras[k].fy) for k in train])
-    return float(max(0.0, (depth / focal).min()))

@@ -35,8 +35,10 @@ import torch
 from drjit import ArrayBase as Array
 from torch import Tensor
 
+from gva_mi.avatar.rig import Rig
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
+from gva_mi.data.cameras import depths
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Video, spread
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
@@ -64,7 +66,7 @@ class RandomStream(IntEnum):
     REINIT = 5
 
 
-def random_state(seed: int, stream: RandomStream, number: int = 0) -> np.random.Generator:
+def random_state(seed: int, stream: RandomStream, number: int) -> np.random.Generator:
     """Return the numpy generator of one stream at one step (or pass) of a run."""
     return np.random.default_rng([seed, stream, number])
 
@@ -73,6 +75,19 @@ def torch_state(seed: int, stream: RandomStream, number: int = 0) -> torch.Gener
     """Return the torch generator of one stream at one step of a run."""
     drawn = random_state(seed, stream, number).integers(2**63)
     return torch.Generator().manual_seed(int(drawn))
+
+
+def smallest_pixel(video: Video, rig: Rig) -> float:
+    """Return the smallest size on the person of a pixel of the training frames, metres.
+
+    Finer detail was never seen, and finer Gaussians leave cracks between them, which the blur of a
+    pixel hides until a camera comes closer (Yu et al., *Mip-Splatting*, 2024).
+    """
+    train = list(video.splits.train)
+    cameras = [video.cameras[k] for k in train]
+    depth = depths(cameras, (rig.joints[0] + video.pose.transl[train]).detach().double().numpy())
+    focal = np.array([max(camera.fx, camera.fy) for camera in cameras])
+    return float(max(0.0, (depth / focal).min()))
 
 
 @dataclass(frozen=True)
@@ -113,7 +128,7 @@ class Sample:
 
     def target(self, gaussians: Gaussians) -> SampleTarget:
         """Return the part with the person, the window and the Gaussians."""
-        part = joined(self.cutout.box, self.window, drawn(gaussians, self.camera))
+        part = joined(self.cutout.box, self.window, box_of_gaussians(gaussians, self.camera))
         part = in_tiles(part, self.camera)
         camera = part.cut_camera(self.camera)
         return SampleTarget(self.cutout, part, camera, self.window, self.area)
@@ -196,7 +211,7 @@ class FrameSampler:
 
 
 @exclusive
-def drawn(gaussians: Gaussians, camera: Camera) -> Box | None:
+def box_of_gaussians(gaussians: Gaussians, camera: Camera) -> Box | None:
     """Return the part of a picture that Gaussians can reach; None: none is visible."""
     means, sizes = gaussians.means, gaussians.scales
     sizes = gaussians.covars if sizes is None else sizes

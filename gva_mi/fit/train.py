@@ -43,8 +43,14 @@ from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.renders import smallest_pixel
-from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, torch_state
+from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.samples import (
+    FrameSampler,
+    RandomStream,
+    Sample,
+    smallest_pixel,
+    torch_state,
+)
 from gva_mi.splat import Screen, render
 
 # Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
@@ -131,8 +137,7 @@ def _after_first_fit(
     first, steps = out / run_folder.FIRST, options.first_steps
     report = part_of_progress(progress, 0, steps, options.all_steps)
     alone = replace(options, steps=steps, first_steps=0)
-    found = {"resume": True, "progress": report, "samples": samples}
-    fit(video, body, alone, first, offsets=offsets, **found)
+    fit(video, body, alone, first, offsets=offsets, resume=True, progress=report, samples=samples)
     return replace(video, pose=load_poses(first / run_folder.TRAINED_POSES)[0], stage=2)
 
 
@@ -197,7 +202,7 @@ class Run:
         lower_rate_of_means(self.optimizer, options.rates, done)
         animated = self.avatar.animate(self.poses(sample.frame), self.colors())
         target, screen = sample.target(animated.gaussians), Screen()
-        image = render(animated.gaussians, target.camera, options.splat, screen=screen)
+        image = render(animated.gaussians, target.camera, DRAWN, screen=screen)
         weights = options.loss
         if self.step % options.perceptual_every:  # most steps omit it, and others weight it more
             weights = replace(weights, perceptual=0.0)
@@ -249,7 +254,7 @@ class Run:
         self.gradients = ScreenGradients(len(self.avatar.canonical))
 
     def colors(self) -> Tensor:
-        """Return the colours of the Gaussians, whose own slopes are differences from a law."""
+        """Return the colours of the Gaussians: theirs, or Lambert's law and theirs beyond it."""
         sh = self.avatar.canonical.sh
         return sh if self.lambert is None else self.lambert(sh)
 

@@ -14,11 +14,10 @@ Both minimise evidence + prior, and each side has one interface:
   ``ClothedPerson.loss``, or a class of its own.
 * **Prior terms** say how probable poses are without any image, in nats. They implement
   :class:`gva_mi.pose.prior.inference.PriorTerm`: ``energy(rotations, transl, times)``.
-  Implementations:
-  ``anatomy.py``, ``ground.py`` and ``camera_tilt.py`` of ``prior/``. Stage 1 and inertia are a
-  Gaussian process over the corrections instead (``process.py``): its errors are modelled in
-  ``error_model.py``, its motion in ``motion.py``, and ``inference.py`` estimates both from the
-  video itself. How the solver of ``film/`` errs is known before (``film_errors.py``).
+  Implementations: ``anatomy.py``, ``ground.py`` and ``camera_tilt.py`` of ``prior/``. Stage 1 and
+  inertia are a Gaussian process over the corrections instead (``process.py``): its errors are
+  modelled in ``error_model.py``, its motion in ``motion.py``, and ``inference.py`` estimates both
+  from the video itself. How the solver of ``film/`` errs is known before (``film_errors.py``).
 
 ``corrections.py`` holds the unknowns, and ``optimize.py`` optimises them.
 """

@@ -49,24 +49,19 @@ def skim(frames: int, count: int) -> list[int]:
     return sorted({k for start in starts for k in range(start, start + length)})
 
 
-def poses_of_clip(clip: range, pose: Pose) -> Pose:
-    """Return the poses of a clip's frames."""
-    return pose[slice(clip.start, clip.stop)]
-
-
 def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
     """Return the poses of all frames from those of the clips that :func:`cut` made."""
     whole = poses[0]
     for clip, other in zip(clips[1:], poses[1:], strict=True):
-        ours, theirs = whole[slice(clip.start, None)], other[slice(len(whole) - clip.start)]
+        ours, theirs = whole[clip.start :], other[: len(whole) - clip.start]
         weight = (torch.arange(len(ours)).to(ours.transl) + 1)[:, None] / (len(ours) + 1)
         between = Pose(
             _slerp(ours.rotations, theirs.rotations, weight[..., None]),
             torch.lerp(ours.transl, theirs.transl, weight),
             torch.lerp(ours.expression, theirs.expression, weight),
         )
-        rest = other[slice(len(ours), None)]
-        whole = Pose.cat([whole[slice(clip.start)], between, rest])
+        rest = other[len(ours) :]
+        whole = Pose.cat([whole[: clip.start], between, rest])
     return whole
 
 

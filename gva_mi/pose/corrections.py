@@ -170,7 +170,7 @@ class Corrections:
         pelvis, place = self.prior.pelvis, self.prior.place
         nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2
         if shift is not None:
-            variance = place.variance_of_mean(bias="depth" in self.prior.known)
+            variance = place.variance_of_mean(bias=self.prior.noise["depth"].known)
             nats = nats + (shift.square() / variance).sum() / 2
         return nats
 

@@ -15,13 +15,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import WRISTS
+from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 
 # a, for one (1/m)²; b and c, for one square metre: cloth may stand off the body by decimetres, and
 # hardly enters it.
 SMOOTH, SMALL, OUTWARD = 1.6e-4, 10.0, 400.0
-_WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 
 
 class Displacement:
@@ -46,21 +46,14 @@ class Displacement:
         """``D`` (V, 3), metres."""
         return self.raw * self._free
 
-    def energy(
-        self,
-        offsets: Tensor,
-        smooth: float = SMOOTH,
-        small: float = SMALL,
-        outward: float = OUTWARD,
-    ) -> Tensor:
-        """Return ``E(D)`` with weights a, b and c."""
+    def energy(self, offsets: Tensor) -> Tensor:
+        """Return ``E(D)``."""
         bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
         inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
-        total = smooth * bent + small * offsets.square().sum() + outward * inward
+        total = SMOOTH * bent + SMALL * offsets.square().sum() + OUTWARD * inward
         return total / len(offsets)
 
 
 def hand_vertices(weights: Tensor) -> Tensor:
     """Return which vertices (V,) are more than half moved by wrists and fingers."""
-    hands = weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
-    return hands + weights[:, _WRISTS].sum(1) > 0.5
+    return finger_weights(weights) + weights[:, WRISTS].sum(1) > 0.5

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.ground_truth import GroundTruth
@@ -44,7 +44,7 @@ def _pair(joint: str) -> list[int]:
     return [JOINTS.index(f"{side}_{joint}") for side in ("left", "right")]
 
 
-_ANKLES, _WRISTS = _pair("ankle"), _pair("wrist")
+_ANKLES = _pair("ankle")
 _FEET = _ANKLES + _pair("foot")
 
 
@@ -119,7 +119,7 @@ class _Points:
     def _in_wrist_frame(self, posed: Posed) -> Tensor:
         """Return the fingers' points (T, n, 3) relative to their wrist."""
         points, parts = self._of(posed), []
-        for fingers, wrist in zip(self.fingers, _WRISTS, strict=True):
+        for fingers, wrist in zip(self.fingers, WRISTS, strict=True):
             turn = posed.T_world_rest[:, wrist, :3, :3]
             parts.append((points[:, fingers] - posed.joints[:, [wrist]]) @ turn)
         return torch.cat(parts, 1)
@@ -133,5 +133,5 @@ def _joint_errors(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:
         "joints": apart.norm(dim=2).mean(1),
         "pelvis_depth": deep[:, 0],
         "ankles_depth": deep[:, _ANKLES].mean(1),
-        "wrists_depth": deep[:, _WRISTS].mean(1),
+        "wrists_depth": deep[:, WRISTS].mean(1),
     }

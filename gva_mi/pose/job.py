@@ -48,10 +48,9 @@ class Solution:
     pose: Pose  # T frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
-    noise: Mapping[str, Stage1ErrorModel] = field(
-        default_factory=dict
-    )  # stage 1's errors, if inferred
-    footing: ContactStats | None = None  # how the feet touch the ground, if inferred
+    # Stage 1's errors, if inferred.
+    noise: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
+    contact: ContactStats | None = None  # how the feet touch the ground, if inferred
     landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.pose.evidence.landmarks
 
 

@@ -16,21 +16,17 @@ from gva_mi.core.console import Progress
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import Done
 from gva_mi.core.threads import one_thread
+from gva_mi.data.crop import gather
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.clips import cut, join, poses_of_clip, skim
+from gva_mi.pose.clips import cut, join, skim
 from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, parts_of
 from gva_mi.pose.evidence.landmarks import SeenLandmarks
-from gva_mi.pose.evidence.masks_normals import (
-    MaskAndNormals,
-    common_scale,
-    frame_loss,
-    gather,
-)
+from gva_mi.pose.evidence.masks_normals import MaskAndNormals, common_scale, frame_loss
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimize import with_frames, worse_frames
+from gva_mi.pose.optimize import worse_frames
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.film_errors import FPS, film_errors
 from gva_mi.pose.sequence import SequenceOptions, refine_sequence, repeats
@@ -180,7 +176,7 @@ class ObservedVideo:
             self._task(
                 clip,
                 clip.start,
-                poses_of_clip(clip, self.pose),
+                self.pose[clip.start : clip.stop],
                 known=None if known is None else known.result,
                 following=[k - clip.start for k in clip if k in self.held_out],
             )
@@ -221,7 +217,7 @@ class ObservedVideo:
         worse = worse_frames(self.evidence, losses_stage1, losses, margin=margin)
         kept = self.kept | worse
         taken = [k for k in (*self.evidence, *self.held_out) if k not in kept]
-        pose = with_frames(self.pose, taken, pose[taken])
+        pose = self.pose.with_frames(taken, pose[taken])
         work = self.seconds + sum(done.seconds for done in (*found, *([known] if known else [])))
         shared = replace(shared, pose=pose, offsets=self.coarse.spread(shared.offsets))
         return Refined(

@@ -42,7 +42,6 @@ from gva_mi.pose.prior.inference import PosePrior
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera
 
-BETAS = (0.9, 0.99)  # Adam's
 GUESSED = 0.2  # weight of the prior before it is inferred from corrections
 AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
 HELD = 0.5  # share of the ``learn`` passes that penalise turns shared by all frames
@@ -186,7 +185,7 @@ def descend(
             progress(step + 1, len(batches), loss=float(loss.detach()))
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
-    return Descent(with_frames(start, frames, found), corrections.prior)
+    return Descent(start.with_frames(frames, found), corrections.prior)
 
 
 @torch.no_grad()
@@ -196,15 +195,6 @@ def _better(evidence: Evidence, frames: list[int], *starts: Corrections) -> Corr
     numbers = [frames[i] for i in seen]
     losses = [float(evidence.loss(numbers, corrections.pose(seen))) for corrections in starts]
     return starts[losses.index(min(losses))]
-
-
-def with_frames(start: Pose, frames: Sequence[int], found: Pose) -> Pose:
-    """Return T poses of which n, by their numbers, are replaced by those found."""
-    frames = list(frames)
-    taken = start.map(torch.clone)
-    taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
-    taken.expression[frames] = found.expression
-    return taken
 
 
 def worse_frames(
@@ -242,7 +232,7 @@ def optimiser(
     turns[list(unseen)] = 0
     leaves = [(corrections.turns, turns), (corrections.moves, options.translation_lr)]
     tensors, rates = zip(*leaves, *shared, strict=True)
-    return VectorAdam(tensors, rates, BETAS)
+    return VectorAdam(tensors, rates)
 
 
 def _batches(frames: int, options: DescentOptions) -> Iterator[list[int]]:

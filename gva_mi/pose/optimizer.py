@@ -23,7 +23,7 @@ from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.body.smplx import Rest
 from gva_mi.core.same_bits import sqrt
 
-EPSILON = 1e-12
+BETAS, EPSILON = (0.9, 0.99), 1e-12  # β1 and β2, the decay of ``m`` and ``v``; ε
 
 
 @dataclass
@@ -40,12 +40,10 @@ class VectorAdam:
     Attributes:
         tensors: the leaves.
         rates: the learning rate of each leaf, a number or (..., 1) of the leaf's shape.
-        betas: β1 and β2, the decay of ``m`` and ``v``.
     """
 
     tensors: Sequence[Tensor]
     rates: Sequence[float | Tensor]
-    betas: tuple[float, float] = (0.9, 0.99)
     _moments: dict[int, _Moments] = field(default_factory=dict, repr=False)
 
     def state(self) -> dict[int, tuple[int, Tensor, Tensor]]:
@@ -59,7 +57,7 @@ class VectorAdam:
     @torch.no_grad()
     def step(self, factor: float = 1.0) -> None:
         """Move all leaves that have a gradient, and clear it; ``factor`` scales all rates."""
-        beta1, beta2 = self.betas
+        beta1, beta2 = BETAS
         for number, (x, rate) in enumerate(zip(self.tensors, self.rates, strict=True)):
             if x.grad is None:
                 continue

@@ -37,7 +37,6 @@ def refine(
     body: BodyModel,
     options: RefineOptions,
     progress: Progress | None = None,
-    executor: Executor | None = None,
 ) -> Refined:
     """Refine the poses of all frames of a video.
 
@@ -46,13 +45,12 @@ def refine(
         body: the body that the poses move.
         options: ``SequenceOptions`` or ``SingleFrameOptions``; the type chooses the method.
         progress: called as ``progress(done, total, **figures)`` as the work goes on.
-        executor: runs independent jobs; None: this process.
 
     Returns:
         Poses of all frames. A frame that cannot be refined keeps its stage-1 pose and is listed in
         ``kept``: an empty mask, a body out of view, or a loss that did not fall below stage 1's.
     """
-    return next(refine_all([(video, options)], body, progress, executor))
+    return next(refine_all([(video, options)], body, progress))
 
 
 def refine_all(

@@ -22,7 +22,6 @@ from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, Turn, Weight, Within
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimize import with_frames
 from gva_mi.pose.optimizer import VectorAdam, lever_arms, turn_rates
 
 Steps = Annotated[int, Within(1, 100_000)]
@@ -69,7 +68,7 @@ def refine_single_frames(
             if progress is not None:
                 progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
         found = Pose(theta.detach(), stage1.transl, stage1.expression)
-        pose = with_frames(pose, [k], found)
+        pose = pose.with_frames([k], found)
     return Solution(pose, job.shape, torch.zeros_like(body.v_template))
 
 

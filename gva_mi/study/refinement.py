@@ -47,7 +47,7 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
     record = {
         "figures": evaluation.measured.means.to_json(),
         "stage1_errors": {name: asdict(noise) for name, noise in refined.noise.items()},
-        "footing": None if refined.footing is None else asdict(refined.footing),
+        "footing": None if refined.contact is None else asdict(refined.contact),
         "swapped": refined.swapped,
         "test_frames": "held out" if refined.held_out else "seen",
         **({"figures_by_split": _by_split(evaluation)} if refined.held_out else {}),

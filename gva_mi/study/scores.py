@@ -24,9 +24,8 @@ from torch import Tensor
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import bounds
+from gva_mi.fit.feature_networks import RAND_SEED, RAND_WIDTH
 from gva_mi.fit.perceptual import (
-    RAND_SEED,
-    RAND_WIDTH,
     FeatureMetric,
     Weights,
     find_weights,
@@ -82,16 +81,12 @@ class Scorer:
     @property
     def network(self) -> str | None:
         """The network of LPIPS, if its weights were found."""
-        return self._weights.lpips_network
+        found = self._weights.lpips_network
+        return found and found.name
 
     def networks(self) -> dict[str, Any]:
         """Describe network and weights of each perceptual metric; None for LPIPS without any."""
-        found, name = self._weights, self.network
-        files = {
-            "AlexNet": (found.alexnet, found.lpips_alex),
-            "VGG16": (found.vgg16, found.lpips_vgg),
-            None: (),
-        }[name]
+        name, files = self.network, self._weights.lpips_files
         digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
         return {
             "lpips": {"network": name, "sha256": digests} if name else None,

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
 from gva_mi.synthetic.look import FaceLandmarks, Point
 
-_WRISTS = [JOINTS.index(f"{side}_wrist") for side in ("left", "right")]
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
 
@@ -47,7 +46,7 @@ class RestBody:
         """Return factors (V, 3) on the skin colour: redder knuckles, paler palms."""
         tint = np.ones((len(self.vertices), 3))
         hands = self.weights[:, LEFT_HAND.start : RIGHT_HAND.stop].sum(1)
-        hands = hands + self.weights[:, _WRISTS[0]] + self.weights[:, _WRISTS[1]]
+        hands = hands + self.weights[:, WRISTS[0]] + self.weights[:, WRISTS[1]]
         palm = np.clip(hands, 0, 1) * np.clip(-self.normals[:, 1], 0, 1)
         tint *= 1 + palm[:, None] * np.array([0.12, 0.10, 0.12])
         for name, joint in self.joints.items():

@@ -7,6 +7,7 @@ import roma
 import torch
 
 from gva_mi.avatar.canonical import (
+    BINDING,
     PARAMETERS,
     CanonicalGaussians,
     SeedOptions,
@@ -65,8 +66,8 @@ def test_discs_lie_flat_in_the_surface(body):
 
 def test_spacing_of_a_grid_is_its_step():
     x = torch.arange(5.0) * 0.01
-    grid = torch.cartesian_prod(x, x, torch.zeros(1))
-    assert torch.allclose(neighbour_spacing(grid, 2), torch.tensor(0.01))
+    grid = torch.cartesian_prod(x, x, x)  # each point has three neighbours or more
+    assert torch.allclose(neighbour_spacing(grid), torch.tensor(0.01))
 
 
 def test_colors_become_the_constant_band(body):
@@ -79,7 +80,7 @@ def test_colors_become_the_constant_band(body):
 
 def test_shapes_are_checked_at_the_door(body):
     G = seed(body)
-    given = {name: getattr(G, name) for name in (*PARAMETERS, "weights")}
+    given = {name: getattr(G, name) for name in (*PARAMETERS, *BINDING)}
     with pytest.raises(ValueError, match="quats must be"):
         CanonicalGaussians(**{**given, "quats": G.means})
     with pytest.raises(ValueError, match="sh must be"):
@@ -94,7 +95,7 @@ def test_blend_shapes_move_as_the_whole_table_says():
     directions[torch.rand(6, 3, 5, generator=generator) < 0.7] = 0
     G = CanonicalGaussians(
         torch.zeros(6, 3), torch.ones(6, 4), torch.zeros(6, 3), torch.zeros(6),
-        torch.zeros(6, 1, 3), torch.ones(6, 1), None, directions,
+        torch.zeros(6, 1, 3), torch.ones(6, 1), torch.zeros(6, 3, 1), directions,
     )  # fmt: skip
     for count in (5, 2, 0):  # coefficients that are missing count as zero
         c = torch.randn(count, generator=generator)

@@ -147,11 +147,6 @@ def test_screen_gradient_is_the_force_on_an_image_coordinate():
     assert gradients.mean()[1] == 0 and gradients.views.tolist() == [1, 0]  # behind the camera
 
 
-def test_misuse_is_explained(avatar):
-    gradients = ScreenGradients(3)
-    with pytest.raises(ValueError, match="backward first"):
-        gradients.add(Screen(), 100)
-    with pytest.raises(ValueError, match="gradients of 3 Gaussians, but 642 exist"):
-        densify(avatar, adam(avatar), gradients)
+def test_a_size_above_which_nothing_is_split_is_refused():
     with pytest.raises(ValueError, match="split_scale must be above 0 and at most 0.1"):
         DensifyOptions(split_scale=0.2)

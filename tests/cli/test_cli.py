@@ -141,7 +141,7 @@ def test_a_preset_sets_the_defaults_and_options_beside_it_win():
 def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
     for command, there in (
         ("fit nowhere --out new --step 3", "--steps"), ("refine nowhere --preset all", "paper"),
-        ("fit nowhere", "--out"), ("fit x --out new --splat.near 3", "--splat.near"),
+        ("fit nowhere", "--out"), ("fit x --out new --rates.mean 3", "--rates.means"),
         ("study avatar --out x --fit.window 9", "--fit.window"),
     ):  # fmt: skip
         code, out, err = cli(*command.split())

@@ -6,8 +6,8 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.fit.poses import WRISTS, PoseOptions, TrainedPoses
+from gva_mi.body.pose import JOINTS, WRISTS, Pose
+from gva_mi.fit.poses import PoseOptions, TrainedPoses
 from gva_mi.pose.stage1 import turns_between
 
 STEPS = 300

@@ -11,7 +11,13 @@ from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.samples import FrameSampler, RandomStream, drawn, random_state, torch_state
+from gva_mi.fit.samples import (
+    FrameSampler,
+    RandomStream,
+    box_of_gaussians,
+    random_state,
+    torch_state,
+)
 from gva_mi.splat import Gaussians, Image, render
 
 TRAIN = [0, 1, 2, 4, 5]
@@ -234,14 +240,14 @@ def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
         radius = 0.15 * float(torch.rand((), generator=generator))
         g = ball(means, radius)
         alpha = render(g, camera).alpha.clone()
-        box = drawn(g, camera)
+        box = box_of_gaussians(g, camera)
         if box is not None:
             alpha[box.top : box.bottom, box.left : box.right] = 0
         assert alpha.max() == 0
-    assert drawn(ball(torch.tensor([[0.0, 50.0, 0.0]]), 0.01), camera) is None
-    assert drawn(ball(torch.full((1, 3), torch.nan), 0.01), camera) is None
+    assert box_of_gaussians(ball(torch.tensor([[0.0, 50.0, 0.0]]), 0.01), camera) is None
+    assert box_of_gaussians(ball(torch.full((1, 3), torch.nan), 0.01), camera) is None
     wide = ball(known.canonical.means[:1], float("inf"))
-    assert drawn(wide, camera) == Box(0, 0, 48, 48)
+    assert box_of_gaussians(wide, camera) == Box(0, 0, 48, 48)
 
 
 @pytest.mark.parametrize("window", [11, 100])

@@ -18,8 +18,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.renders import smallest_pixel
-from gva_mi.fit.samples import RandomStream, torch_state
+from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit
 from gva_mi.splat.kernels.sh import C0
 from gva_mi.study.evaluate import evaluate

@@ -20,7 +20,7 @@ GUESS = Stage1ErrorModel(0.0, 0.3, 6.0)
 
 def draw(noise, joints=8, seed=0):
     """Errors (n, J) of one coordinate, without bias."""
-    K = covariance([noise], TIMES, torch.ones(1, len(TIMES)))[0] - noise.slow**2
+    K = covariance([noise], TIMES, *2 * [torch.ones(1, len(TIMES))])[0] - noise.slow**2
     generator = torch.Generator().manual_seed(seed)
     white = torch.randn(len(TIMES), joints, generator=generator, dtype=torch.float64)
     return (torch.linalg.cholesky(K) @ white).float()
@@ -69,24 +69,28 @@ def test_outliers_get_large_factors():
     errors[0, 50] += 0.6
     factors = torch.ones(1, n)
     for _ in range(5):
-        factors = outlier_factors(errors, covariance([noise], TIMES, factors), [noise], factors)
+        factors = outlier_factors(
+            errors, covariance([noise], TIMES, factors, torch.ones(1, n)), [noise], factors
+        )
     assert factors[0].argmax() == 50 and factors[0, 50] > 20
     assert factors[0].median() < 2
 
 
 def test_the_covariance_is_the_sum_of_its_parts():
     noise = Stage1ErrorModel(0.1, 0.3, 5.0)
-    K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]))[0].numpy()
+    K = covariance([noise], torch.tensor([0, 1000]), torch.tensor([[1.0, 4.0]]), torch.ones(1, 2))[
+        0
+    ].numpy()
     np.testing.assert_allclose(K, [[0.01 + 2 * 0.09, 0.09], [0.09, 0.04 + 2 * 0.09]], atol=1e-8)
 
 
 def test_a_known_bias_takes_the_place_of_the_slow_part():
-    times, factors = torch.tensor([0, 1000]), torch.ones(1, 2)
+    given = torch.tensor([0, 1000]), torch.ones(1, 2), torch.ones(1, 2)
     noise = Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.2)
-    K = covariance([noise], times, factors)[0].numpy()
+    K = covariance([noise], *given)[0].numpy()
     np.testing.assert_allclose(K, [[0.01 + 0.09 + 0.04, 0.04], [0.04, 0.14]], atol=1e-8)
-    same = covariance([Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.3)], times, factors)
-    assert torch.equal(same, covariance([Stage1ErrorModel(0.1, 0.3, 5.0)], times, factors))
+    same = covariance([Stage1ErrorModel(0.1, 0.3, 5.0, bias=0.3)], *given)
+    assert torch.equal(same, covariance([Stage1ErrorModel(0.1, 0.3, 5.0)], *given))
 
 
 @pytest.mark.parametrize("gap", [1, 3])

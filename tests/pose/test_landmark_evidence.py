@@ -19,7 +19,7 @@ SHAPE = Shape(torch.zeros(10))
 def seen_of(body, pose, camera, names=NAMES):
     """Landmarks without errors, of a body in T poses."""
     rig = LandmarkRig.of(body, names)
-    places = rig.places(body(pose, SHAPE).T_world_rest, SHAPE.betas).double()
+    places = rig.places(body(pose, SHAPE).T_world_rest, SHAPE.betas, 0 * rig.rest).double()
     T = torch.tensor(camera.T_camera_world)
     metric = (places @ T[:3, :3].T + T[:3, 3]).numpy()
     pixels = np.stack([camera.project(points) for points in places.numpy()])

@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.pose import SequenceOptions
-from gva_mi.pose.optimize import descend, with_frames, worse_frames
+from gva_mi.pose.optimize import descend, worse_frames
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1, turns_between
 
@@ -81,7 +81,7 @@ def test_a_pass_visits_every_frame_once_in_an_order_of_the_seed(camera):
 def test_with_frames_replaces_the_given_frames(frames):
     start = Pose.rest(3)
     found = Pose(torch.ones(3, 55, 3), torch.ones(3, 3), torch.ones(3, 10))
-    mixed = with_frames(start, frames, found[frames])
+    mixed = start.with_frames(frames, found[frames])
     for k in range(3):
         source = found if k in frames else start
         assert torch.equal(mixed.rotations[k], source.rotations[k])

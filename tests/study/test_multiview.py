@@ -114,11 +114,10 @@ def solved(cameras, built_in_body):
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cameras[0].R, cameras[0].t
     camera = Camera.from_matrices(cameras[0].K, T, 320, 480)
-    rest = (), torch.zeros(0, 3), torch.zeros(3, 55), [], (1.0, 1.0), 0.0
     local, one = cameras[0].place(X), np.ones((3, len(BODY)))
     pixels = local[..., :2] / local[..., 2:] * 500 + [160, 240]
     landmarks = Landmarks(BODY, pixels, one, one, 1.3 * local)
-    return SolvedFilm(pose, shape, camera, *rest), landmarks, X
+    return SolvedFilm(pose, shape, camera, 0.0), landmarks, X
 
 
 def test_true_poses_have_no_error(cameras, solved, built_in_body):

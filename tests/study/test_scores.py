@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, _alexnet
+from gva_mi.fit.feature_networks import ALEXNET_TAPS, alexnet
+from gva_mi.fit.perceptual import Weights
 from gva_mi.study.scores import NETWORK_LONGEST, NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
 
 
@@ -62,18 +63,18 @@ def test_large_pictures_are_shrunk_for_the_networks_alone():
 
 def test_networks_and_weights_are_named(tmp_path):
     assert Scorer(Weights()).networks()["lpips"] is None
-    layers, alexnet, heads = _alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
+    layers, weights, heads = alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
     torch.save(
-        {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, alexnet
+        {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, weights
     )
     widths = [layers[tap - 1].out_channels for tap in ALEXNET_TAPS]
     torch.save(
         {f"lin{k}.model.1.weight": torch.ones(1, n, 1, 1) for k, n in enumerate(widths)}, heads
     )
-    scorer = Scorer(Weights(alexnet=alexnet, lpips_alex=heads))
+    scorer = Scorer(Weights(alexnet=weights, lpips_alex=heads))
     named = scorer.networks()
     assert named["lpips"]["network"] == "AlexNet"
-    digest = hashlib.sha256(alexnet.read_bytes()).hexdigest()
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     assert named["lpips"]["sha256"]["alexnet.pth"] == digest
     assert named["rand_vgg"]["weights"] == "random, seed 0"
     box = np.zeros((16, 16, 3), np.uint8)  # of a small hand

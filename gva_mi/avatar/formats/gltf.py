@@ -128,7 +128,7 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
 def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
     """Describe a motion: all joints turn, and the first one moves."""
     times = file.add((np.arange(len(motion)) / fps).astype(np.float32))
-    real, imaginary = to_quaternion(avatar.followed(motion).double())
+    real, imaginary = to_quaternion(avatar.applied_rotations(motion).double())
     quats = torch.cat([imaginary, real], -1).numpy()  # xyzw, as in glTF
     for k in range(1, len(quats)):  # of q and -q, take the one nearer to the last
         quats[k][(quats[k] * quats[k - 1]).sum(-1) < 0] *= -1

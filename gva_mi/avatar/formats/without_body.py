@@ -36,7 +36,7 @@ DIRECTIONS = "canonical.directions"  # of the Gaussians' blend shapes: means of 
 _OF_BODY = ("rest_", "skin_")  # prefixes of the body's own numbers
 
 
-def fingerprint(body: BodyModel) -> str:
+def body_hash(body: BodyModel) -> str:
     """Return a hash of all numbers of a body model."""
     found = hashlib.sha256()
     for name, value in sorted(body.named_buffers()):
@@ -65,7 +65,7 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
     require_body_of(avatar, body, name)
     rig, skin, record = avatar.rig, avatar.skin, avatar.record()
     described = json.loads(record.pop("description"))
-    described["body"] = {"name": name, "digest": rig.body, "fingerprint": fingerprint(body)}
+    described["body"] = {"name": name, "digest": rig.body, "fingerprint": body_hash(body)}
     own = {
         key: np.asarray(value)
         for key, value in record.items()
@@ -94,7 +94,7 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
     """
     with expecting(path, "an avatar of this version"):
         described = json.loads(str(arrays.pop("description")))
-        wanted, found = described["body"], fingerprint(body)
+        wanted, found = described["body"], body_hash(body)
         if wanted["fingerprint"] != found:
             raise InputError(
                 f"{path}: holds no body and belongs to '{wanted['name']}' "

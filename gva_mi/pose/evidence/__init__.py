@@ -1,2 +1,1 @@
-"""Evidence about poses from images: masks and normals of the person, close-ups of hands and
-feet."""
+"""Evidence about poses from images: masks, normals, close-ups of hands and feet, landmarks."""

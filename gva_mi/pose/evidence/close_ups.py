@@ -8,9 +8,8 @@ little of its fingers. If the video has more pixels, they are used:
 2. A close-up is a box of that image around the part's vertices ``P`` in the current pose, with half
    of the part's length added on each side. It is cropped anew for each pose, which costs nothing.
 3. It is compared as the whole person is (:mod:`gva_mi.pose.evidence.masks_normals`), divided by the
-part's mean
-   area in pixels over all view directions: ``A / 4`` in square metres for a convex surface ``A``
-   (Cauchy), times ``fx fy / z²``. So a hand counts the same, edge-on or flat.
+   part's mean area in pixels over all view directions: ``A / 4`` in square metres for a convex
+   surface ``A`` (Cauchy), times ``fx fy / z²``. So a hand counts the same, edge-on or flat.
 
 The whole mesh is rendered, so whatever else a close-up shows, such as a sleeve or the trunk, is
 compared too. A hidden part gets no gradient.
@@ -27,6 +26,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.cameras import depths
 from gva_mi.data.crop import Box, Extent
 from gva_mi.data.video import Outline
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
@@ -148,8 +148,7 @@ def close_up_scale(
         hand_size: pixels of a hand's length.
     """
     pelvis = (body.rest(shape).joints[0] + pose.transl).double().numpy()
-    T = np.stack([camera.T_camera_world for camera in cameras])
-    depth = (T[:, 2, :3] * pelvis).sum(1) + T[:, 2, 3]
+    depth = depths(cameras, pelvis)
     focal = np.array([camera.fx for camera in cameras])
     if not (depth > 0).any():
         return None

@@ -30,8 +30,9 @@ from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face import facing
-from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
+from gva_mi.pose.film.landmark_noise import LandmarkNoise, independent_points
 from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.splat import Camera
 
 # Seconds for which a landmark's error lasts: more than in stage 1, whose poses follow it already.

@@ -27,10 +27,9 @@ eq. 2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -38,17 +37,17 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.nn.functional import normalize
 
-from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data.crop import (
     Extent,
     NoEvidence,
     ScaledCrop,
     bounds,
+    gather,
     mask_extent,
     person_extent,
     points_extent,
 )
-from gva_mi.data.video import Frame, Outline, Video
+from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
@@ -57,8 +56,6 @@ MARGIN = 0.15  # of the box around the person, added on each side
 SHOWN = "its stage-1 body"
 _NORMALS = torch.tensor([1.0, 1.0, 1.0, 0.0])  # which channels of a rendering are normals
 
-Read = TypeVar("Read", Frame, Outline)
-Seen = TypeVar("Seen")
 FrameLoss = tuple[float, Tensor | None]  # and its gradient (V, 3) by the body, if it is needed
 
 
@@ -178,32 +175,6 @@ def common_scale(
     found: dict[int, float] = {}
     gather(frames, video.absent, video.outlines, look, found)
     return min(1.0, size / max(found.values(), default=size))
-
-
-def gather(
-    frames: Iterable[int],
-    absent: Mapping[int, str],
-    read: Callable[[Iterable[int]], Iterable[Read]],
-    look: Callable[[Read], Seen],
-    found: dict[int, Seen] | SpillCache[Seen],
-) -> dict[int, str]:
-    """Gather the evidence of some frames; return why the other frames have none.
-
-    Args:
-        frames: numbers of the frames that are used.
-        absent: frames that cannot be read, and why.
-        read: reads frames by their numbers, such as :meth:`gva_mi.data.video.Video.outlines`.
-        look: makes the evidence of what was read, or raises :class:`NoEvidence`.
-        found: receives the evidence.
-    """
-    wanted = list(frames)
-    reasons = {k: absent[k] for k in wanted if k in absent}
-    for frame in read(k for k in wanted if k not in absent):
-        try:
-            found[frame.index] = look(frame)
-        except NoEvidence as reason:
-            reasons[frame.index] = str(reason)
-    return reasons
 
 
 def mean_of_losses(vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]) -> Tensor:

@@ -29,9 +29,9 @@ from torch.nn.functional import pad
 from gva_mi.body.pose import JOINTS
 from gva_mi.pose.film.film_evidence import LEAST_DEPTH, FilmEvidence
 from gva_mi.pose.film.film_state import FilmState
-from gva_mi.pose.film.landmark_noise import FREEDOM
 from gva_mi.pose.film.limb_directions import DirectionModel
 from gva_mi.pose.film.posed_points import PosedPoints
+from gva_mi.pose.prior.error_model import FREEDOM
 
 CHEST = JOINTS.index("spine3")
 ARMS = (("shoulder", "elbow"), ("elbow", "wrist"))

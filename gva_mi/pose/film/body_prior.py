@@ -57,6 +57,25 @@ class Rows(NamedTuple):
     by_shared: Tensor  # (N, S)
 
 
+def relaxed_pose(anatomy: Anatomy) -> Tensor:
+    """Return rotations (55, 3) of relaxed joints, radians: arms down and fingers half bent."""
+    relaxed = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
+    for sign, side in ((-1, "left"), (1, "right")):
+        relaxed[JOINTS.index(f"{side}_shoulder"), 2] = sign * RELAXED["shoulder"]
+        relaxed[JOINTS.index(f"{side}_elbow"), 1] = sign * RELAXED["elbow"]
+    for bend in anatomy.bends:
+        (joint,) = bend.any(1).nonzero()[:, 0].tolist()
+        if joint >= LEFT_HAND.start:
+            relaxed[joint] = CURL[int(JOINTS[joint][-1])] * bend[joint]
+    return relaxed
+
+
+def habits_of(anatomy: Anatomy, joints: Sequence[int]) -> list[int]:
+    """Return the angles of an anatomy that only some joints form."""
+    others = [j for j in range(len(JOINTS)) if j not in joints or j == 0]
+    return [q for q, row in enumerate(anatomy.A) if not bool(row[others].any())]
+
+
 @dataclass(frozen=True)
 class BodyPrior:
     """The terms above, for some unknowns."""
@@ -68,23 +87,13 @@ class BodyPrior:
     memory: Tensor  # (T,) m
 
     @staticmethod
-    def of(free: Free, joints: Tensor, memory: Tensor | None = None) -> BodyPrior:
-        """Derive it from joints (55, 3) at rest; without m (T,) every frame counts."""
-        anatomy = Anatomy.of(joints)
-        relaxed = torch.zeros(len(JOINTS), 3, dtype=torch.float64)
+    def of(free: Free, anatomy: Anatomy, memory: Tensor) -> BodyPrior:
+        """Collect the terms; ``memory`` is m (T,)."""
         spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
         for k, name in enumerate(JOINTS[: LEFT_HAND.start]):
             part = name.removeprefix("left_").removeprefix("right_")
             spread[k] = torch.tensor(SPREAD[part] or 1.0)
-        for sign, side in ((-1, "left"), (1, "right")):
-            relaxed[JOINTS.index(f"{side}_shoulder"), 2] = sign * RELAXED["shoulder"]
-            relaxed[JOINTS.index(f"{side}_elbow"), 1] = sign * RELAXED["elbow"]
-        for bend in anatomy.bends:
-            (joint,) = bend.any(1).nonzero()[:, 0].tolist()
-            if joint >= LEFT_HAND.start:
-                relaxed[joint] = CURL[int(JOINTS[joint][-1])] * bend[joint]
-        counts = torch.ones(1, dtype=torch.float64) if memory is None else memory
-        return BodyPrior(free, anatomy, relaxed, spread**-2, counts)
+        return BodyPrior(free, anatomy, relaxed_pose(anatomy), spread**-2, memory)
 
     def energy(self, state: FilmState) -> Tensor:
         """Return (1) and (2), nats."""
@@ -106,12 +115,12 @@ class BodyPrior:
             (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
         )
 
-        angles = self.habits(self.free.joints)
+        angles = habits_of(self.anatomy, self.free.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
         by_frame, by_shared = some(len(A)), state.place.new_zeros(len(A), shared)
         by_frame[:, first:] = A
         if self.free.habits:
-            by_shared[:, self.free.starts[3] :] = -torch.eye(len(A))
+            by_shared[:, self.free.first_of_habits :] = -torch.eye(len(A))
         varying = torch.tensor([self.anatomy.freedoms[q].varying for q in angles]).double()
         weights = torch.deg2rad(varying) ** -2 / memory
         yield Rows(r.flatten(1) @ A.T - state.habits[angles], weights, by_frame, by_shared)
@@ -125,11 +134,6 @@ class BodyPrior:
         by_frame[:, first:] = bends
         weights = (past != 0) / (memory * math.radians(PAST_LIMIT) ** 2)
         yield Rows(past, weights, by_frame, by_frame.new_zeros(len(bends), shared))
-
-    def habits(self, joints: list[int]) -> list[int]:
-        """Return the angles of the anatomy that only some joints form."""
-        others = [j for j in range(len(JOINTS)) if j not in joints or j == 0]
-        return [q for q, row in enumerate(self.anatomy.A) if not bool(row[others].any())]
 
 
 @dataclass(frozen=True)
@@ -232,10 +236,10 @@ class SharedPrior:
             return
         apart, spread = self.parts(state)
         turn = torch.eye(len(apart), dtype=apart.dtype)
-        some = slice(self.free.starts[2], self.free.starts[3])
+        some = slice(self.free.first_of_offsets, self.free.first_of_habits)
         turn[some, some] = self._sides()
         if self.free.camera and self.lines is not None:
-            focal = self.free.starts[1]
+            focal = self.free.first_of_camera
             turn[focal + 2, focal] = -self._up(state)[0][1]
         equations.shared += turn.T @ (turn * spread[:, None] ** -2)
         equations.shared_pull -= turn.T @ (apart / spread**2)

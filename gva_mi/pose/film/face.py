@@ -37,9 +37,10 @@ from gva_mi.body.so3 import compose, to_matrix
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face_points import FacePoints
-from gva_mi.pose.film.landmark_noise import FREEDOM, MEMORY
-from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.landmark_noise import MEMORY
+from gva_mi.pose.film.normal_equations import CHUNK, NormalEquations
 from gva_mi.pose.film.solver import SolvedFilm
+from gva_mi.pose.prior.error_model import FREEDOM
 
 NO_FACE = "the body has no face that moves: head, jaw and expression stay as the body's points say"
 METRES, PIXELS = 0.003, 0.8  # σ of a point on the face, and in the picture: both together
@@ -49,7 +50,6 @@ LOOSE = 0.006  # metres
 TURN, PLACE, OPEN, EXPRESSION = (0.15, 0.5), (0.03, 1.0), (0.2, 0.3), (1.0, 0.4)
 CLOSED = 0.05  # share of the frames with a face in which the mouth is closed
 STEPS = 6
-CHUNK = 32  # frames whose derivatives are in memory at once
 _LIPS = FACE.index("face_62"), FACE.index("face_66")  # the middle of the upper and the lower one
 _HEAD, _JAW = JOINTS.index("head"), JOINTS.index("jaw")
 
@@ -146,9 +146,8 @@ class _FaceProblem:
         by_jaw, *by_expression = (
             part[_LIPS[0], 1] - part[_LIPS[1], 1] for part in (self.b, *self.d)
         )
-        parted = (
-            q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
-        )  # as if by the jaw alone
+        # The mouth's opening, as if by the jaw alone.
+        parted = q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
         opened = (q[:, 6] - torch.quantile(parted[seen], CLOSED)).clamp_min(0)
         rotations = pose.rotations.clone()
         rotations[:, _HEAD] = compose(rotations[:, _HEAD].double(), q[:, :3]).float()
@@ -208,15 +207,10 @@ class _FaceProblem:
         s, c = q.new_tensor(kinds).unbind(1)
         e = torch.exp(-self.dt / c)
         level, end, slope = (x / (s**2 * (1 + e)) for x in (1 - e, e, e / (1 - e)))
-        steps = q.diff(dim=0)
         diagonal = equations.frames.diagonal(dim1=1, dim2=2)
         equations.pull -= level * q
         diagonal += level
         for k in (0, -1):
             equations.pull[k] -= end * q[k]
             diagonal[k] += end
-        diagonal[1:] += slope
-        diagonal[:-1] += slope
-        equations.next[:-1] -= slope
-        equations.pull[1:] -= slope * steps
-        equations.pull[:-1] += slope * steps
+        equations.add_steps(q.diff(dim=0), slope)

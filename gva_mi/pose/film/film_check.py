@@ -80,10 +80,10 @@ def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Pro
     """Find the sides of the person that no frame shows."""
     centres = np.arange(SECTORS) * 360 / SECTORS
     apart = np.abs(centres[:, None] - seen_from(video, body, frames)) % 360
-    seen = (np.minimum(apart, 360 - apart) <= VISIBLE).any(1)
+    nearest = np.minimum(apart, 360 - apart).min(1)
+    seen = nearest <= VISIBLE
     if seen.mean() >= ENOUGH_SIDES:
         return
-    nearest = np.minimum(apart, 360 - apart).min(1)
     unseen = [n for angle, n in _SIDES.items() if nearest[angle * SECTORS // 360] > FACING]
     sides = f"; never its {', '.join(unseen)}" if unseen else ""
     yield doubt(

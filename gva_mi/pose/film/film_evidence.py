@@ -32,16 +32,16 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import FREEDOM, LandmarkNoise, independent_points
+from gva_mi.pose.film.landmark_noise import LandmarkNoise, independent_points
 from gva_mi.pose.film.posed_points import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.upright import MASSES, SHARE, Leaning, above_one_another
+from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
 
 METRIC = 0.1  # σ_m, metres
 UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
-T_PEAK = 0.3676  # of Student's t with that freedom
 SOLES = 4  # points after the landmarks; then the joints that have mass
 
 
@@ -97,10 +97,10 @@ class FilmEvidence:
         D = self._derivatives(posed) if derive else None
         if self.starting:
             yield self._metric(posed, D)
-        else:
-            yield self._pixels(posed, D, state)
-            yield self._depths(posed, D)
-        if self.free.travels and not self.starting:
+            return
+        yield self._pixels(posed, D, state)
+        yield self._depths(posed, D)
+        if self.free.travels:
             yield self._ground(posed, D, state)
             yield self._upright(posed, D, state)
 
@@ -113,9 +113,9 @@ class FilmEvidence:
         if free.travels:
             D[..., :3] = torch.eye(3, dtype=D.dtype)
         D[..., first:F] = posed.by_joints(free.joints).flatten(3)
-        betas, _, offsets, _ = (F + start for start in free.starts)
+        offsets = F + free.first_of_offsets
         if free.betas:
-            D[..., betas : betas + free.betas] = posed.by_betas()[..., : free.betas]
+            D[..., F : F + free.betas] = posed.by_betas()[..., : free.betas]
         A = posed.by_offsets()
         for k, p in enumerate(free.offsets):
             D[:, p, :, offsets + 3 * k : offsets + 3 * k + 3] = A[:, p]
@@ -142,7 +142,7 @@ class FilmEvidence:
         own = D[:, :P]
         J = (own[:, :, :2] - rays[..., None] * own[:, :, 2:]) * (f / z)[..., None]
         if self.free.camera:
-            J[..., self.free.per_frame + self.free.starts[1]] = f * rays
+            J[..., self.free.per_frame + self.free.first_of_camera] = f * rays
         return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
 
     def _depths(self, posed: PosedPoints, D: Tensor | None) -> EvidenceRows:
@@ -183,7 +183,7 @@ class FilmEvidence:
             return rows
         J = torch.einsum("nqcu,c->nqu", D[:, P : P + SOLES], up)
         if self.free.camera:
-            first = self.free.per_frame + self.free.starts[1] + 1
+            first = self.free.per_frame + self.free.first_of_camera + 1
             J[..., first : first + 2] += X @ by_up
             J[..., first + 2] += 1
         return rows._replace(jacobian=J)
@@ -200,7 +200,7 @@ class FilmEvidence:
             return EvidenceRows(energy, r.flatten(1), weights, None)
         J = leaning.slopes(D[:, first:])
         if self.free.camera:
-            start = self.free.per_frame + self.free.starts[1] + 1
+            start = self.free.per_frame + self.free.first_of_camera + 1
             J[..., start : start + 2] += leaning.slopes_by_up(by_up)
         return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
 

@@ -10,10 +10,9 @@ from torch import Tensor
 from gva_mi.pose.film.body_prior import BodyPrior, SharedPrior
 from gva_mi.pose.film.film_evidence import FilmEvidence
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.normal_equations import CHUNK, NormalEquations
 from gva_mi.pose.film.smoothness import Smoothness
 
-CHUNK = 32  # frames whose derivatives are in memory at once
 ENOUGH = 1e-4  # of the energy; a smaller gain ends the steps
 DAMPING, LEAST, LARGEST = 1e-3, 1e-8, 1e6
 EASIER, HARDER = 0.2, 6.0  # factors on the damping after a step that succeeds, and one that fails
@@ -36,14 +35,13 @@ class FilmProblem:
     shared_prior: SharedPrior
     smoothness: Smoothness
 
-    def minimised(self, state: FilmState, steps: int) -> tuple[FilmState, NormalEquations]:
-        """Take at most some steps; return the state, and the equations around it."""
+    def minimised(self, state: FilmState, steps: int) -> FilmState:
+        """Take at most some steps."""
         which, offsets = list(self.which), state.offsets
         state = replace(state, offsets=offsets[which])
         damping, energy = DAMPING, float(self.energy(state))
-        equations = self.equations(state)
         for _ in range(steps):
-            before = energy
+            equations, before = self.equations(state), energy
             while damping < LARGEST:
                 trial = self.free.moved(state, *equations.solve(damping))
                 found = float(self.energy(trial))
@@ -53,12 +51,11 @@ class FilmProblem:
             else:
                 break
             state, energy, damping = trial, found, max(damping * EASIER, LEAST)
-            equations = self.equations(state)
             if before - energy < ENOUGH * abs(before):
                 break
         whole = offsets.clone()
         whole[which] = state.offsets
-        return replace(state, offsets=whole), equations
+        return replace(state, offsets=whole)
 
     def energy(self, state: FilmState) -> Tensor:
         """Return the sum of all terms, nats."""

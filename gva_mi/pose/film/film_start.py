@@ -18,14 +18,11 @@ def first_root(landmarks: Landmarks) -> Tensor:
 
     Frames without a trunk take the nearest frame's.
     """
-    at = {
-        n: torch.from_numpy(landmarks.metric[:, k]).double() for k, n in enumerate(landmarks.names)
-    }
-    left, right = (
-        {part: at[f"{side}_{part}"] for part in ("shoulder", "hip")} for side in ("left", "right")
-    )
-    up = left["shoulder"] + right["shoulder"] - left["hip"] - right["hip"]
-    aside = left["shoulder"] - right["shoulder"] + left["hip"] - right["hip"]
+    at = landmarks.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip"])
+    trunk = torch.from_numpy(landmarks.metric[:, at]).double()
+    left_shoulder, right_shoulder, left_hip, right_hip = trunk.unbind(1)
+    up = left_shoulder + right_shoulder - left_hip - right_hip
+    aside = left_shoulder - right_shoulder + left_hip - right_hip
     y = normalize(up, dim=1)
     x = normalize(aside - (aside * y).sum(1, keepdim=True) * y, dim=1)
     R = torch.stack([x, y, torch.linalg.cross(x, y)], dim=2)

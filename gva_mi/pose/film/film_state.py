@@ -50,6 +50,8 @@ class FilmState:
 class Free:
     """The unknowns of one problem, as columns: those of a frame, then those that frames share.
 
+    Shared columns are counted from the first of them on.
+
     Attributes:
         joints: that may turn; with the root (first) the person may also travel.
         betas: number of them.
@@ -79,11 +81,17 @@ class Free:
         return self.betas + 4 * self.camera + 3 * len(self.offsets) + len(self.habits)
 
     @property
-    def starts(self) -> tuple[int, int, int, int]:
-        """Return the first shared columns of betas, camera, offsets, habits, counted from F on."""
-        camera = self.betas
-        offsets = camera + 4 * self.camera
-        return 0, camera, offsets, offsets + 3 * len(self.offsets)
+    def first_of_camera(self) -> int:
+        """Shared column of the focal length; those of up and the floor follow."""
+        return self.betas
+
+    @property
+    def first_of_offsets(self) -> int:
+        return self.first_of_camera + 4 * self.camera
+
+    @property
+    def first_of_habits(self) -> int:
+        return self.first_of_offsets + 3 * len(self.offsets)
 
     def moved(self, state: FilmState, step: Tensor, shared: Tensor) -> FilmState:
         """Apply a step (T, F) and (S,)."""
@@ -95,10 +103,10 @@ class Free:
             rotations[:, list(self.joints[1:])] += turns[:, 1:]
         else:
             rotations[:, list(self.joints)] += turns
-        _, camera, offsets, habits = self.starts
+        camera, habits = self.first_of_camera, self.first_of_habits
         betas, moved, held = state.betas.clone(), state.offsets.clone(), state.habits.clone()
         betas[: self.betas] += shared[: self.betas]
-        moved[list(self.offsets)] += shared[offsets:habits].view(-1, 3)
+        moved[list(self.offsets)] += shared[self.first_of_offsets : habits].view(-1, 3)
         held[list(self.habits)] += shared[habits:]
         found = replace(
             state, rotations=rotations, place=place, betas=betas, offsets=moved, habits=held

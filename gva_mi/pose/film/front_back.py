@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from gva_mi.data.landmarks import FACE, Landmarks
-from gva_mi.pose.film.landmark_noise import FREEDOM
+from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.pose.swaps import TOGETHER, least_states
 
 PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")

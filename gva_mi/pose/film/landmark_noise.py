@@ -49,7 +49,6 @@ from torch import Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
 
-FREEDOM = 3.0  # ν of the Student's t distribution of errors: some are far off
 PERSON = 1.7  # metres, whose pixels are S
 SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
 LEAST_CONFIDENCE = 0.05  # a landmark of less is not used
@@ -101,7 +100,6 @@ class LandmarkNoise:
         bones: (K, 2) from and to, indices of the P landmarks.
         gain, bias: (K,) of eq. 2, ``bias`` in metres.
         depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
-        size: S, pixels of a person of 1.7 m; its median over the frames.
     """
 
     pixels: Tensor
@@ -109,11 +107,10 @@ class LandmarkNoise:
     gain: Tensor
     bias: Tensor
     depth: Tensor
-    size: float
 
     @staticmethod
     def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
-        """Say how far off the landmarks with some names are; the order is that of ``names``.
+        """Return the noise of the landmarks with some names, in the order of ``names``.
 
         Raises:
             InputError: no frame has a person.
@@ -142,7 +139,6 @@ class LandmarkNoise:
             tensor([bone.gain for _, bone in known]),
             tensor([bone.bias for _, bone in known]),
             tensor(depth),
-            float(np.median(sizes)),
         )
 
 

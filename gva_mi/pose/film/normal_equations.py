@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
-
+CHUNK = 32  # frames whose derivatives are in memory at once
 UNDETERMINED = 1e-6  # added to the diagonal
 
 
@@ -75,6 +74,17 @@ class NormalEquations:
             self.shared += weighted.T @ flat
             self.shared_pull -= weighted.T @ r.flatten()
 
+    def add_steps(
+        self, steps: Tensor, weight: float | Tensor, columns: slice = slice(None)
+    ) -> None:
+        """Add weighted squares of the steps (T - 1, n) from frame to frame of n columns."""
+        diagonal = self.frames.diagonal(dim1=1, dim2=2)[:, columns]
+        diagonal[1:] += weight
+        diagonal[:-1] += weight
+        self.next[:-1, columns] -= weight
+        self.pull[1:, columns] -= weight * steps
+        self.pull[:-1, columns] += weight * steps
+
     def solve(self, damping: float) -> tuple[Tensor, Tensor]:
         """Return the step (T, F) and (S,), with the diagonal ``1 + damping`` times as large."""
         count, free = self.pull.shape
@@ -96,15 +106,6 @@ class NormalEquations:
         pull = self.shared_pull - torch.einsum("tfs,tf->s", self.mixed, alone)
         y = torch.cholesky_solve(pull[:, None], torch.linalg.cholesky(schur))[:, 0]
         return alone - by_shared @ y, y
-
-    def spread(self) -> Tensor:
-        """Return the posterior standard deviations (T, F) of the frames' unknowns.
-
-        The shared unknowns are taken as known.
-        """
-        count, free = self.pull.shape
-        factors = _Factors.of(*_in_pairs(self.frames, self.next, self.second))
-        return sqrt(factors.variances().reshape(-1, free)[:count])
 
 
 @dataclass(frozen=True)
@@ -137,20 +138,6 @@ class _Factors:
             right = found[i] - self.across[i].mT @ found[i + 1] if later else found[i]
             found[i] = solve(self.lower[i].mT, right, upper=True)
         return torch.stack(found)
-
-    def variances(self) -> Tensor:
-        """Return the diagonal of the inverse, (N, b)."""
-        found: list[Tensor] = []
-        inverse: Tensor | None = None
-        for i in reversed(range(len(self.lower))):
-            L = self.lower[i]
-            own = torch.cholesky_inverse(L)
-            if inverse is not None:
-                G = torch.linalg.solve_triangular(L.mT, self.across[i].mT, upper=True)
-                own = own + G @ inverse @ G.mT
-            inverse = own
-            found.append(own.diagonal())
-        return torch.stack(found[::-1])
 
 
 def _in_pairs(frames: Tensor, following: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:

@@ -62,7 +62,6 @@ class PictureQuality:
 
 def _blur(luma: np.ndarray, mask: np.ndarray) -> float:
     """Return eq. 1 of a person (H, W); 0 if there are too few pixels."""
-    from PIL import Image
     from scipy.ndimage import gaussian_filter
 
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
@@ -70,15 +69,10 @@ def _blur(luma: np.ndarray, mask: np.ndarray) -> float:
     luma, mask = luma[box], mask[box]
     if len(luma) > TALL:
         size = max(1, luma.shape[1] * TALL // len(luma)), TALL
-        luma, mask = (
-            np.asarray(Image.fromarray(x.astype("f4")).resize(size, Image.Resampling.BOX))
-            for x in (luma, mask)
-        )
+        luma, mask = _shrunk(luma, size), _shrunk(mask, size)
     again, found = gaussian_filter(luma, AGAIN), []
-    for axis in (0, 1):
-        inside = np.minimum(mask.take(range(1, len(mask)), 0), mask[:-1]) if axis == 0 else (
-            np.minimum(mask[:, 1:], mask[:, :-1])
-        )  # fmt: skip
+    for axis, neighbours in enumerate([(mask[1:], mask[:-1]), (mask[:, 1:], mask[:, :-1])]):
+        inside = np.minimum(*neighbours)
         before, after = (
             np.square(np.diff(x, axis=axis))[inside > 0.9].sum() for x in (luma, again)
         )
@@ -88,15 +82,19 @@ def _blur(luma: np.ndarray, mask: np.ndarray) -> float:
 
 def _small(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Return a frame's luma at width WIDE, and where its background is, away from the person."""
-    from PIL import Image
     from scipy.ndimage import maximum_filter
 
     height, width = frame.mask.shape
     size = WIDE, max(1, height * WIDE // width)
-    shrunk = lambda x: np.asarray(
-        Image.fromarray(x.astype("f4")).resize(size, Image.Resampling.BOX)
-    )
-    return shrunk(frame.image @ LUMA), maximum_filter(shrunk(frame.mask), 9) < 0.02
+    beside = maximum_filter(_shrunk(frame.mask, size), 9) < 0.02
+    return _shrunk(frame.image @ LUMA, size), beside
+
+
+def _shrunk(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return an image (H, W) at another width and height, by means over areas."""
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(image.astype("f4")).resize(size, Image.Resampling.BOX))
 
 
 def _displacement(

@@ -57,14 +57,6 @@ class PointSet:
         numbers = (rest, directions, body.j_template, growth)
         return PointSet(joints, *(x.double() for x in numbers), ancestors[joints])
 
-    def at(self, which: Sequence[int]) -> PointSet:
-        """Select points."""
-        some = list(which)
-        return PointSet(
-            self.joints[some], self.rest[some], self.directions[:, some],
-            self.skeleton, self.growth, self.above[some],
-        )  # fmt: skip
-
 
 @dataclass(frozen=True)
 class PosedPoints:

@@ -21,7 +21,7 @@ import numpy as np
 from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, listed, part_of_progress
-from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.provenance import versions
@@ -158,15 +158,6 @@ def prepare_film(
     about["body"] = {"name": name, "file": file} | fingerprint(model)
     write_json(out / PREPARED, about)
     return record.notes
-
-
-def nth_person(text: str | None) -> int | None:
-    """Return the person of a film that ``--person`` names, from the left; None: the largest."""
-    if text is not None and not (text.isdecimal() and int(text) > 0):
-        raise InputError(
-            f"--person of a film must be a number from 1 on, from the left; got {text}"
-        )
-    return None if text is None else int(text)
 
 
 class _Stored(Sequence[np.ndarray]):

@@ -70,10 +70,10 @@ class LandmarkRig:
     loose: Tensor
 
     @staticmethod
-    def of(body: BodyModel, names: Sequence[str] | None = None) -> LandmarkRig:
-        """Find landmarks on a body; ``names`` that are not known are left out, None means all."""
+    def of(body: BodyModel, names: Sequence[str]) -> LandmarkRig:
+        """Find landmarks on a body; ``names`` that are not known are left out."""
         points = dict(_points(body))
-        known = tuple(name for name in (points if names is None else names) if name in points)
+        known = tuple(name for name in names if name in points)
         joints, vertices, loose = zip(*(points[name] for name in known), strict=True)
         at = torch.tensor([max(v, 0) for v in vertices])
         of_surface = torch.tensor([v >= 0 for v in vertices])[:, None]
@@ -96,15 +96,15 @@ class LandmarkRig:
         betas = betas[: len(self.directions)]
         return self.rest + torch.einsum("b,bpc->pc", betas, self.directions[: len(betas)])
 
-    def places(self, T_world_rest: Tensor, betas: Tensor, offsets: Tensor | None = None) -> Tensor:
+    def places(self, T_world_rest: Tensor, betas: Tensor, offsets: Tensor) -> Tensor:
         """Return eq. 1: the landmarks (T, P, 3), metres, world; differentiable.
 
         Args:
             T_world_rest: (T, 55, 4, 4) of :class:`gva_mi.body.smplx.Posed`.
             betas: (B,) of the shape.
-            offsets: ``o`` (P, 3) metres; None: zero.
+            offsets: ``o`` (P, 3) metres.
         """
-        x = self.at_rest(betas) if offsets is None else self.at_rest(betas) + offsets
+        x = self.at_rest(betas) + offsets
         T = T_world_rest[:, self.joints]
         return (T[..., :3, :3] @ x[:, :, None])[..., 0] + T[..., :3, 3]
 

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import FREEDOM
 from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.pose.stage1 import turns_between
 
 PLACE = (8.0, 1.5)  # a, v of the person: m/s², m/s
@@ -52,7 +52,7 @@ class Smoothness:
         """Add eq. 1, as weighted squares, to the equations."""
         for k, (steps, (a, v)) in enumerate(self._groups(state)):
             columns = slice(3 * k, 3 * k + 3)
-            self._add_slopes(steps, v, equations, columns)
+            equations.add_steps(steps, 1 / (v * self.dt) ** 2, columns)
             if len(steps) > 1:
                 self._add_bends(steps, a, equations, columns)
 
@@ -67,17 +67,6 @@ class Smoothness:
                 yield steps, FINGER
             else:
                 yield steps, TRUNK if joint in _TRUNK else LIMB
-
-    def _add_slopes(
-        self, steps: Tensor, v: float, equations: NormalEquations, columns: slice
-    ) -> None:
-        w = 1 / (v * self.dt) ** 2
-        diagonal = equations.frames.diagonal(dim1=1, dim2=2)[:, columns]
-        diagonal[1:] += w
-        diagonal[:-1] += w
-        equations.next[:-1, columns] -= w
-        equations.pull[1:, columns] -= w * steps
-        equations.pull[:-1, columns] += w * steps
 
     def _add_bends(
         self, steps: Tensor, a: float, equations: NormalEquations, columns: slice

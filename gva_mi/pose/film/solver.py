@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
@@ -27,21 +26,28 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
-from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.importers.lens import in_pixels, pinhole_K
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.arm_depths import with_arm_depths
-from gva_mi.pose.film.body_prior import FOCAL, HEIGHT, HEIGHT_KNOWN, BodyPrior, SharedPrior
+from gva_mi.pose.film.body_prior import (
+    FOCAL,
+    HEIGHT,
+    HEIGHT_KNOWN,
+    BodyPrior,
+    SharedPrior,
+    habits_of,
+    relaxed_pose,
+)
 from gva_mi.pose.film.film_evidence import film_evidence
 from gva_mi.pose.film.film_problem import FilmProblem
 from gva_mi.pose.film.film_start import first_place, first_root
 from gva_mi.pose.film.film_state import FilmState, Free
 from gva_mi.pose.film.landmark_noise import LandmarkNoise, frames_alike
-from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.smoothness import Smoothness
 from gva_mi.pose.film.vertical_lines import Vertical
+from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stature import PEOPLE, Stature
 from gva_mi.splat import Camera
 
@@ -62,11 +68,6 @@ class SolvedFilm:
     pose: Pose
     shape: Shape
     camera: Camera
-    names: tuple[str, ...]  # P landmarks that were used
-    offsets: Tensor  # (P, 3) their constant offsets on the resting body, metres
-    spread: Tensor  # (T, 55) posterior standard deviation of each joint's rotation, radians
-    lost: list[int]  # frames without the person
-    hands_seen: tuple[float, float]  # share of the frames, left and right
     tilt: float  # degrees that the camera looks down
 
 
@@ -129,20 +130,16 @@ def solve_film(
     with one_torch_thread(), torch.no_grad():
         film = _Film.of(landmarks, body, size, fps, known)
         state = film.first()
-        state, _ = film.body_problem(state, starting=True).minimised(state, START)
+        state = film.body_problem(state, starting=True).minimised(state, START)
         report(1, 4)
         problem = film.body_problem(state)
-        state, _ = problem.minimised(state, BODY)
-        problem = film.with_arm_depths(problem, state)
-        state, equations = problem.minimised(state, BODY)
-        spread = _per_joint(equations, _BODY)
+        state = problem.minimised(state, BODY)
+        state = film.with_arm_depths(problem, state).minimised(state, BODY)
         report(2, 4)
-        for k, (side, fingers) in enumerate(_HANDS.items()):
-            joints = list(range(len(JOINTS)))[fingers]
-            state, equations = film.hand_problem(state, side).minimised(state, HAND)
-            spread = spread + _per_joint(equations, joints)
+        for k, side in enumerate(_HANDS):
+            state = film.hand_problem(state, side).minimised(state, HAND)
             report(3 + k, 4)
-        return film.result(state, spread)
+        return film.result(state)
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ class _Film:
     dt: float
     known: KnownOfFilm
     rig: LandmarkRig
-    noise: LandmarkNoise
+    anatomy: Anatomy
     K: np.ndarray
 
     @staticmethod
@@ -170,23 +167,20 @@ class _Film:
         at, names = landmarks.indices(rig.names), ("pixels", "confidence", "spread", "metric")
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
         landmarks = Landmarks(rig.names, **arrays)
-        noise = LandmarkNoise.of(landmarks, rig.names)
-        return _Film(landmarks, body, size, 1 / fps, known, rig, noise, known.K(size))
+        anatomy = Anatomy.of(body.j_template)
+        return _Film(landmarks, body, size, 1 / fps, known, rig, anatomy, known.K(size))
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""
-        free = Free(_BODY)
-        prior = BodyPrior.of(free, self.body.j_template)
         shape = self.mean_shape()
-        count = len(self.landmarks)
-        rotations = prior.relaxed.expand(count, -1, -1).clone()
-        rotations[:, 0] = so3.to_rotvec(first_root(self.landmarks))
         scale = self.rig.scale(self.landmarks, shape.betas)
-        place = first_place(self.landmarks, self.K, scale)
+        place = first_place(self.landmarks, self.K, scale)  # first, as it refuses a film of nobody
+        rotations = relaxed_pose(self.anatomy).repeat(len(self.landmarks), 1, 1)
+        rotations[:, 0] = so3.to_rotvec(first_root(self.landmarks))
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
         up = zero(2)
         floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT[0])
-        habits = zero(len(prior.anatomy.freedoms))
+        habits = zero(len(self.anatomy.freedoms))
         offsets = zero(len(self.rig.names), 3)
         return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
 
@@ -202,9 +196,8 @@ class _Film:
         if starting:
             problem = self._problem(Free(_BODY), which, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
-        prior = BodyPrior.of(Free(_BODY), self.body.j_template)
-        offsets = list(range(len(which)))
-        free = Free(_BODY, len(state.betas), True, offsets, prior.habits(_BODY))
+        habits = habits_of(self.anatomy, _BODY)
+        free = Free(_BODY, len(state.betas), True, range(len(which)), habits)
         return self._problem(free, which, state)
 
     def with_arm_depths(self, problem: FilmProblem, state: FilmState) -> FilmProblem:
@@ -216,11 +209,10 @@ class _Film:
 
     def hand_problem(self, state: FilmState, side: str) -> FilmProblem:
         """Return the problem of one hand's fingers."""
-        joints = list(range(len(JOINTS)))[_HANDS[side]]
+        joints = range(len(JOINTS))[_HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
-        prior = BodyPrior.of(Free(joints), self.body.j_template)
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
-        free = Free(joints, 0, False, of_fingers, prior.habits(joints))
+        free = Free(joints, 0, False, of_fingers, habits_of(self.anatomy, joints))
         return self._problem(free, which, state, side)
 
     def _problem(
@@ -234,8 +226,8 @@ class _Film:
         metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
         memory, K = frames_alike(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
         evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
-        prior = BodyPrior.of(free, self.body.j_template, memory)
-        always = torch.tensor([f.always for f in prior.anatomy.freedoms]).double()
+        prior = BodyPrior.of(free, self.anatomy, memory)
+        always = torch.tensor([f.always for f in self.anatomy.freedoms]).double()
         known = self.known
         shared = SharedPrior(
             free,
@@ -251,7 +243,7 @@ class _Film:
         )
         return FilmProblem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
 
-    def result(self, state: FilmState, spread: Tensor) -> SolvedFilm:
+    def result(self, state: FilmState) -> SolvedFilm:
         """Turn the world upright, with the floor at zero below the person."""
         up, _ = state.upward()
         x = torch.tensor([1.0, 0, 0], dtype=up.dtype)
@@ -269,19 +261,4 @@ class _Film:
         T[:3, :3], T[:3, 3] = R_camera_world.numpy(), origin.numpy()
         camera = Camera.from_matrices(self.K, T, *self.size).zoomed(float(state.focal.exp()))
         pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), 10))
-        found = self.noise.pixels.isfinite()
-        some = lambda text: [p for p, name in enumerate(self.rig.names) if text in name]
-        of_body = [p for p in some("") if p not in some("_hand_")]
-        lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
-        seen = tuple(float(found[:, some(f"{s}_hand_")].any(1).float().mean()) for s in _HANDS)
-        tilt = -math.degrees(math.asin(float(up[2])))
-        found = self.rig.names, state.offsets.float(), spread.float(), lost, seen, tilt
-        return SolvedFilm(pose, shape, camera, *found)
-
-
-def _per_joint(equations: NormalEquations, joints: Sequence[int]) -> Tensor:
-    """Return the spread (T, 55) of joints, the last columns of a frame; zero elsewhere."""
-    each = equations.spread().unflatten(1, (-1, 3))[:, -len(joints) :]
-    whole = each.new_zeros(len(each), len(JOINTS))
-    whole[:, list(joints)] = sqrt(each.square().mean(2))
-    return whole
+        return SolvedFilm(pose, shape, camera, tilt=-math.degrees(math.asin(float(up[2]))))

@@ -51,6 +51,7 @@ GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 # Medians of χ²: of the square length of a vector whose d coordinates have variance 1.
 _MEDIAN = {1: 0.4549, 3: 2.3660}
 FREEDOM = 3.0  # ν of Student's t: two or three frames in a hundred are far off
+T_PEAK = 0.3676  # of Student's t with that freedom
 MEMORIES = (1.5, 3.0, 6.0, 12.0, 24.0)  # frames, candidates of eq. 4
 LAGS = 12  # largest lag of eq. 4, frames
 LEAST_WHITE = 0.1  # relative to the slow part; keeps eq. 2 from being singular
@@ -109,10 +110,9 @@ def covariance(
     error_models: Sequence[Stage1ErrorModel],
     times: Tensor,
     factors: Tensor,
-    growth: Tensor | None = None,
+    growth: Tensor,
 ) -> Tensor:
     """Return eq. 2 (C, n, n) float64 of C models at times (n,), with ``f`` and ``g`` (C, n)."""
-    growth = torch.ones_like(factors) if growth is None else growth
     lasting = [noise.lasting(times, g) for noise, g in zip(error_models, growth, strict=True)]
     white = torch.tensor([noise.white_variance for noise in error_models], dtype=torch.float64)
     diagonal = torch.diag_embed(white[:, None] * factors.double())

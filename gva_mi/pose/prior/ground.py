@@ -38,7 +38,7 @@ from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import to_matrix
 from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
-from gva_mi.pose.prior.error_model import FREEDOM
+from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
 
 SOLE = 0.012  # m above the lowest vertex: what still touches the ground
 MEMORY = 6.0  # m, frames for which a point's height error lasts
@@ -49,7 +49,6 @@ LEAST_LIFT = 0.05  # λ, m
 LEAST_SHARE = 0.05  # of the points that stand, and of those that swing
 LEAST_CHANGE = 0.001  # m, of a step
 BEND = 0.2  # change of a step, relative to its length: a turntable's turn per frame, radians
-T_PEAK = 0.3676  # of Student's t with that freedom
 ROUNDS = 40  # of expectation maximisation
 
 _CHAIN = [JOINTS.index("pelvis")] + [

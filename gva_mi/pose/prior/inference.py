@@ -8,11 +8,10 @@ are (:func:`prior_from_corrections`). The error model goes into the record of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,7 +19,7 @@ from gva_mi.core.same_bits import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.camera_tilt import TiltPrior
 from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level
-from gva_mi.pose.prior.ground import ContactStats, Ground
+from gva_mi.pose.prior.ground import Ground
 from gva_mi.pose.prior.process import ProcessPrior
 from gva_mi.pose.stage1 import Stage1
 
@@ -57,26 +56,6 @@ class PosePrior:
     place: ProcessPrior  # of the person's position in the camera's axes; it may change steadily
     tilt: TiltPrior | None  # its nats are a mean over the frames; None: the estimator is known
     ground: Ground | None = None  # its nats are of the whole clip; None before it is fitted
-    # models of ``noise`` that are knowledge about the estimator, and are not inferred
-    known: frozenset[str] = frozenset()
-
-
-def describe_prior(
-    noise: Mapping[str, Stage1ErrorModel], contact: ContactStats | None
-) -> Iterator[str]:
-    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
-    if not noise:
-        return
-    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
-    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
-    moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
-    yield f"stage 1     errs by {turns}; by {places}{moving}"
-    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
-    lasts = sorted({noise[name].memory for name in GROUPS})
-    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
-    if contact is not None:
-        stands = f"soles stand {contact.share:.0%} of the time"
-        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
 def prior_from_stage1(
@@ -103,7 +82,6 @@ def prior_from_stage1(
         process(turns[:, JOINTS], _by_joint(noise, JOINTS)),
         process(shifts[..., None], _by_axis(noise), True),
         TiltPrior.of(stage1, stage1.pose.rotations) if known is None else None,
-        known=frozenset(known or ()),
     )
 
 
@@ -115,7 +93,7 @@ def prior_from_corrections(
     The turns (n, J, 3) radians and the moves (n, 3) metres are in the camera's axes.
     """
     noise = _noise(before.noise, stage1.times, turns, moves)
-    noise |= {name: before.noise[name] for name in before.known}
+    noise |= {name: model for name, model in before.noise.items() if model.known}
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
     root, sideways = steps[:, PELVIS], stage1.in_camera(steps, slice(0, -1))[:, JOINTS, 2:]
@@ -125,7 +103,6 @@ def prior_from_corrections(
         updated_process(before.joints, _by_joint(noise, JOINTS), turns[:, JOINTS], sideways),
         updated_process(before.place, _by_axis(noise), moves[..., None], shifts[..., None]),
         None if before.tilt is None else TiltPrior.of(stage1, pose.rotations),
-        known=before.known,
     )
 
 

@@ -2,8 +2,8 @@
 
 Stage 1 gives ``y_k``, the true value is ``x_k = y_k + δ_k``. The error model
 (:mod:`gva_mi.pose.prior.error_model`) and the motion model (:mod:`gva_mi.pose.prior.motion`) give
-the corrections
-``δ`` of one joint, or of one coordinate of a position, the energy (a negative log probability)
+the corrections ``δ`` of one joint, or of one coordinate of a position, the energy (a negative log
+probability)
 
 1. ``E(δ) = 1/2 Σ_kl δ_k · P_kl δ_l + Σ_k cost(Δ_k)``,   ``P = K⁻¹``,   ``Δ_k = m_k + δ_k+1 - δ_k``
 
@@ -99,9 +99,9 @@ class ProcessPrior:
         """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
         process, D = self, self._difference.double()
         corrections = torch.zeros(len(self.times), *self.steps.shape[1:])
-        for round in range(ROUNDS):
+        for k in range(ROUNDS):
             # No step counts as a jump at first, however large: otherwise nothing would move.
-            H, W = process._curvature(corrections, jumps=round >= ROUNDS // 2)
+            H, W = process._curvature(corrections, jumps=k >= ROUNDS // 2)
             pull = torch.einsum("pk,cp,pcd->ckd", D, W, self.steps.double())
             corrections = (
                 torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
@@ -110,9 +110,12 @@ class ProcessPrior:
         return corrections, process
 
     def energy(self, precision: FrameMatrices, corrections: Tensor, own: Tensor) -> Tensor:
-        """Return eq. 1, of corrections (n, C, d) in axes in which stage 1's errors last, such as
-        the camera's, and of the same in the axes of ``steps`` (``own``); ``precision`` is ``P``
-        (C, n, n).
+        """Return eq. 1.
+
+        Args:
+            precision: ``P`` (C, n, n).
+            corrections: (n, C, d) in axes in which stage 1's errors last, such as the camera's.
+            own: the same in the axes of ``steps``.
         """
         e = corrections.transpose(0, 1)
         moved = motion.cost(self._changed(own), self.square_speed)

@@ -7,7 +7,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.avatar import AvatarOptions, ResidualOptions, SeedOptions, seed_avatar
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.formats.without_body import fingerprint, save_without_body, with_body
+from gva_mi.avatar.formats.without_body import body_hash, save_without_body, with_body
 from gva_mi.body import BodyModel, Shape
 from gva_mi.core.files import read_arrays
 
@@ -61,7 +61,7 @@ def test_nothing_of_the_body_is_in_the_file(file, clothed, body):
     assert shapes["beneath"] == shapes["shares"] == (N, 7)
     assert np.allclose(arrays["offsets"], rig.vertices - body.rest(Shape(rig.betas)).vertices)
     assert '"name": "ellipsoid"' in str(arrays["description"])
-    assert fingerprint(body) in str(arrays["description"])
+    assert body_hash(body) in str(arrays["description"])
 
 
 def test_another_body_is_refused(file, clothed, body, tmp_path):

@@ -58,8 +58,7 @@ def talk(built_in_body):
     given = Pose(true.rotations.clone(), true.transl, 0 * true.expression)
     given.rotations[:, JAW] = 0
     given.rotations[:, HEAD] += torch.tensor([0.12, -0.07, 0.02])
-    zero = torch.zeros(FRAMES, len(JOINTS))
-    solved = SolvedFilm(given, shape, CAMERA, (), torch.zeros(0, 3), zero, [], (0.0, 0.0), 0.0)
+    solved = SolvedFilm(given, shape, CAMERA, 0.0)
     return Talk(true, solved, landmarks)
 
 

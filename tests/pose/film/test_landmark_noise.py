@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import (
     PERSON,
     LandmarkNoise,
@@ -20,7 +20,7 @@ from gva_mi.pose.film.rig import LandmarkRig
 @pytest.fixture(scope="module")
 def standing(built_in_body):
     """The built-in body from the front, 200 pixels a metre, in three frames."""
-    rig = LandmarkRig.of(built_in_body)
+    rig = LandmarkRig.of(built_in_body, (*BODY, *hand_names("left"), *hand_names("right")))
     metric = (rig.rest * torch.tensor([1.0, -1, -1])).numpy()[None].repeat(3, 0)
     ones = np.ones(metric.shape[:2])
     return Landmarks(rig.names, 200 * metric[..., :2] + 300, ones, 0 * ones, metric)

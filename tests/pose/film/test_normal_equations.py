@@ -43,10 +43,3 @@ def test_the_step_is_that_of_the_dense_matrix(frames):
     own, shared = equations.solve(0.5)
     expected = torch.linalg.solve(dense, right)
     assert torch.allclose(torch.cat([own.flatten(), shared]), expected, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.parametrize("frames", [1, 4, 5])
-def test_the_spread_is_the_diagonal_of_the_inverse(frames):
-    equations, dense, _ = equations_of(frames)
-    expected = torch.linalg.inv(dense[: frames * F, : frames * F]).diagonal().sqrt()
-    assert torch.allclose(equations.spread().flatten(), expected)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS
+from gva_mi.data.landmarks import BODY
 from gva_mi.pose.film.film_evidence import film_points
 from gva_mi.pose.film.posed_points import PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
@@ -17,7 +18,7 @@ def axes_of(body, betas, turns):
 
 def joints_of(body, betas, turns):
     """Return the joints that have mass (15, 3), metres."""
-    points = film_points(body, LandmarkRig.of(body), True)
+    points = film_points(body, LandmarkRig.of(body, BODY), True)
     rotations = torch.zeros(1, len(JOINTS), 3, dtype=torch.float64)
     for joint, turn in turns.items():
         rotations[0, JOINTS.index(joint)] = torch.tensor(turn).double()

@@ -32,7 +32,7 @@ from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
+from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, save_cameras
@@ -235,7 +235,8 @@ def motion_of_film(
     watched = watch_film(
         pictures.pictures,
         on_silhouette,
-        WatchOptions(person=person, weights=options.weights),
+        person,
+        options.weights,
         within(progress, 0, 4, 5),
     )
     if options.keypoints is not None:

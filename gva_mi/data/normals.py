@@ -142,16 +142,12 @@ def _square_lengths(normals: np.ndarray) -> np.ndarray:
     return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
-def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Convert normals (H, W, 3) from camera space, zero where unknown, to ICON's convention."""
-    return _turned(normals, camera, -1) * (1, -1, -1)
-
-
 def in_convention(normals: np.ndarray, camera: Camera, convention: Convention) -> np.ndarray:
     """Convert normals (H, W, 3) from camera space, zero where unknown."""
-    if convention == "icon":
-        return to_icon(normals, camera)
-    return normals * ((1, -1, -1) if convention == "opengl" else 1)
+    if convention == "perspective":
+        return normals
+    turned = _turned(normals, camera, -1) if convention == "icon" else normals
+    return turned * (1, -1, -1)
 
 
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -39,14 +39,12 @@ from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import load_cameras
-from gva_mi.data.cameras import save_cameras as save_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import mask_file, read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, require_sides, size_of_whole
-from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
 from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
 
@@ -227,12 +225,6 @@ def load_video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent,
         found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
-
-
-def best_poses(folder: Path) -> Path:
-    """Return the file of a subject's refined poses; without one, that of stage 1."""
-    refined = folder / REFINED_POSES
-    return refined if refined.exists() else folder / POSES
 
 
 def is_frame(path: Path) -> bool:

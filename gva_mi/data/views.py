@@ -22,9 +22,11 @@ from pathlib import Path
 
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_json
+from gva_mi.data.cameras import load_cameras, save_cameras
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image, require_sides
-from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
 VIEWS, ABOUT = "views", "views.json"

@@ -34,10 +34,11 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.provenance import versions
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.data.ground_truth import BODY
-from gva_mi.data.pictures import write_movie
-from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
+from gva_mi.data.pictures import write_film
+from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
@@ -90,7 +91,7 @@ def make_subject(
         writer.write_video(folder)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
         seen = writer.write_novel_views(folder / "truth" / "novel_view", views)
-        splits = Splits.every(TEST_EVERY, options.frames).to_json()
+        splits = Splits.every(options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         write_json(folder / "splits.json", splits)
         write_surface(folder / SURFACE, subject)
@@ -137,7 +138,7 @@ class _SubjectWriter:
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors = list(self.render(jobs))
-        write_movie(folder / "video.mp4", colors)
+        write_film(folder / "video.mp4", colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))

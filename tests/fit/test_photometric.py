@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import in_8_bits, write_image
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 from gva_mi.fit.renders import DRAWN
 from gva_mi.splat import Camera, look_at, render

@@ -25,6 +25,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers import footage
@@ -45,7 +46,7 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import require_sides, write_image
-from gva_mi.data.video import POSES, save_cameras, spread
+from gva_mi.data.video import POSES, spread
 from gva_mi.splat import Camera
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average

@@ -26,6 +26,7 @@ from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import on_all_cores
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
@@ -35,7 +36,7 @@ from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
-from gva_mi.data.video import POSES, save_cameras
+from gva_mi.data.video import POSES
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import CAMERAS, KnownOfFilm, SolvedFilm, solve_film

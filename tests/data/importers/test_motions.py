@@ -219,7 +219,7 @@ def test_a_bad_motion_is_refused_in_one_sentence(read, case):
 
 
 def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, camera):
-    from gva_mi.data.video import save_cameras
+    from gva_mi.data.cameras import save_cameras
 
     rotations, transl = walk(3)
     np.savez(tmp_path / "amass.npz", poses=rotations, trans=transl, mocap_frame_rate=30)

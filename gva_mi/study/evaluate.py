@@ -129,11 +129,10 @@ def evaluate(
     name: str = "full",
     splits: Sequence[Split] = SPLITS,
     weights: Weights | None = None,
-    progress: Progress | None = None,
     body: BodyModel | None = None,
 ) -> list[SplitScores]:
     """Measure an avatar on splits of a video: :func:`evaluate_views` of :func:`views_of`."""
-    return evaluate_views(avatar, views_of(video, splits, body), name, Scorer(weights), progress)
+    return evaluate_views(avatar, views_of(video, splits, body), name, Scorer(weights))
 
 
 def evaluate_views(

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import EYES, HANDS, JAW_AND_EYES, JOINTS, SIDES, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
 from gva_mi.data.ground_truth import truth_of
@@ -35,8 +35,7 @@ FACE = 0.26  # metres, the side of the face's box
 SMALLEST = 16  # pixels of a side, which the metrics' networks need
 SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
 
-WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in ("left", "right")}
-FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}
+WRISTS = {side: JOINTS.index(f"{side}_wrist") for side in SIDES}
 HEAD = JOINTS.index("head")
 
 Detail = Literal["hands", "face"]
@@ -93,7 +92,7 @@ class Details:
         posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
         seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
         joints, weights = posed.joints[0].double().numpy(), self.body.weights
-        for side, fingers in FINGERS.items():
+        for side, fingers in HANDS.items():
             own = weights[:, fingers].sum(1) + weights[:, WRISTS[side]] > 0.5
             box = box_around(camera, joints[np.r_[WRISTS[side], fingers]], HAND)
             if box is not None and seen[own].float().mean() >= SEEN:

@@ -26,7 +26,8 @@ from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject
 
-RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
+# Options of older folders, which changed nothing but the pictures.
+RETIRED = ("background", "blur", "sensor_noise", "folds")
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 

@@ -135,7 +135,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
 def test_a_take_is_filmed_by_one_worker(tmp_path, body):
     amira = [case for case in TUNING if case.take.person == "amira"]
     filming = Filming(tmp_path, 8, 64)
-    films = [work.call.args[1] for work in filming_work(filming, [*amira, TUNING[1]], body)]
+    films = [work.call.args[0] for work in filming_work(filming, [*amira, TUNING[1]], body)]
     assert films == [tuple(amira), (TUNING[1],)]
     folders = {filming.subject(case) for cases in films for case in cases}
     assert len(folders) == len(amira) + 1

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
@@ -249,15 +249,13 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
     if track.expression is not None:
         expression, note = body.expression(track.form, track.expression)
         notes += note
-    if track.from_mean_hand:
-        track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    rotations, places = upright(track.rotations, track.places, "-y")
+    rotations = track.with_flat_hands(body.mean_hands).rotations
+    rotations, places = upright(rotations, track.places, "-y")
     places = places - body.pelvises(body.form, betas)
-    tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
-    pose = Pose(tensor(rotations), tensor(places), tensor(expression))
+    pose = Pose.of_arrays(rotations, places, expression)
     notes.append(
         f"for the body {body.name}: rotations, place and betas are the source's own" if own else
         f"retargeted to the body {body.name}: rotations and the pelvis's place are the source's; "

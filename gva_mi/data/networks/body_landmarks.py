@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES, mirrored_name
 from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.person_detector import MARGIN
 from gva_mi.data.networks.tflite import TfliteNetwork, sigmoid
@@ -37,15 +38,13 @@ _PARTS = [  # each arm, each leg, the trunk
     [BODY.index(f"{side}_{name}") for side in sides for name in names]
     for sides, names in (
         (["left"], _ARM), (["right"], _ARM), (["left"], _LEG), (["right"], _LEG),
-        (["left", "right"], ("shoulder", "hip")),
+        (SIDES, ("shoulder", "hip")),
     )
 ]  # fmt: skip
 _APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
 
-
-_OTHER = {"left": "right", "right": "left"}
 _MIRRORED = np.array([  # which landmark (39,) a landmark of the mirrored picture is
-    *(BODY.index("_".join(_OTHER.get(word, word) for word in name.split("_"))) for name in BODY),
+    *(BODY.index(mirrored_name(name)) for name in BODY),
     *range(33, _POINTS),
 ])  # fmt: skip
 

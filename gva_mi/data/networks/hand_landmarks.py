@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.data.landmarks import BODY, hand_names
 from gva_mi.data.networks.body_landmarks import SeenBody
 from gva_mi.data.networks.seen_part import SeenPart, found_again, with_mirrored
@@ -21,7 +22,6 @@ from gva_mi.data.networks.tflite import TfliteNetwork
 from gva_mi.data.networks.turned_square import TurnedSquare
 from gva_mi.data.networks.weights import weights_file
 
-SIDES = ("left", "right")
 FOUND = 0.3  # least probability of a hand
 _POINTS = 21
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger

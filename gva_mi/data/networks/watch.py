@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.data.networks.face_landmarks import FaceNetwork
-from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork
+from gva_mi.data.networks.hand_landmarks import HandNetwork
 from gva_mi.data.networks.person_detector import PersonDetector
 from gva_mi.data.networks.person_tracker import PersonTracker
 from gva_mi.data.networks.seen_part import SeenPart

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body import so3
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
@@ -52,7 +52,6 @@ START, BODY, HAND = 8, 30, 15  # steps, at most
 _PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
 _FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 _BODY = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE]
-_HANDS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def solve_film(
         state, equations = problem.minimised(state, BODY)
         spread = _per_joint(equations, _BODY)
         report(2, 4)
-        for k, (side, fingers) in enumerate(_HANDS.items()):
+        for k, (side, fingers) in enumerate(HANDS.items()):
             joints = list(range(len(JOINTS)))[fingers]
             state, equations = film.hand_problem(state, side).minimised(state, HAND)
             spread = spread + _per_joint(equations, joints)
@@ -216,7 +215,7 @@ class _Film:
 
     def hand_problem(self, state: FilmState, side: str) -> FilmProblem:
         """Return the problem of one hand's fingers."""
-        joints = list(range(len(JOINTS)))[_HANDS[side]]
+        joints = list(range(len(JOINTS)))[HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
         prior = BodyPrior.of(Free(joints), self.body.j_template)
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
@@ -273,7 +272,7 @@ class _Film:
         some = lambda text: [p for p, name in enumerate(self.rig.names) if text in name]
         of_body = [p for p in some("") if p not in some("_hand_")]
         lost = (~found[:, of_body].any(1)).nonzero()[:, 0].tolist()
-        seen = tuple(float(found[:, some(f"{s}_hand_")].any(1).float().mean()) for s in _HANDS)
+        seen = tuple(float(found[:, some(f"{s}_hand_")].any(1).float().mean()) for s in HANDS)
         tilt = -math.degrees(math.asin(float(up[2])))
         found = self.rig.names, state.offsets.float(), spread.float(), lost, seen, tilt
         return SolvedFilm(pose, shape, camera, *found)

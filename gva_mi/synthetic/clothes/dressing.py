@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.synthetic.clothes import accessories, garments
 from gva_mi.synthetic.clothes.hair import hair_mesh, strands
 from gva_mi.synthetic.clothes.level_sets import (
@@ -118,7 +118,7 @@ def _clothes(
         pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.035 * drop))
     else:
         pieces.append(_soft(rest, Material.BOTTOM, bottom, 0.025, 0.4 * loose * drop, 0.004))
-    shoes = [garments.shoe(rest, side, outfit.sole) for side in ("left", "right")]
+    shoes = [garments.shoe(rest, side, outfit.sole) for side in SIDES]
     return pieces + [_soft(rest, Material.SHOES, shoe, 0.02) for shoe in shoes], cone
 
 

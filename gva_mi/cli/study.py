@@ -200,7 +200,7 @@ def _chosen(what: _Choice) -> list[StudyCase]:
     cases = {"held-out": judging, "tuning": TUNING, "all": both, "limits": LIMITS}[what.cases]
     chosen = list(cases)
     for name, asked, of in (
-        ("error-models", what.error_models, lambda case: case.error_model),
+        ("error-models", what.error_models, lambda case: case.kind_of_errors),
         ("subjects", what.subjects, lambda case: case.take.person),
     ):
         there = dict.fromkeys(map(of, cases))

@@ -43,7 +43,7 @@ from gva_mi.splat import Camera
 Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
-ABOUT = "normals.json"
+NORMALS = "normals.json"
 SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
 
 
@@ -63,7 +63,7 @@ class NormalMaps:
         """
         if not (folder / "normals").is_dir():
             return None
-        about = _read_about(folder / ABOUT, frames) if (folder / ABOUT).exists() else {}
+        about = _read_about(folder / NORMALS, frames) if (folder / NORMALS).exists() else {}
         convention = convention or about.get("convention", "perspective")
         return NormalMaps(folder / "normals", convention, about.get("boxes"))
 
@@ -88,7 +88,7 @@ class NormalMaps:
             if stored.shape != size:
                 raise InputError(
                     f"{path}: frame {index} is {stored.shape}, expected {size}; maps of a "
-                    f"part of the frame need their 'boxes' in {ABOUT}"
+                    f"part of the frame need their 'boxes' in {NORMALS}"
                 )
             normals = _directions(stored[part])
         else:

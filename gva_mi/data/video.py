@@ -38,7 +38,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
-from gva_mi.data.cameras import load_cameras
+from gva_mi.data.cameras import CAMERAS, load_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
@@ -199,7 +199,7 @@ def load_video(
         )
     images, sizes = _open_pictures(folder)
     count = max(sizes) + 1
-    cameras = load_cameras(folder / "cameras.npz", count)
+    cameras = load_cameras(folder / CAMERAS, count)
     poses = poses or folder / POSES
     found = read_pose_file(poses, count)
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
@@ -210,7 +210,7 @@ def load_video(
         if (width, height) != expected:
             raise InputError(
                 f"{folder}: frame {k} is {width}x{height}, "
-                f"but cameras.npz says {expected[0]}x{expected[1]}"
+                f"but {CAMERAS} says {expected[0]}x{expected[1]}"
             )
         if (reason := _why_absent(mask_file(folder / "masks", k), *expected)) is not None:
             absent[k] = reason

@@ -18,14 +18,15 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
-from gva_mi.data.cameras import save_cameras
+from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import read_film
-from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
-from gva_mi.data.ground_truth import CAMERAS, GroundTruth, load_ground_truth
+from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
 from gva_mi.data.pictures import in_8_bits
+from gva_mi.data.splits import SPLITS
 from gva_mi.data.video import POSES, load_video
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
@@ -50,7 +51,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
     video, truth = load_video(take, normals="none"), load_ground_truth(take / "truth", body)
     camera, pictures = truth.cameras[0], read_film(take / "frames").pictures
     with atomic_dir(out) as folder:
-        for name in ("frames", "truth", "video.mp4", "splits.json", ABOUT):
+        for name in ("frames", "truth", "video.mp4", SPLITS, SYNTH):
             if (take / name).is_dir():
                 shutil.copytree(take / name, folder / name)
             elif (take / name).exists():

@@ -16,8 +16,8 @@ from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
-from gva_mi.data.cameras import save_cameras
-from gva_mi.data.normals import ABOUT, Convention, NormalMaps, in_convention
+from gva_mi.data.cameras import CAMERAS, save_cameras
+from gva_mi.data.normals import NORMALS, Convention, NormalMaps, in_convention
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
@@ -97,9 +97,9 @@ class Pipeline:
         found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)
         cameras = [estimated_camera(camera, errors.pose, levels.pose) for camera in self.cameras]
-        save_cameras(folder / "cameras.npz", cameras)
+        save_cameras(folder / CAMERAS, cameras)
         if (convention := errors.normal.convention_at(levels.normal)) != "perspective":
-            write_json(folder / ABOUT, {"convention": convention})
+            write_json(folder / NORMALS, {"convention": convention})
         about = {
             "error_model": options.error_model,
             "seed": options.seed_of_noise,

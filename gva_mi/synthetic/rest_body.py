@@ -9,8 +9,9 @@ import numpy as np
 
 from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, SIDES, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.clothes.level_sets import BodySurface
 from gva_mi.synthetic.look import FaceLandmarks, Point
+from gva_mi.synthetic.surface import vertex_normals
 
 _WRISTS = [JOINTS.index(f"{side}_wrist") for side in SIDES]
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")

@@ -15,10 +15,10 @@ from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
 from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.synthetic.clothes.folds import Crease, creases, lag
-from gva_mi.synthetic.clothes.level_sets import vertex_normals
 from gva_mi.synthetic.look import Look, Material
 from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.rest_body import RestBody, face_landmarks
+from gva_mi.synthetic.surface import vertex_normals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -6,11 +6,12 @@ import torch
 
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.clothes.level_sets import BodySurface
 from gva_mi.synthetic.look import Material
 from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.render import Renderer
 from gva_mi.synthetic.subject import draw_subject
+from gva_mi.synthetic.surface import vertex_normals
 
 
 def person(body, seed):

@@ -25,7 +25,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
-from gva_mi.data.cameras import save_cameras
+from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers import footage
@@ -46,6 +46,7 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import require_sides, write_image
+from gva_mi.data.splits import SPLITS
 from gva_mi.data.video import POSES, spread
 from gva_mi.splat import Camera
 
@@ -89,7 +90,7 @@ def prepare_folder(
         )  # fmt: skip
         notes += of_hands
     if capture.splits is not None:
-        write_json(out / "splits.json", capture.splits.to_json())
+        write_json(out / SPLITS, capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
@@ -98,7 +99,7 @@ def prepare_folder(
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
         more += write_masks(out, mask_network, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
-    save_cameras(out / "cameras.npz", cameras)
+    save_cameras(out / CAMERAS, cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
         posed = lambda k: body.model(pose[k], shape).vertices[0]

@@ -42,10 +42,10 @@ from gva_mi.pose.film.normal_equations import NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.smoothness import Smoothness
 from gva_mi.pose.film.vertical_lines import Vertical
-from gva_mi.pose.stature import PEOPLE, Stature
+from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
 from gva_mi.splat import Camera
 
-CAMERAS = Within(0.05, 20, unit="metres")  # their heights above the floor
+CAMERA_HEIGHTS = Within(0.05, 20, unit="metres")  # above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START, BODY, HAND = 8, 30, 15  # steps, at most
@@ -89,7 +89,7 @@ class KnownOfFilm:
     camera_height: float | None = None
 
     def __post_init__(self) -> None:
-        for name, range_ in (("height", PEOPLE), ("camera_height", CAMERAS)):
+        for name, range_ in (("height", PERSON_HEIGHTS), ("camera_height", CAMERA_HEIGHTS)):
             if getattr(self, name) is not None:
                 range_.require("a film", name, getattr(self, name))
         if self.focal is not None and not (np.isfinite(self.focal) and self.focal > 0):

@@ -25,17 +25,11 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.synthetic.clothes import accessories, garments
 from gva_mi.synthetic.clothes.hair import hair_mesh, strands
-from gva_mi.synthetic.clothes.level_sets import (
-    BAND,
-    BodySurface,
-    RestMesh,
-    VoxelGrid,
-    smoothstep,
-    vertex_normals,
-)
+from gva_mi.synthetic.clothes.level_sets import BAND, BodySurface, RestMesh, VoxelGrid
 from gva_mi.synthetic.look import Material, SkirtCone
 from gva_mi.synthetic.people import Outfit
 from gva_mi.synthetic.rest_body import RestBody
+from gva_mi.synthetic.surface import smoothstep, vertex_normals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -23,8 +23,9 @@ from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import Video, load_video, save_cameras
+from gva_mi.data.video import Video, load_video
 from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss

@@ -38,7 +38,7 @@ from gva_mi.core.pickles.reader import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 LARGEST = 1e9  # absolute value of any number in a body file
-SIDES = Within(0.01, 100)  # metres, longest side of the box around the mean person
+LONGEST_SIDES = Within(0.01, 100)  # metres, longest side of the box around the mean person
 FEWEST_SHARED = 0.8  # fraction of edges that belong to two triangles
 _ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
 _SKIN = (
@@ -118,7 +118,7 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
             if arrays[key].size == 0:
                 raise InputError(f"{path}: '{key}' is empty")
     sides = np.ptp(arrays["v_template"], axis=0)
-    if max(sides) not in SIDES:
+    if max(sides) not in LONGEST_SIDES:
         found = " x ".join(f"{side:.3g}" for side in sides)
         raise InputError(f"{path}: 'v_template' is {found} metres in size; expected a person")
     left, right = (len(arrays.get(key, ())) for key in _OPTIONAL[:2])

@@ -35,6 +35,8 @@ ROOT, BODY = slice(0, 1), slice(1, 22)
 JAW, EYES, JAW_AND_EYES = slice(22, 23), slice(23, 25), slice(22, 25)
 WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers
+SIDES = ("left", "right")
+HANDS: Mapping[str, slice] = {"left": LEFT_HAND, "right": RIGHT_HAND}
 SMPLX_FIELDS: Mapping[str, slice] = {
     "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": slice(23, 24),
     "reye_pose": slice(24, 25), "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
@@ -43,6 +45,12 @@ SMPLX_FIELDS: Mapping[str, slice] = {
 LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
 LARGEST_ANGLE = 1e3
 _WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
+
+
+def mirrored_name(name: str) -> str:
+    """Exchange left and right in a name such as ``left_wrist``."""
+    other = {"left": "right", "right": "left"}
+    return "_".join(other.get(word, word) for word in name.split("_"))
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,12 @@ class Pose:
         """Return the T-pose."""
         zero = lambda *shape: torch.zeros(frames, *shape, dtype=dtype)
         return Pose(zero(len(JOINTS), 3), zero(3), zero(expressions))
+
+    @staticmethod
+    def of_arrays(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
+        """Build a float32 pose from arrays of these fields."""
+        tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
+        return Pose(tensor(rotations), tensor(transl), tensor(expression))
 
     @staticmethod
     def from_smplx(named: Mapping[str, Tensor]) -> Pose:

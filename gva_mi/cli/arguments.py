@@ -12,7 +12,7 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.fingerprint import prepared_body
-from gva_mi.data.video import REFINED_POSES, Video, best_poses
+from gva_mi.data.video import POSES, REFINED_POSES, Video
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
@@ -31,10 +31,11 @@ def poses_of(subject: Path, given: Path | None = None) -> Path:
 
     Unrefined poses are no error, but a line mentions them.
     """
-    poses = given or best_poses(subject)
-    if given is None and poses.name != REFINED_POSES:
+    refined = subject / REFINED_POSES
+    if given is None and not refined.exists():
         say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
-    return poses
+        return subject / POSES
+    return given or refined
 
 
 def body_of(subject: Path, given: Path | None = None) -> Path | None:

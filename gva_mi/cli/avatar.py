@@ -24,6 +24,7 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.provenance import hash_files
 from gva_mi.core.workers import usual_workers
+from gva_mi.data.cameras import CAMERAS
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
@@ -127,7 +128,7 @@ class _Work:
         """Yield all steps in order."""
         subject, run = self.subject, self.run
         body = [self.body] if self.body else []
-        names = ("frames", "masks", "cameras.npz", LANDMARKS, POSES, PREPARED)
+        names = ("frames", "masks", CAMERAS, LANDMARKS, POSES, PREPARED)
         prepared = [*body, *(subject / name for name in names)]
         refined, findings = subject / REFINED_POSES, subject / FINDINGS
         fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]

@@ -7,9 +7,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import Positional, arg
 
 import gva_mi
+from gva_mi.cli.arguments import Switch
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
@@ -25,7 +26,7 @@ def bench(
     repeats: Repeats = 20,
     seed: Seed = 0,
     scene: Path | None = None,
-    no_growth: FlagCreatePairsOff[bool] = False,
+    no_growth: Switch = False,
     json_file: Annotated[Path | None, arg(name="json")] = None,
 ) -> None:
     """Measure the renderer, a fit, the rendered normals, or the viewer.

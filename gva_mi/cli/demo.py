@@ -62,8 +62,8 @@ def demo(
         size=options.size,
         workers=workers,
     )
-    poses = PoseOptions(trained=not options.no_refine)
-    fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=poses)
+    trained = PoseOptions(trained=not options.no_refine)
+    fit_options = FitOptions(seed=options.seed, steps=options.steps, poses=trained)
     with folder_lock(out, "gva-mi demo"):
         start_folder(out, MARKER, overwrite, {"options": asdict(options)})
         subject = out / SUBJECT

@@ -94,7 +94,7 @@ def _dr_jit() -> Iterator[Component]:
         code = "".join(kernel["ir"].getvalue() for kernel in dr.kernel_history() if "ir" in kernel)
     lanes = re.search(r"<(\d+) x float>", code)
     found = ".".join(map(str, dr.detail.llvm_version()))
-    yield Component("libLLVM", f"{found} at {os.environ.get(llvm._PATH, 'the default path')}")
+    yield Component("libLLVM", f"{found} at {os.environ.get(llvm.PATH, 'the default path')}")
     width = f", {lanes.group(1)} float32 lanes" if lanes else ""
     says = f"{dr.__version__}, {dr.thread_count()} threads{width}"
     yield Component("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")

@@ -137,7 +137,7 @@ def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, 
 
 def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
     """Check the derivatives of ``mesh_normals`` by coordinates of the body's pose."""
-    count = min(options.count or len(COORDINATES), len(COORDINATES))
+    count = options.count or len(COORDINATES)
     fineness, rows = (options.size, options.spp, options.lines, options.points), []
     with bar("gradcheck") as progress:
         for done, found in enumerate(check_normals(count, *fineness), 1):

@@ -16,8 +16,8 @@ from gva_mi.core.files import require_room
 from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
-from gva_mi.pose.film.solver import CAMERAS
-from gva_mi.pose.stature import PEOPLE
+from gva_mi.pose.film.solver import CAMERA_HEIGHTS
+from gva_mi.pose.stature import PERSON_HEIGHTS
 
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
 
@@ -27,8 +27,8 @@ def motion(
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
     *,
-    height: Annotated[float, PEOPLE] | None = None,
-    camera_height: Annotated[float, CAMERAS] | None = None,
+    height: Annotated[float, PERSON_HEIGHTS] | None = None,
+    camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:

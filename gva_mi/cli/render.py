@@ -17,16 +17,15 @@ from gva_mi.cli.series import HASH, hash_of, series
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
     read_image,
     require_alpha_codec,
-    write_alpha_film,
+    write_film,
     write_image,
-    write_movie,
 )
-from gva_mi.data.video import load_cameras
 from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
 from gva_mi.fit.renders import over, render_shots, to_rgba
 from gva_mi.fit.run_folder import body_of_run, load_avatar
@@ -101,10 +100,8 @@ def render(
             yield image
 
     with series(out, MARKER, names, overwrite, about) as missing, bar("render") as progress:
-        if movie in missing and alpha:
-            write_alpha_film(out / movie, images(missing), fps=fps)
-        elif movie in missing:
-            write_movie(out / movie, images(missing), fps=fps, lossless=False)
+        if movie in missing:
+            write_film(out / movie, images(missing), fps, "alpha" if alpha else "playable")
         else:
             deque(images(missing), maxlen=0)
     say(f"{len(pictures)} pictures: {out}")

@@ -13,6 +13,7 @@ from gva_mi.cli.arguments import Switch, body_of
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
+from gva_mi.data.cameras import CAMERAS
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import LpipsNetwork, find_weights
@@ -20,8 +21,6 @@ from gva_mi.study.page import number
 from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
 from gva_mi.study.score_pictures import RegionScores, score_pictures
 from gva_mi.study.scores import Scorer
-
-CAMERAS = "cameras.npz"  # a folder with it is a subject's
 
 
 def score(
@@ -56,7 +55,7 @@ def score(
     if out is not None:
         require_room(out, overwrite)
     color = None if background == "none" else read_background(background, 1, 1).reshape(-1)[:3]
-    if not (truth / CAMERAS).is_file():
+    if not (truth / CAMERAS).is_file():  # not a subject's folder
         pairs = pairs_of_pictures(renders, truth, masks, color)
     elif masks is None:
         pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth, body)), color)

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
@@ -21,11 +20,12 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.workers import local_executor
+from gva_mi.data.importers.world import Axis, axis_of
 from gva_mi.pose.film.prepare_film import FilmOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
-from gva_mi.study.multiview import UP, Upward, bones_table, multiview, multiview_table
+from gva_mi.study.multiview import bones_table, multiview, multiview_table
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
 from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
@@ -88,7 +88,7 @@ class MultiviewChoice:
     # Calibration of the cameras, as Pose2Sim, anipose and FreeMoCap write it; without it the .toml
     # in the folder.
     calibration: Path | None = None
-    up: Upward = "z"  # axis of the calibration's world
+    up: Axis = "z"  # axis of the calibration's world
     known_lens: Switch = False  # films are solved with their true focal lengths
     body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
     json_file: Annotated[Path | None, arg(name="json")] = None  # where to write all figures
@@ -159,7 +159,7 @@ def _multiview(what: MultiviewChoice) -> None:
     with bar("study") as progress:
         rows, bones = multiview(
             what.films, what.calibration, load_body(what.body), what.film,
-            np.array(UP[what.up]), what.known_lens, progress,
+            axis_of(what.up), what.known_lens, progress,
         )  # fmt: skip
     for table in (multiview_table(rows), bones_table(bones)):
         for line in aligned(table):
@@ -200,7 +200,7 @@ def _chosen(what: _Choice) -> list[StudyCase]:
     cases = {"held-out": judging, "tuning": TUNING, "all": both, "limits": LIMITS}[what.cases]
     chosen = list(cases)
     for name, asked, of in (
-        ("error-models", what.error_models, lambda case: case.error_model),
+        ("error-models", what.error_models, lambda case: case.kind_of_errors),
         ("subjects", what.subjects, lambda case: case.take.person),
     ):
         there = dict.fromkeys(map(of, cases))

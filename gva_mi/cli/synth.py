@@ -12,9 +12,8 @@ from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_replaceable
+from gva_mi.data.fingerprint import SYNTH
 from gva_mi.synthetic import SynthOptions, degrade, describe_errors, make_subject
-
-MARKER = "synth.json"  # every synthetic subject has it
 
 
 def synth(
@@ -40,9 +39,9 @@ def synth(
         if out.resolve() == like.resolve():
             raise InputError(f"{out}: is the recording itself; expected another folder than --like")
     model = load_body(body)
-    require_replaceable(out, MARKER, overwrite)
+    require_replaceable(out, SYNTH, overwrite)
     require_writable(out.absolute().parent)
-    replaced = MARKER if overwrite else None
+    replaced = SYNTH if overwrite else None
     with bar("synth") as progress:
         if like is None:
             make_subject(out, options, model, progress, replaced)

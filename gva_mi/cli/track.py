@@ -14,7 +14,7 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_parts, source_of
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_pictures, source_of
 from gva_mi.fit.tracking import (
     TRACKED_POSES,
     known_poses,
@@ -58,9 +58,8 @@ def track(
     video, start = load_video(subject, refined), refined
     offsets = video.offsets_of(len(model.v_template))
     if poses is None and (trained := run / TRAINED_POSES).exists():
-        if others := set(other_parts(run, video)) & {"frames", "cameras"}:
-            parts = " and ".join(sorted(others))
-            say(f"{run}: was fitted to another video (other {parts}); its poses are not used")
+        if others := other_pictures(run, video):
+            say(f"{run}: was fitted to another video (other {others}); its poses are not used")
         else:
             video, start = load_video(subject, trained), trained
     warn_if_outside_masks(video, model)

@@ -25,7 +25,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video, load_video
-from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_parts
+from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_pictures
 from gva_mi.viewer.cameras import start
 from gva_mi.viewer.controls import FPS, Choices, Controls
 from gva_mi.viewer.drawing import Drawing
@@ -100,11 +100,10 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
             f"poses of {subject}, or no --subject"
         )
     video = load_video(subject, poses or run / TRAINED_POSES, "none")
-    others = set(other_parts(run, video)) & {"frames", "cameras"}
-    if poses is None and others:
+    if poses is None and (others := other_pictures(run, video)):
         raise InputError(
-            f"{run}: was fitted to another video than {subject}, which has other "
-            f"{' and '.join(sorted(others))}; give that one, or --poses of this one"
+            f"{run}: was fitted to another video than {subject}, which has other {others}; give "
+            "that one, or --poses of this one"
         )
     return video
 

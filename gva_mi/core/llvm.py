@@ -24,7 +24,7 @@ SEARCH_DIRS = (
     "/usr/local/lib", "/opt/homebrew/opt/llvm/lib", "/usr/local/opt/llvm/lib",
 )  # fmt: skip
 
-_PATH, _CHECKED = "DRJIT_LIBLLVM_PATH", "GVA_MI_LLVM_CHECKED"
+PATH, _CHECKED = "DRJIT_LIBLLVM_PATH", "GVA_MI_LLVM_CHECKED"  # environment variables
 
 _TRIAL = """
 import drjit as dr
@@ -56,19 +56,19 @@ def prepare() -> None:
         _check_loaded()
         return
     try:
-        chosen = os.environ.get(_PATH)
+        chosen = os.environ.get(PATH)
         if chosen is None:
             chosen = str(find().path)
         elif os.environ.get(_CHECKED) != chosen:
             if reason := trial(Path(chosen)):
                 raise ImportError(
-                    f"{_PATH}={chosen} cannot be used: {reason}. "
+                    f"{PATH}={chosen} cannot be used: {reason}. "
                     f"Unset it, or point it to a libLLVM {OLDEST} or newer."
                 )
     except ImportError as error:
         problem = str(error)
     else:
-        os.environ[_PATH] = os.environ[_CHECKED] = chosen  # children inherit both: no second trial
+        os.environ[PATH] = os.environ[_CHECKED] = chosen  # children inherit both: no second trial
 
 
 def require() -> None:
@@ -108,7 +108,7 @@ def trial(path: Path) -> str:
     """Run a kernel in a process of its own; return what went wrong, or ``""``."""
     if not path.exists():
         return "there is no such file"
-    environment = {**os.environ, _PATH: str(path)}
+    environment = {**os.environ, PATH: str(path)}
     run = subprocess.run(
         [sys.executable, "-c", _TRIAL], env=environment, capture_output=True, text=True, timeout=120
     )
@@ -127,5 +127,5 @@ def _check_loaded() -> None:
         raise ImportError(
             f"drjit (or mitsuba) was imported before gva_mi and found {found}, where {OLDEST} or "
             f"newer is needed (15 and 16 abort the process). Import gva_mi first, or install "
-            f"{PACKAGE} and set {_PATH} before the first import."
+            f"{PACKAGE} and set {PATH} before the first import."
         )

@@ -192,14 +192,6 @@ def person_extent(mask: np.ndarray, camera: Camera, points: np.ndarray, shown: s
     return mask_extent(mask).joined(points_extent(points, camera, shown))
 
 
-def person_box(
-    mask: np.ndarray, camera: Camera, points: np.ndarray, margin: float, shown: str
-) -> Box:
-    """Return the whole pixels around :func:`person_extent`, with a margin as in ``Extent.box``."""
-    extent = person_extent(mask, camera, points, shown)
-    return extent.box(margin, np.array([camera.width, camera.height]))
-
-
 def gather(
     frames: Iterable[int],
     absent: Mapping[int, str],

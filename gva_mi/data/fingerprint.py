@@ -27,7 +27,7 @@ SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
 SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
 # Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
 # "name" there, and the "file" of a body that is not built in.
-ABOUT, PREPARED = "synth.json", "prepare.json"
+SYNTH, PREPARED = "synth.json", "prepare.json"
 FILM = "film"  # kind of a subject that was prepared from a film alone
 
 
@@ -58,7 +58,7 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 
 def belongs_to(folder: Path, body: BodyModel) -> bool:
     """Whether a subject's folder says that it was made on, or prepared for, this very body."""
-    known = (_body_of(folder / name, "gva-mi") for name in (ABOUT, PREPARED))
+    known = (_body_of(folder / name, "gva-mi") for name in (SYNTH, PREPARED))
     return any(distance(x, fingerprint(body)) <= SAME for x in known if x is not None)
 
 
@@ -67,7 +67,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
 
     Folders without a fingerprint pass: those put together by hand, or older than this check.
     """
-    for name, written_by in ((ABOUT, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
+    for name, written_by in ((SYNTH, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
         known = _body_of(Path(folder) / name, written_by)
         if known is None:
             continue
@@ -79,7 +79,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             if np.isfinite(away)
             else f"of {known['vertices']} vertices, not {len(body.v_template)}"
         )
-        if name == ABOUT:
+        if name == SYNTH:
             raise InputError(
                 f"{folder}: made on another body ({how}), so that its poses and its ground truth "
                 "mean nothing here; give the --body it was made with, or make it again with "

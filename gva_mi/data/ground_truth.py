@@ -20,10 +20,11 @@ from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.video import Video, load_cameras
+from gva_mi.data.cameras import CAMERAS, load_cameras
+from gva_mi.data.video import POSES, Video
 from gva_mi.splat import Camera
 
-POSES, BODY, CAMERAS = "poses.npz", "body.npz", "cameras.npz"
+BODY = "body.npz"  # of another body than the fitted one
 
 
 @dataclass(frozen=True)

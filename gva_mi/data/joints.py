@@ -10,7 +10,7 @@ from gva_mi.body.pose import PARENTS
 from gva_mi.splat import Camera
 
 
-def joint_places(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
+def joints_in_world(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Return joint positions (T, 55, 3), metres, under ``rotations`` (T, 55, 3) axis-angle.
 
     ``transl`` is (T, 3); ``joints`` are (55, 3) of the body at rest.

@@ -27,13 +27,13 @@ import numpy as np
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
+from gva_mi.data.mattes import VOID
 from gva_mi.data.pictures import read_image
 
 BARELY = 127  # 8-bit masks above this are inside
 _MOST = 64  # labels; more values are those of a soft and dim mask
 _FEW = 6  # values that are named
 _NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
-_BORDER = 255  # round each object of PASCAL VOC's and others' drawings of labels
 
 
 def mask_file(folder: Path, index: int) -> Path:
@@ -135,9 +135,9 @@ def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
 def _drop_border(counts: dict[int, int]) -> bool:
     """Remove the border's value from the counts of a drawing of labels; False if it is none."""
     labels = [count for value, count in counts.items() if 0 < value <= BARELY]
-    if max(counts) != _BORDER or any(BARELY < value < _BORDER for value in counts):
+    if max(counts) != VOID or any(BARELY < value < VOID for value in counts):
         return False
-    return sum(labels) > counts[_BORDER] and bool(counts.pop(_BORDER))
+    return sum(labels) > counts[VOID] and bool(counts.pop(VOID))
 
 
 def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:

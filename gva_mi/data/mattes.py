@@ -30,7 +30,7 @@ GREY = 32  # largest difference of a grey pixel's channels, after JPEG
 ALIKE = 48  # largest difference of a pixel from its share of the one colour, likewise
 STRAY = 0.02  # share of coloured pixels that may differ more: at edges JPEG blurs colour
 DARK = 64  # black, after JPEG
-_BORDER = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
+VOID = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
 
 
 def matte_of(where: str, image: Image.Image) -> np.ndarray:
@@ -81,6 +81,6 @@ def _of_palette(image: Image.Image) -> np.ndarray:
     if (colors == colors[..., :1]).all():
         return np.ascontiguousarray(colors[..., 0])
     used = np.unique(labels[labels > 0])
-    if len(used) > 1 and used[-1] == _BORDER:
-        labels[labels == _BORDER] = 0
+    if len(used) > 1 and used[-1] == VOID:
+        labels[labels == VOID] = 0
     return labels

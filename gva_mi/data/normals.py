@@ -43,7 +43,7 @@ from gva_mi.splat import Camera
 Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
-ABOUT = "normals.json"
+NORMALS = "normals.json"
 SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
 
 
@@ -63,7 +63,7 @@ class NormalMaps:
         """
         if not (folder / "normals").is_dir():
             return None
-        about = _read_about(folder / ABOUT, frames) if (folder / ABOUT).exists() else {}
+        about = _read_about(folder / NORMALS, frames) if (folder / NORMALS).exists() else {}
         convention = convention or about.get("convention", "perspective")
         return NormalMaps(folder / "normals", convention, about.get("boxes"))
 
@@ -88,7 +88,7 @@ class NormalMaps:
             if stored.shape != size:
                 raise InputError(
                     f"{path}: frame {index} is {stored.shape}, expected {size}; maps of a "
-                    f"part of the frame need their 'boxes' in {ABOUT}"
+                    f"part of the frame need their 'boxes' in {NORMALS}"
                 )
             normals = _directions(stored[part])
         else:
@@ -142,16 +142,12 @@ def _square_lengths(normals: np.ndarray) -> np.ndarray:
     return np.einsum("hwc,hwc->hw", normals, normals)[..., None]
 
 
-def to_icon(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """Convert normals (H, W, 3) from camera space, zero where unknown, to ICON's convention."""
-    return _turned(normals, camera, -1) * (1, -1, -1)
-
-
 def in_convention(normals: np.ndarray, camera: Camera, convention: Convention) -> np.ndarray:
     """Convert normals (H, W, 3) from camera space, zero where unknown."""
-    if convention == "icon":
-        return to_icon(normals, camera)
-    return normals * ((1, -1, -1) if convention == "opengl" else 1)
+    if convention == "perspective":
+        return normals
+    turned = _turned(normals, camera, -1) if convention == "icon" else normals
+    return turned * (1, -1, -1)
 
 
 def _pasted(normals: np.ndarray, box: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -229,22 +229,6 @@ def steps_of(path: Path) -> tuple[np.ndarray, float]:
     return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
 
 
-def write_movie(
-    path: Path, images: Iterable[np.ndarray], fps: int = 25, lossless: bool = True
-) -> None:
-    """Write an mp4, lossless RGB by default; otherwise yuv420p, which every player shows."""
-    _write_film(path, images, fps, "lossless" if lossless else "playable")
-
-
-def write_alpha_film(path: Path, images: Iterable[np.ndarray], fps: int = 25) -> None:
-    """Write a film with alpha, a .webm of VP9 in yuva420p.
-
-    Images are RGBA (H, W, 4), floats in [0, 1] or 8-bit, straight alpha; odd sizes lose their last
-    row or column.
-    """
-    _write_film(path, images, fps, "alpha")
-
-
 def require_alpha_codec(path: Path) -> None:
     """Raise an InputError where films with alpha cannot be written."""
     import av
@@ -256,7 +240,17 @@ def require_alpha_codec(path: Path) -> None:
         )
 
 
-def _write_film(path: Path, images: Iterable[np.ndarray], fps: int, way: str) -> None:
+def write_film(
+    path: Path,
+    images: Iterable[np.ndarray],
+    fps: int = 25,
+    way: Literal["lossless", "playable", "alpha"] = "lossless",
+) -> None:
+    """Write a film of pictures (H, W, C), floats in [0, 1] or 8-bit.
+
+    Lossless is an mp4 in RGB; playable is an mp4 that every player shows; alpha is a .webm of RGBA
+    pictures, straight alpha. The last two drop the last row or column of odd sizes.
+    """
     import av
 
     kind, codec, pixels, options, given = _WAYS[way]

@@ -31,14 +31,14 @@ class Splits:
     held_out_range: list[int] = field(default_factory=list)  # part of ``test``
 
     @staticmethod
-    def every(step: int, frames: int) -> Splits:
-        """Make every ``step``-th frame a test frame."""
-        return Splits._of(frames, range(step // 2, frames, step))
+    def every(frames: int) -> Splits:
+        """Make every 8th frame a test frame."""
+        return Splits._of(frames, range(TEST_EVERY // 2, frames, TEST_EVERY))
 
     @staticmethod
-    def one_range(share: int, frames: int) -> Splits:
-        """Make one ``share``-th of the frames, consecutive and in the middle, test frames."""
-        count = max(1, frames // share)
+    def one_range(frames: int) -> Splits:
+        """Make an eighth of the frames, consecutive and in the middle, test frames."""
+        count = max(1, frames // TEST_EVERY)
         return Splits._of(frames, range((frames - count) // 2, (frames + count) // 2))
 
     @staticmethod
@@ -75,7 +75,7 @@ def load_splits(folder: Path, frames: int) -> Splits:
     """Read ``splits.json``; without it, every 8th frame is a test frame."""
     path = folder / SPLITS
     if not path.exists():
-        return Splits.every(TEST_EVERY, frames)
+        return Splits.every(frames)
     expected = '{"train": [...], "test": [...]} of frame numbers'
     data = read_json(path, expected)
     with expecting(path, expected):

@@ -38,15 +38,13 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
-from gva_mi.data.cameras import load_cameras
-from gva_mi.data.cameras import save_cameras as save_cameras
+from gva_mi.data.cameras import CAMERAS, load_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import mask_file, read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, require_sides, size_of_whole
-from gva_mi.data.splits import TEST_EVERY as TEST_EVERY
 from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
 
@@ -201,7 +199,7 @@ def load_video(
         )
     images, sizes = _open_pictures(folder)
     count = max(sizes) + 1
-    cameras = load_cameras(folder / "cameras.npz", count)
+    cameras = load_cameras(folder / CAMERAS, count)
     poses = poses or folder / POSES
     found = read_pose_file(poses, count)
     maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
@@ -212,7 +210,7 @@ def load_video(
         if (width, height) != expected:
             raise InputError(
                 f"{folder}: frame {k} is {width}x{height}, "
-                f"but cameras.npz says {expected[0]}x{expected[1]}"
+                f"but {CAMERAS} says {expected[0]}x{expected[1]}"
             )
         if (reason := _why_absent(mask_file(folder / "masks", k), *expected)) is not None:
             absent[k] = reason
@@ -227,12 +225,6 @@ def load_video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent,
         found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
-
-
-def best_poses(folder: Path) -> Path:
-    """Return the file of a subject's refined poses; without one, that of stage 1."""
-    refined = folder / REFINED_POSES
-    return refined if refined.exists() else folder / POSES
 
 
 def is_frame(path: Path) -> bool:

@@ -22,9 +22,11 @@ from pathlib import Path
 
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_json
+from gva_mi.data.cameras import CAMERAS, load_cameras, save_cameras
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image, require_sides
-from gva_mi.data.video import Splits, Video, load_cameras, save_cameras
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
 VIEWS, ABOUT = "views", "views.json"
@@ -53,7 +55,7 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
         frames = found["frames"]
         if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
             raise ValueError(f"the video has frames 0 to {count - 1}")
-    cameras = load_cameras(folder / "cameras.npz", len(frames), f" for {{}} pictures of {ABOUT}")
+    cameras = load_cameras(folder / CAMERAS, len(frames), f" for {{}} pictures of {ABOUT}")
     for k, camera in enumerate(cameras):
         image = read_image(folder / "frames" / f"{k:06d}.png", 3)
         mask = read_mask(folder / "masks", k)
@@ -68,5 +70,5 @@ def save_views(
     folder: Path, frames: Sequence[int], names: Sequence[str], cameras: Sequence[Camera]
 ) -> None:
     """Write ``views.json`` and ``cameras.npz``: frame and camera of each picture."""
-    save_cameras(folder / "cameras.npz", cameras)
+    save_cameras(folder / CAMERAS, cameras)
     write_json(folder / ABOUT, {"frames": list(frames), "cameras": list(names)})

@@ -36,7 +36,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.core.options import Metres, Weight, Within, options_of
-from gva_mi.data.crop import NoEvidence, person_box
+from gva_mi.data.crop import NoEvidence, person_extent
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.video import Frame
 from gva_mi.fit.faces import Face
@@ -84,7 +84,8 @@ class PictureAndMask:
         Raises:
             NoEvidence: the mask is empty, or the camera does not see the points.
         """
-        box = person_box(frame.mask, frame.camera, points, MARGIN, "its avatar")
+        extent = person_extent(frame.mask, frame.camera, points, "its avatar")
+        box = extent.box(MARGIN, np.array([frame.camera.width, frame.camera.height]))
         if min(box.width, box.height) < SMALLEST_SIDE:
             raise NoEvidence("it shows too little of the person")
         return PictureAndMask(

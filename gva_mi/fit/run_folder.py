@@ -107,6 +107,11 @@ def other_parts(run: Path, video: Video) -> list[str]:
     return differing(load_options(run)["video"], video)
 
 
+def other_pictures(run: Path, video: Video) -> str:
+    """Name what of frames and cameras differs between a video and that of a run; "" for nothing."""
+    return " and ".join(sorted({"frames", "cameras"} & set(other_parts(run, video))))
+
+
 def require_own_video(run: Path, video: Video) -> None:
     """Raise an InputError unless a video, with its poses, is the one a run was fitted to."""
     others = other_parts(run, video)

@@ -16,7 +16,7 @@ from gva_mi.pose.evidence.landmarks import SeenLandmarks
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats
-from gva_mi.pose.stature import PEOPLE
+from gva_mi.pose.stature import PERSON_HEIGHTS
 
 FEWEST_FACES = 500  # a body with fewer has no hands left
 
@@ -35,7 +35,7 @@ class RefineOptions:
     faces: Annotated[int, Within(FEWEST_FACES, 1_000_000)] = 3500
     silhouette: Weight = 1.0  # λ1
     # Measured height of the person: sets body size and depth, which are then not fitted.
-    height: Annotated[float, PEOPLE] | None = None
+    height: Annotated[float, PERSON_HEIGHTS] | None = None
     hold_out_test: bool = False  # test frames are not used; the motion prior fills them in
 
     name: ClassVar[str]  # of the method, on the command line and in records

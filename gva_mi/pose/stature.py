@@ -28,7 +28,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 
-PEOPLE = Within(0.4, 2.6, unit="metres")  # their heights
+PERSON_HEIGHTS = Within(0.4, 2.6, unit="metres")
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def with_height(
     Raises:
         InputError: no person has that height.
     """
-    PEOPLE.require("with_height()", "height", height)
+    PERSON_HEIGHTS.require("with_height()", "height", height)
     stature = Stature.of(body)
     taller = stature.nearest(shape, height)
     factor = height / float(stature.height(shape))

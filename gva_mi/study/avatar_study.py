@@ -16,10 +16,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
-
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, load_offsets, save_poses
+from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.files import json_equals, write_json
@@ -28,7 +26,8 @@ from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.video import POSES, REFINED_POSES, TEST_EVERY, Splits, Video, load_video
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.paper import REFINE
@@ -156,8 +155,9 @@ class VariantRun:
         """Fit, or resume a fit, and return the figures of the table."""
         self._make_room()
         video = self.video()
+        offsets = video.offsets_of(len(self.body.v_template))
         avatar = fit(
-            video, self.body, self.variant.of(self.options), self.out, offsets=self.offsets(),
+            video, self.body, self.variant.of(self.options), self.out, offsets=offsets,
             resume=True, progress=progress,
         )  # fmt: skip
         args = (self.out, avatar, video, self.variant.name, self.body, self._poses)
@@ -187,7 +187,7 @@ class VariantRun:
         """Open the case's video under the poses that this variant is fitted with."""
         video = load_video(self.subject, self._poses)
         if self.variant.one_range:
-            splits = Splits.one_range(TEST_EVERY, len(video)).without(video.absent)
+            splits = Splits.one_range(len(video)).without(video.absent)
             video = replace(video, splits=splits)
         if self.variant.rigid:
             return replace(video, pose=self.driven(video)(video.pose))
@@ -196,10 +196,6 @@ class VariantRun:
         truth = load_ground_truth(video.truth, self.body)
         near = closest(self.body, truth.body, truth.pose, truth.shape)
         return replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
-
-    def offsets(self) -> Tensor | None:
-        """Load the refinement's displacement (V, 3); stage 1 has none."""
-        return load_offsets(self._poses, len(self.body.v_template))
 
     def driven(self, video: Video) -> Callable[[Pose], Pose]:
         """Return the function applied to every pose before it drives the avatar."""

@@ -72,13 +72,13 @@ class StudyCase:
     """A take under one draw of an error model."""
 
     take: Take
-    noise: str  # the error model
+    noise: str  # the error model; files of results hold it under this name
     draw: int  # its seed
     normals: bool = True  # False: the refinement uses silhouettes only
 
     @property
-    def error_model(self) -> str:
-        """The kind of its errors, as ``--error-models`` takes it."""
+    def kind_of_errors(self) -> str:
+        """The error model, or :data:`NO_NORMALS`, as ``--error-models`` takes it."""
         return self.noise if self.normals else NO_NORMALS
 
     @property
@@ -90,12 +90,17 @@ class StudyCase:
     @property
     def row(self) -> str:
         """The row of the refinement's table it counts to."""
-        return self.take.name if self in LIMITS else self.error_model
+        return self.take.name if self in LIMITS else self.kind_of_errors
+
+    @property
+    def purpose(self) -> str:
+        """What it is for: tuning, limits or held out."""
+        return "tuning" if self in TUNING else "limits" if self in LIMITS else "held out"
 
     @property
     def held_out(self) -> bool:
         """Whether nothing was tuned on it."""
-        return self not in TUNING and self not in LIMITS
+        return self.purpose == "held out"
 
     @property
     def lacks(self) -> str | None:

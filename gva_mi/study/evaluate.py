@@ -38,8 +38,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-import numpy as np
-
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
@@ -49,7 +47,7 @@ from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
 from gva_mi.study.regions import Detail, Details, person_box
-from gva_mi.study.scores import ImageScores, Scorer
+from gva_mi.study.scores import ImageScores, Scorer, mean_scores
 
 Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -77,8 +75,7 @@ class SplitScores:
         name: str, split: Split, scores: Sequence[ImageScores], region: Region = "white"
     ) -> SplitScores:
         """Average the scores of the frames of a split."""
-        means = (None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist())
-        return SplitScores(name, split, *means, region, len(scores))
+        return SplitScores(name, split, *mean_scores(scores), region, len(scores))
 
 
 @dataclass(frozen=True)
@@ -132,11 +129,10 @@ def evaluate(
     name: str = "full",
     splits: Sequence[Split] = SPLITS,
     weights: Weights | None = None,
-    progress: Progress | None = None,
     body: BodyModel | None = None,
 ) -> list[SplitScores]:
     """Measure an avatar on splits of a video: :func:`evaluate_views` of :func:`views_of`."""
-    return evaluate_views(avatar, views_of(video, splits, body), name, Scorer(weights), progress)
+    return evaluate_views(avatar, views_of(video, splits, body), name, Scorer(weights))
 
 
 def evaluate_views(

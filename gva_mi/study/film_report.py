@@ -23,7 +23,7 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
 from gva_mi.data.check.problems import Problem
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_film
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.camera_paths import CameraPath, shots
@@ -106,7 +106,7 @@ def _films(out: Path, avatar: Avatar, video: Video, progress: Progress | None) -
             done += 1
             if progress:
                 progress(done, total)
-        write_movie(out / f"{name}.mp4", images, FPS, lossless=False)
+        write_film(out / f"{name}.mp4", images, FPS, way="playable")
         yield animation(name, images[::IN_PAGE])
 
 

@@ -7,7 +7,6 @@ the ground truth: the camera sees the same, and errors can be measured.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,13 +18,16 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
-from gva_mi.data.fingerprint import ABOUT, FILM, PREPARED
-from gva_mi.data.ground_truth import CAMERAS, GroundTruth, load_ground_truth
+from gva_mi.data.cameras import CAMERAS, save_cameras
+from gva_mi.data.film_pictures import read_film
+from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.watch import watch_film
 from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.video import POSES, Video, load_video, save_cameras
+from gva_mi.data.splits import SPLITS
+from gva_mi.data.video import POSES, load_video
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import KnownOfFilm, solve_film
@@ -47,9 +49,9 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         body: the body that the poses move.
     """
     video, truth = load_video(take, normals="none"), load_ground_truth(take / "truth", body)
-    camera, pictures = truth.cameras[0], _Pictures(video)
+    camera, pictures = truth.cameras[0], read_film(take / "frames").pictures
     with atomic_dir(out) as folder:
-        for name in ("frames", "truth", "video.mp4", "splits.json", ABOUT):
+        for name in ("frames", "truth", "video.mp4", SPLITS, SYNTH):
             if (take / name).is_dir():
                 shutil.copytree(take / name, folder / name)
             elif (take / name).exists():
@@ -95,16 +97,3 @@ def height_of(truth: GroundTruth) -> float:
     """Return the subject's height at rest, from head to soles, metres."""
     y = truth.body.rest(truth.shape).vertices[:, 1]
     return float(y.max() - y.min())
-
-
-class _Pictures(Sequence[np.ndarray]):
-    """The pictures of a video in 8 bits, read one by one."""
-
-    def __init__(self, video: Video) -> None:
-        self._video = video
-
-    def __len__(self) -> int:
-        return len(self._video)
-
-    def __getitem__(self, k: int) -> np.ndarray:
-        return in_8_bits(self._video[int(k)].image)

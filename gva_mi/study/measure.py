@@ -166,7 +166,7 @@ class Evaluation:
 
 
 def measure(
-    video: Video, body: BodyModel, refined: Refined, truth: GroundTruth | None = None
+    video: Video, body: BodyModel, refined: Refined | None, truth: GroundTruth | None = None
 ) -> FrameFigures:
     """Compare stage 1 and the refined poses with the masks and, if given, the ground truth.
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import InputError
@@ -29,8 +28,6 @@ from gva_mi.study.calibrated import CalibratedCamera, read_calibration, triangul
 APART = 0.01  # τ of triangulation, of a person's height
 SEEN = 0.5  # least confidence of a landmark
 COMPARED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-UP = {"x": (1.0, 0, 0), "y": (0, 1.0, 0), "z": (0, 0, 1.0), "-y": (0, -1.0, 0)}
-Upward = Literal["x", "y", "z", "-y"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ def bones_found(
     for (one, other), used in BONES.items():
         sides = [(one, other)] if {one, other} <= set(BODY) else [
             tuple(name if name in BODY else f"{side}_{name}" for name in (one, other))
-            for side in ("left", "right")
+            for side in SIDES
         ]  # fmt: skip
         if not set(sides[0]) <= set(BODY):  # of a hand
             continue
@@ -109,13 +106,13 @@ def compare(
 
     ``up`` (3,) is the world's direction up.
     """
-    names = [f"{side}_{name}" for name in COMPARED for side in ("left", "right")]
+    names = [f"{side}_{name}" for name in COMPARED for side in SIDES]
     true = 1e3 * camera.place(X)[:, [BODY.index(name) for name in names]]
     T = np.asarray(solved.camera.T_camera_world)
     joints = body(solved.pose, solved.shape).joints[:, [JOINTS.index(name) for name in names]]
     found = 1e3 * (joints.double().numpy() @ T[:3, :3].T + T[:3, 3])
     guessed = 1e3 * landmarks.metric[:, landmarks.indices(names)].astype(float)
-    hips = [names.index(f"{side}_hip") for side in ("left", "right")]
+    hips = [names.index(f"{side}_hip") for side in SIDES]
     centred = lambda points: points - points[:, hips].mean(1, keepdims=True)
     length = lambda off: float(np.nanmean(np.linalg.norm(off, axis=-1)))
     off, own = centred(found) - centred(true), centred(guessed)

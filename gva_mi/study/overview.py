@@ -24,24 +24,24 @@ from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box
 
 HEIGHT = 440  # pixels of a row
+TURNED = 3  # other sides of the avatar
 TIMES = 2  # renders in new poses are so much larger than the pictures beside them
 
 
-def overview(shown: ShownAvatar, video: Video, turned: int = 3) -> np.ndarray:
+def overview(shown: ShownAvatar, video: Video) -> np.ndarray:
     """Return the picture, 8-bit (H, W, 3), on white.
 
     Args:
         shown: the avatar and its splits.
         video: opened with the poses that the avatar was trained under.
-        turned: how many other sides are shown.
     """
-    rows = [list(_made_of(shown, video, turned))]
+    rows = [list(_made_of(shown, video))]
     if (view := shown.views.get("novel_pose")) is not None:
         rows.append(list(_new_poses(shown, view)))
     return _stacked([np.concatenate([_scaled(part) for part in row], axis=1) for row in rows])
 
 
-def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarray]:
+def _made_of(shown: ShownAvatar, video: Video) -> Iterator[np.ndarray]:
     frame = video.truly_cut(video[(video.splits.test or video.splits.train)[0]])
     yield cut_out(frame)
     if frame.normals is not None:
@@ -51,7 +51,7 @@ def _made_of(shown: ShownAvatar, video: Video, turned: int) -> Iterator[np.ndarr
         whole = with_axes(shown.avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
         yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
-    yield from list(turntable(shown.avatar, frame.pose, turned + 1, video.size))[1:]
+    yield from list(turntable(shown.avatar, frame.pose, TURNED + 1, video.size))[1:]
 
 
 def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:

@@ -83,9 +83,7 @@ def write_page(
 
 
 def picture(caption: str, image: np.ndarray) -> Picture:
-    """Embed an image (H, W, 3), 8-bit or in [0, 1]."""
-    if image.dtype != np.uint8:
-        image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    """Embed an 8-bit image (H, W, 3)."""
     return _webp(caption, [image], quality=92)
 
 

@@ -30,6 +30,7 @@ from gva_mi.study.similarity import similarity_to_truth
 
 ZOOMED_PIXELS = 220  # about the side of an enlarged box
 DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
+DOTS_HEIGHT = 560  # pixels of the pictures of dots
 RED_AT = 64  # levels of 255 at which a difference is fully red
 SECTIONS: dict[Split, tuple[str, str]] = {
     "test": ("Test frames", "Frames that training left out, visible hands, and visible faces."),
@@ -146,7 +147,7 @@ def turntable(
         yield render_frame(avatar, pose, shot.camera)
 
 
-def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
+def dots(caption: str, gaussians: Gaussians) -> Picture:
     """Draw every Gaussian as a dot of its own colour, from the front and from the side."""
     means = gaussians.means.detach()
     small = Gaussians(
@@ -158,13 +159,15 @@ def dots(caption: str, gaussians: Gaussians, height: int = 560) -> Picture:
     )
     low, high = np.quantile(means.numpy(), [0.001, 0.999], axis=0)
     centre, size = (low + high) / 2, (high - low) * 1.1
-    scale, views = height / size[1], []
+    scale, views = DOTS_HEIGHT / size[1], []
     for axis, across in (((0, 0, 1), 0), ((1, 0, 0), 2)):
         distance = 8.0  # far away, for a nearly parallel view
         width = round(size[across] * scale)
         T_camera_world = look_at(centre + distance * np.array(axis), centre)
         focal = distance * scale
-        camera = Camera(focal, focal, width / 2, height / 2, T_camera_world, width, height)
+        camera = Camera(
+            focal, focal, width / 2, DOTS_HEIGHT / 2, T_camera_world, width, DOTS_HEIGHT
+        )
         with torch.no_grad():
             views.append(in_8_bits(render(small, camera, background=torch.ones(3)).color.numpy()))
     return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))

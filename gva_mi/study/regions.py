@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from gva_mi.body.pose import EYES, JAW_AND_EYES, JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
+from gva_mi.body.pose import EYES, HANDS, JAW_AND_EYES, JOINTS, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
 from gva_mi.data.ground_truth import truth_of
@@ -91,7 +91,7 @@ class Details:
         posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
         seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
         joints, weights = posed.joints[0].double().numpy(), self.body.weights
-        for wrist, fingers in zip(WRISTS, (LEFT_HAND, RIGHT_HAND), strict=True):
+        for wrist, fingers in zip(WRISTS, HANDS.values(), strict=True):
             own = weights[:, fingers].sum(1) + weights[:, wrist] > 0.5
             box = box_around(camera, joints[np.r_[wrist, fingers]], HAND)
             if box is not None and seen[own].float().mean() >= SEEN:

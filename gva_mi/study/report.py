@@ -32,6 +32,7 @@ from gva_mi.study.surface import SurfaceFigures
 
 SHOWN = 4  # frames of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
+SMOOTHED = 25  # steps in a running mean of the curves
 
 
 def write_report(
@@ -197,9 +198,9 @@ def _curves(history: Mapping[str, np.ndarray]) -> Section:
     return Section("Training", text, [plot("", fig)], columns=1)
 
 
-def _smooth(values: np.ndarray, over: int = 25) -> np.ndarray:
+def _smooth(values: np.ndarray) -> np.ndarray:
     """Take a running mean, because the loss of one step depends on its frame."""
-    over = min(over, len(values))
+    over = min(SMOOTHED, len(values))
     padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
     return np.convolve(padded, np.full(over, 1 / over), mode="valid")
 

@@ -28,7 +28,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.data.crop import Box
 from gva_mi.study.regions import person_box
-from gva_mi.study.scores import PSNR_MAX, ImageScores, Scorer, ssim_map
+from gva_mi.study.scores import ImageScores, Scorer, mean_scores, psnr_of, ssim_map
 
 STRICT, SHIFTED = "strict", "shifted"
 FARTHEST = 0.05  # of the longer side of the box: larger shifts are not believed
@@ -82,7 +82,10 @@ def score_pictures(
             progress(done, done)
     if not found:
         raise InputError("score: there is no render to compare")
-    return [_mean(*key, scores) for key, scores in sorted(found.items(), key=_order)]
+    return [
+        RegionScores(*key, *mean_scores(scores), len(scores))
+        for key, scores in sorted(found.items(), key=_order)
+    ]
 
 
 def shift_to_fit(pair: PicturePair) -> np.ndarray:
@@ -121,14 +124,8 @@ def _of_pair(pair: PicturePair, scorer: Scorer) -> Iterator[tuple[str, ImageScor
         yield region, scorer(box.cut(pair.render), box.cut(pair.truth))
     inside = pair.mask > 0.5
     square = np.square(pair.render[inside].astype(np.float64) - pair.truth[inside]).mean()
-    psnr = PSNR_MAX if square == 0 else min(PSNR_MAX, 10 * np.log10(255**2 / square))
     similar = ssim_map(pair.render, pair.truth)[inside].mean()
-    yield "mask", ImageScores(float(psnr), float(similar), np.nan, np.nan)
-
-
-def _mean(region: str, protocol: str, scores: Sequence[ImageScores]) -> RegionScores:
-    means = (None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist())
-    return RegionScores(region, protocol, *means, len(scores))
+    yield "mask", ImageScores(psnr_of(float(square)), float(similar), np.nan, np.nan)
 
 
 def _order(item: tuple[tuple[str, str], Any]) -> tuple[int, int]:

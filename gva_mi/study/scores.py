@@ -14,7 +14,7 @@ see the person. So only the part around the person is looked at; the rest counts
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +52,11 @@ class ImageScores(NamedTuple):
     ssim: float  # at most 1, more is better
     lpips: float  # less is better; NaN without the user's weights
     rand_vgg: float  # less is better; comparable only with itself
+
+
+def mean_scores(scores: Sequence[ImageScores]) -> list[float | None]:
+    """Average each score of :class:`ImageScores`; None where it is not known."""
+    return [None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist()]
 
 
 class Scorer:
@@ -139,6 +144,11 @@ def psnr(render: np.ndarray, target: np.ndarray) -> float:
     part = _where_they_differ(render, target, 0)
     away = render[part].astype(np.float64) - target[part]
     error = float(np.square(away).sum()) / render.size
+    return psnr_of(error)
+
+
+def psnr_of(error: float) -> float:
+    """Return the PSNR of a mean squared error in levels of 8 bits, dB."""
     return PSNR_MAX if error == 0 else min(PSNR_MAX, float(10 * np.log10(255**2 / error)))
 
 

@@ -35,7 +35,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.rotations import nearest_rotations
 from gva_mi.body.smplx import BodyModel
@@ -173,5 +173,4 @@ def in_avatars_world(similarity: Similarity, source: Video, rig: Rig, body: Body
 def posed_joints(rig: Rig, pose: Pose) -> Tensor:
     """Return an avatar's joints in T poses, (T, 55, 3) metres, world."""
     T_world_rest = joint_transforms(pose.rotations, rig.joints, rig.parents, pose.transl)
-    R, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
-    return (R @ rig.joints[..., None])[..., 0] + t
+    return joint_places(T_world_rest, rig.joints)

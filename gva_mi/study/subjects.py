@@ -36,17 +36,19 @@ class Filming:
         made = f"{FILM}{RESULTS_VERSIONS['refine']}" if case.noise == FILM else case.noise
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
-    def film(self, case: StudyCase, body: BodyModel) -> Path:
-        """Make a case's video if it is missing."""
-        take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
-        if not take.exists():
-            make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
-        if not subject.exists() and case.noise == FILM:
-            watch_take(take, subject, body)
-        elif not subject.exists():
-            degrade(take, subject, case.noise, case.draw, body)
-        require_same_body(subject, body)
-        return subject
+    def film(
+        self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
+    ) -> None:
+        """Make the videos of some cases that are missing."""
+        for case in cases:
+            take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
+            if not take.exists():
+                make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
+            if not subject.exists() and case.noise == FILM:
+                watch_take(take, subject, body)
+            elif not subject.exists():
+                degrade(take, subject, case.noise, case.draw, body)
+            require_same_body(subject, body)
 
     def _name(self, take: Take) -> str:
         frames, size = take.frames or self.frames, take.size or self.size
@@ -60,17 +62,6 @@ def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) 
     for case in cases:
         by_take.setdefault(case.take, {})[case] = None
     return [
-        Work(filming.frames * len(several), partial(film_all, filming, tuple(several), body))
+        Work(filming.frames * len(several), partial(filming.film, tuple(several), body))
         for several in by_take.values()
     ]
-
-
-def film_all(
-    filming: Filming,
-    cases: Sequence[StudyCase],
-    body: BodyModel,
-    progress: Progress | None = None,
-) -> None:
-    """Make the videos of some cases that are missing."""
-    for case in cases:
-        filming.film(case, body)

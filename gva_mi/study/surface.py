@@ -40,7 +40,7 @@ from gva_mi.avatar.canonical import spread_over_faces
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.fingerprint import ABOUT
+from gva_mi.data.fingerprint import SYNTH
 from gva_mi.fit import run_folder
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
@@ -83,7 +83,7 @@ def surface_figures(
         subject: the folder it was fitted to.
         body: the fitted body model.
     """
-    if not (subject / ABOUT).is_file():
+    if not (subject / SYNTH).is_file():
         return ()
     truth = TrueSurface.of(subject, body, avatar.rig)
     if truth is None:

@@ -26,6 +26,11 @@ from gva_mi.study.page import Headline, Section, Table, write_page
 from gva_mi.study.pictures import ShownAvatar, picture_sections
 from gva_mi.study.variants import FULL
 
+TITLES = {  # of the avatar study's tables, by the purpose of cases
+    "held out": "held-out subjects",
+    "tuning": "subjects of the tuning set",
+    "limits": "subject of the limits",
+}
 SHOWN = 2  # frames of a split of a case in pictures
 REFINE_TEXT = (
     "Changes of errors are relative: -50 % is half the error of stage 1. ‘Aligned’ errors are "
@@ -161,9 +166,8 @@ def refine_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
 
 def avatar_cells(outcomes: Sequence[Outcome]) -> dict[str, Cells]:
     """Summarise the avatar study: for held-out and for tuned subjects, a row for each variant."""
-    title = lambda o: "held-out subjects" if o.case.held_out else "subjects of the tuning set"
     tables = {}
-    for subjects, group in sorted(grouped(outcomes, title).items()):
+    for subjects, group in sorted(grouped(outcomes, lambda o: TITLES[o.case.purpose]).items()):
         rows = grouped(group, lambda outcome: outcome.variant)
         full = rows.get(FULL.name, ())
         tables[subjects] = {
@@ -248,7 +252,6 @@ def _cases(outcomes: Sequence[Outcome], group: str) -> Section:
     for outcome in outcomes:
         values = {name: cell([outcome], name) for name in names}
         texts = ("–" if x is None else x.text(name) for name, x in values.items())
-        kind = "held out" if outcome.case.held_out else "tuning"
-        rows.append([outcome.case.name, kind, outcome.variant, *texts])
+        rows.append([outcome.case.name, outcome.case.purpose, outcome.variant, *texts])
     head = ("case", "", "variant", *(name.rpartition(": ")[2] for name in names))
     return Section("Each case", f"{group.capitalize()} of each case.", tables=[Table(head, rows)])

@@ -5,10 +5,12 @@
 ``subject_folder``  writes a subject's folder
 ``provenance``      an existing folder: its options, its person, other errors
 ``people, look``    the person: shape, colours, cut of the clothes; lamps
+``body_generator``  makes the built-in body
 ``rest_body``       the body below the clothes
 ``clothes/``        clothes and hair, and how they follow the body
 ``texture``         colours of skin, cloth and hair
 ``subject``         body, clothes and hair as one surface
+``surface``         normals and smooth steps that such surfaces are made with
 ``stretched``       a body of other proportions than the fitted one
 ``closest``         ground truth on the fitted body for such a person
 ``motion/``         motions of the video, and held-out poses

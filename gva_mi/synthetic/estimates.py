@@ -16,9 +16,9 @@ from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
-from gva_mi.data.normals import ABOUT, NormalMaps, to_icon
+from gva_mi.data.cameras import CAMERAS, save_cameras
+from gva_mi.data.normals import NORMALS, Convention, NormalMaps, in_convention
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
 from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
@@ -54,9 +54,9 @@ class PictureErrors:
         return mask, noisy_normals(normals, mask, found.normal, levels.normal, of_normals)
 
     @property
-    def as_icon(self) -> bool:
-        """Whether the files have ICON's convention of normals."""
-        return self.parameters.normal.convention == "icon" and self.levels.normal > 0
+    def convention(self) -> Convention:
+        """The convention of the files of normals."""
+        return self.parameters.normal.convention_at(self.levels.normal)
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ class Pipeline:
         found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
         save_poses(folder / "poses.npz", *found, stage=1)
         cameras = [estimated_camera(camera, errors.pose, levels.pose) for camera in self.cameras]
-        save_cameras(folder / "cameras.npz", cameras)
-        if errors.normal.convention != "perspective" and levels.normal > 0:
-            write_json(folder / ABOUT, {"convention": errors.normal.convention})
+        save_cameras(folder / CAMERAS, cameras)
+        if (convention := errors.normal.convention_at(levels.normal)) != "perspective":
+            write_json(folder / NORMALS, {"convention": convention})
         about = {
             "error_model": options.error_model,
             "seed": options.seed_of_noise,
@@ -144,8 +144,9 @@ def write_estimates(
         maps = NormalMaps(folder / "truth" / "normals", "perspective", None)
         truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
     mask, normals = errors.apply(*truth)
-    in_file = normals if normals is None or not errors.as_icon else to_icon(normals, errors.camera)
-    write_pictures(folder, index, mask, in_file)
+    if normals is not None:
+        normals = in_convention(normals, errors.camera, errors.convention)
+    write_pictures(folder, index, mask, normals)
 
 
 def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:

@@ -46,7 +46,6 @@ class SynthOptions:
     camera: Literal["stands", "held", "circles"] = "stands"
     scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
     shutter: Share = 0.0  # of the time between frames that the shutter is open: motion blur
-    folds: Level = 1.0  # factor on creases and lagging ends of cloth; 0: skinned only
     error_model: str = "bursts"  # error model of poses, masks and normals
     noise_seed: Seed | None = None  # seed of the errors; without it, seed
     noise: Level = 1.0  # factor on the three levels below; 0: exact

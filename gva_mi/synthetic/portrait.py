@@ -10,7 +10,7 @@ import torch
 
 from gva_mi.body.built_in import EXPRESSIONS
 from gva_mi.body.gestures import GESTURES, AxisAngle, put_hand
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, SIDES, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.cameras import camera_around
@@ -65,7 +65,7 @@ def pose_sheet(body: BodyModel, *, size: int = 280, samples: int = 64) -> np.nda
     """Render eight poses, hands and faces, each in a row, (H, W, 3) in [0, 1], sRGB."""
     joints = body.rest(Shape(body.v_template.new_zeros(1))).joints.double().numpy()
     at = joints[JOINTS.index("left_middle1")] - (0.005, 0.008, 0)
-    eyes = joints[[JOINTS.index(f"{side}_eye_smplhf") for side in ("left", "right")]]
+    eyes = joints[[JOINTS.index(f"{side}_eye_smplhf") for side in SIDES]]
     face = eyes.mean(0) - (0, 0.020, 0.04)
     whole = [Portrait(A_POSE, azimuth=0.5)]
     for name, azimuth in WHOLE.items():
@@ -100,7 +100,7 @@ class _PortraitRenderer:
             pose.expression[0, EXPRESSIONS.index(portrait.expression)] = portrait.amount
         sine, cosine = np.sin(portrait.azimuth), np.cos(portrait.azimuth)
         R = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])  # turns the view to front
-        surface = self._subject.posed(self._body, pose)[0] @ R.T
+        surface = self._subject.skinned(self._body, pose)[0] @ R.T
         if portrait.target is None:
             color = self._renderer(surface, camera_around(surface, size), samples).color
             width = 2 * (round(SHOWN * size) // 2)

@@ -19,14 +19,16 @@ from gva_mi.core.atomic import atomic_dir, atomic_write
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
-from gva_mi.data.fingerprint import ABOUT, require_same_body
+from gva_mi.data.fingerprint import SYNTH, require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.splits import SPLITS
 from gva_mi.synthetic.closest import closest
 from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject
 
-RETIRED = ("background", "blur", "sensor_noise")  # options of older folders; only frames differ
+# Options of older folders, which changed nothing but the pictures.
+RETIRED = ("background", "blur", "sensor_noise", "folds")
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -36,7 +38,7 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     Raises:
         InputError: the folder was not made by ``gva-mi synth``.
     """
-    path, expected = subject / ABOUT, "a folder that gva-mi synth made"
+    path, expected = subject / SYNTH, "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
         kept = {k: v for k, v in about["options"].items() if k not in RETIRED}
@@ -65,10 +67,10 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] 
 
     require_same_body(subject, body)
     _, options = recorded_options(subject)
-    drawn_on = options.drawn_on(body)
-    person = options.subject_on(drawn_on)
     if not (subject / SURFACE).is_file():
         return None
+    drawn_on = options.drawn_on(body)
+    person = options.subject_on(drawn_on)
     filmed = trimesh.load(subject / SURFACE, process=False)
     same = np.array_equal(filmed.faces, person.faces)
     same = same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
@@ -112,7 +114,7 @@ def degrade(
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)
     with atomic_dir(Path(out), replaced) as folder:
-        for name in ("video.mp4", "film.mp4", "frames", "truth", "splits.json"):
+        for name in ("video.mp4", "film.mp4", "frames", "truth", SPLITS):
             if (subject / name).is_dir():
                 shutil.copytree(subject / name, folder / name, copy_function=_link)
             elif (subject / name).exists():
@@ -122,7 +124,7 @@ def degrade(
             if progress is not None:
                 progress(k + 1, len(near.pose))
         pipeline.write(folder)
-        write_json(folder / "synth.json", about | {"options": options.recorded()})
+        write_json(folder / SYNTH, about | {"options": options.recorded()})
 
 
 def _link(source: Path | str, target: Path | str) -> None:

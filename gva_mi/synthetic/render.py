@@ -28,12 +28,12 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.clothes.level_sets import vertex_normals
 from gva_mi.synthetic.look import EARTH, LIGHTS, SKY, AreaLight, Material, encode
 from gva_mi.synthetic.rays import Strata, beside, primary_rays, window_of
 from gva_mi.synthetic.rooms.finishes import finish_color
 from gva_mi.synthetic.rooms.room import INDIRECT, Room, smoothly_lit
 from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.surface import vertex_normals
 from gva_mi.synthetic.texture import albedo
 
 VARIANT = "llvm_ad_rgb"

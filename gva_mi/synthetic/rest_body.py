@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
+from gva_mi.body.pose import JAW, JOINTS, LEFT_HAND, RIGHT_HAND, SIDES, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.clothes.level_sets import BodySurface
 from gva_mi.synthetic.look import FaceLandmarks, Point
+from gva_mi.synthetic.surface import vertex_normals
 
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 
@@ -59,7 +60,7 @@ class RestBody:
     def nails(self) -> tuple[Point, ...]:
         """Return the centres of the nails, on the back of each fingertip, metres."""
         nails = []
-        for finger in (f"{side}_{name}" for side in ("left", "right") for name in _FINGERS):
+        for finger in (f"{side}_{name}" for side in SIDES for name in _FINGERS):
             end = self.vertices[self.weights[:, JOINTS.index(f"{finger}3")] > 0.6]
             if len(end) == 0:
                 continue
@@ -79,7 +80,7 @@ def face_landmarks(body: BodyModel, shape: Shape, rest: RestBody) -> FaceLandmar
     ``rest`` is the same body in the rest pose.
     """
     vertices = rest.vertices
-    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in ("left", "right")]
+    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in SIDES]
     unit, middle = float(np.linalg.norm(eyes[0] - eyes[1])), rest.between_eyes
     unit = max(unit, 1e-3)  # bodies of SMPL and SMPL+H have no eyes
     x, y = np.abs(vertices[:, 0] - middle[0]), middle[1] - vertices[:, 1]

@@ -57,7 +57,7 @@ class Staging:
     def poses_at(self, t: np.ndarray) -> list[Pose]:
         """Return the poses at moments (T,), and those one step, two steps, ... before."""
         frames, found = motion.times(self.options.frames), []
-        for k in range(MEMORY + 1 if self.options.folds > 0 else 1):
+        for k in range(MEMORY + 1):
             at = motion.before(t, k)
             drop = np.interp(at, frames, self._lowest, period=1)
             found.append(lowered(self._performed(at), drop.astype("f4")))
@@ -129,7 +129,7 @@ class Staging:
     def _surface(self, poses: Sequence[Pose], k: int) -> np.ndarray:
         """Return the surface of frame k, (N, 3) float32, metres."""
         now, *past = (pose[k] for pose in poses)
-        return self.subject.posed(self.body, now, past, self.options.folds)[0]
+        return self.subject.posed(self.body, now, past)[0]
 
 
 def lowered(pose: Pose, drop: np.ndarray) -> Pose:

@@ -20,7 +20,7 @@ from itertools import chain
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.smplx import BodyModel
 
 ASYMMETRY = 0.005  # difference of the factors of left and right
@@ -49,7 +49,7 @@ def _sides(joints: tuple[str, ...]) -> list[list[str]]:
     """Return the joints of a segment on each side; those of the middle once."""
     if joints[0] in JOINTS:
         return [list(joints)]
-    return [[f"{side}_{name}" for name in joints] for side in ("left", "right")]
+    return [[f"{side}_{name}" for name in joints] for side in SIDES]
 
 
 @dataclass(frozen=True)

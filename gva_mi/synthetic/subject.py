@@ -15,10 +15,10 @@ from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
 from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
 from gva_mi.synthetic.clothes.folds import Crease, creases, lag
-from gva_mi.synthetic.clothes.level_sets import vertex_normals
 from gva_mi.synthetic.look import Look, Material
 from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.rest_body import RestBody, face_landmarks
+from gva_mi.synthetic.surface import vertex_normals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -39,18 +39,14 @@ class Subject:
     slack: np.ndarray  # (N,) metres, the most that loose ends may lag behind
     creases: tuple[Crease, ...]
 
-    def posed(
-        self, body: BodyModel, pose: Pose, past: Sequence[Pose] = (), folds: float = 0.0
-    ) -> np.ndarray:
+    def posed(self, body: BodyModel, pose: Pose, past: Sequence[Pose] = ()) -> np.ndarray:
         """Return the surface in the world, (T, N, 3) float32, metres.
 
         It is skinned like the ``body`` it is drawn on, and follows the body's pose correctives.
-        Creases and lags of ``clothes.folds`` are added, times ``folds``. Poses of the ``past``, one
-        step, two steps, ... before the T frames, let loose ends lag.
+        Creases and lags of ``clothes.folds`` are added. Poses of the ``past``, one step, two steps,
+        ... before the T frames, let loose ends lag.
         """
-        skinned = self.skinned(body, pose, np.arange(len(self.vertices)))
-        if folds == 0:
-            return skinned
+        skinned = self.skinned(body, pose)
         loose = np.flatnonzero(self.slack > 0) if past else np.zeros(0, int)
         before = [self.skinned(body, p, loose) for p in past] if len(loose) else []
         rotations = pose.rotations.double().numpy()
@@ -62,16 +58,17 @@ class Subject:
                 below = self.binding[loose] @ body(pose[k], self.shape).vertices[0].numpy()
                 away = now - below
                 away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-                moved[loose] += lag(now, then, folds * self.slack[loose], away)
+                moved[loose] += lag(now, then, self.slack[loose], away)
             normals = vertex_normals(surface.astype(np.float64), self.faces)
             for crease in self.creases:
-                height = folds * crease.displacement(rotations[k, crease.joint])
+                height = crease.displacement(rotations[k, crease.joint])
                 moved[crease.index] += height[:, None] * normals[crease.index]
             skinned[k] = surface + moved
         return skinned
 
-    def skinned(self, body: BodyModel, pose: Pose, index: np.ndarray) -> np.ndarray:
-        """Return the vertices ``index`` (n,) in the world without folds, (T, n, 3) float32."""
+    def skinned(self, body: BodyModel, pose: Pose, index: np.ndarray | None = None) -> np.ndarray:
+        """Return vertices in the world without folds, (T, n, 3) float32; all without ``index``."""
+        index = np.arange(len(self.vertices)) if index is None else index
         rest, points = body.rest(self.shape).vertices, torch.from_numpy(self.vertices[index])
         weights, binding = self.weights[torch.from_numpy(index)], self.binding[index]
         frames = []
@@ -86,17 +83,16 @@ class Subject:
 @lru_cache(maxsize=1)  # a program that made a subject often measures it next
 def draw_subject(
     body: BodyModel,
-    who: int | SyntheticPerson,
+    person: SyntheticPerson,
     clothes: bool = True,
     hair: bool = True,
     loose_strands: bool = False,
 ) -> Subject:
-    """Make the surface of a person, given or drawn from a seed, on a body.
+    """Make the surface of a person on a body.
 
     Without clothes, a swimsuit is painted on the skin; without hair, the head is bald. Loose
     strands soften the outline of the hair.
     """
-    person = who if isinstance(who, SyntheticPerson) else SyntheticPerson.draw(who, body.num_betas)
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)

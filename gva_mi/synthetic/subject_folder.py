@@ -34,10 +34,11 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.provenance import versions
-from gva_mi.data.fingerprint import fingerprint
+from gva_mi.data.cameras import CAMERAS, save_cameras
+from gva_mi.data.fingerprint import SYNTH, fingerprint
 from gva_mi.data.ground_truth import BODY
-from gva_mi.data.pictures import write_movie
-from gva_mi.data.video import TEST_EVERY, Splits, save_cameras
+from gva_mi.data.pictures import write_film
+from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
@@ -90,13 +91,13 @@ def make_subject(
         writer.write_video(folder)
         writer.write_novel_poses(folder / "truth" / "novel_pose")
         seen = writer.write_novel_views(folder / "truth" / "novel_view", views)
-        splits = Splits.every(TEST_EVERY, options.frames).to_json()
+        splits = Splits.every(options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
-        write_json(folder / "splits.json", splits)
+        write_json(folder / SPLITS, splits)
         write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
         made_by = versions() | {"mitsuba": metadata.version("mitsuba")}
-        write_json(folder / "synth.json", about | {"versions": made_by})
+        write_json(folder / SYNTH, about | {"versions": made_by})
 
 
 @dataclass(frozen=True)
@@ -130,14 +131,14 @@ class _SubjectWriter:
         """Write frames, masks, normals, cameras and poses of the video, with ground truth."""
         options, staging = self.staging.options, self.staging
         pose, cameras = staging.poses[0], staging.cameras
-        save_cameras(folder / "truth" / "cameras.npz", cameras)
+        save_cameras(folder / "truth" / CAMERAS, cameras)
         save_poses(folder / "truth" / "poses.npz", pose, staging.subject.shape, stage=0)
         if staging.body is not self.fitted:
             write_arrays(folder / "truth" / BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors = list(self.render(jobs))
-        write_movie(folder / "video.mp4", colors)
+        write_film(folder / "video.mp4", colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
@@ -177,6 +178,6 @@ class _SubjectWriter:
         """Write exact pictures, masks, normals, cameras and poses."""
         for _ in self.render(self._jobs(folder, self.staging.still(poses, cameras), stream)):
             pass
-        save_cameras(folder / "cameras.npz", cameras)
+        save_cameras(folder / CAMERAS, cameras)
         near = self._closest(poses[0])  # on the fitted body, like an avatar
         save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)

@@ -17,8 +17,8 @@ import numpy as np
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.lock import folder_lock
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import to_rgba
 from gva_mi.splat import Camera
 from gva_mi.viewer.cameras import ViewerCamera, coarser, film, fitted

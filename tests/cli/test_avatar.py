@@ -11,7 +11,7 @@ from gva_mi.body.smplx import load_body
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.importers.keypoints import LAYOUTS
 from gva_mi.data.landmarks import Landmarks
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_film
 from gva_mi.data.video import load_video
 
 FRAMES = 12
@@ -39,7 +39,7 @@ def filmed(tmp_path_factory):
     )
     video = load_video(folder)
     images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
-    write_movie(folder / "film.mp4", images, fps=10, lossless=False)
+    write_film(folder / "film.mp4", images, fps=10, way="playable")
     shape = load_poses(folder / "truth/poses.npz")[1]
     return folder / "film.mp4", round(float(Stature.of(body).height(shape)), 2)
 
@@ -142,7 +142,7 @@ SENTENCES = {
 @pytest.mark.parametrize("name", SENTENCES)
 def test_what_cannot_be_done_is_one_sentence(name, tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write_movie(tmp_path / "f.mp4", np.zeros((2, 32, 32, 3), np.uint8))
+    write_film(tmp_path / "f.mp4", np.zeros((2, 32, 32, 3), np.uint8))
     arguments, sentence = SENTENCES[name]
     code, _, err = cli(*(str(a).format(film="f.mp4") for a in arguments))
     lines = [line for line in err.splitlines() if "gva-mi: " in line]

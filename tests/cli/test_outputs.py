@@ -15,7 +15,7 @@ from gva_mi.avatar.formats.gltf import save_gltf
 from gva_mi.body.pose import Pose
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.lock import folder_lock
-from gva_mi.data.pictures import write_image, write_movie
+from gva_mi.data.pictures import write_film, write_image
 from gva_mi.fit.checkpoint import save_state
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.splat import save_splat
@@ -39,7 +39,7 @@ WRITERS = {
     "a.npz": lambda path, known: write_arrays(path, a=NOISE),
     "a.json": lambda path, known: write_json(path, {"a": "x" * 1000}),
     "a.png": lambda path, known: write_image(path, NOISE),
-    "a.mp4": lambda path, known: write_movie(path, [NOISE] * 3),
+    "a.mp4": lambda path, known: write_film(path, [NOISE] * 3),
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
     "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from gva_mi.body.pose import save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.data.video import save_cameras
 
 SMALL = ("--size", 32, 48)
 

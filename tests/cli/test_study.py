@@ -50,7 +50,7 @@ def done(monkeypatch):
 
 def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cli):
     out = cli.works("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
-    families = list(dict.fromkeys(case.error_model for case in HELD_OUT))
+    families = list(dict.fromkeys(case.kind_of_errors for case in HELD_OUT))
     lines = out.splitlines()
     start = next(k for k, line in enumerate(lines) if line.startswith("error model "))
     head, rows = lines[start], lines[start + 1 : start + 3 + len(families)]
@@ -86,7 +86,7 @@ def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
     lean = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
     assert cli(*lean)[0] == 0
     first = list(done)
-    assert first and {case.error_model for case, _ in first} == {"lean"}
+    assert first and {case.kind_of_errors for case, _ in first} == {"lean"}
     code, out, _ = cli("study", "refine", "--out", tmp_path)
     assert f"{len(first)} results are in" in out and len(done) == len(HELD_OUT)
     done.clear()

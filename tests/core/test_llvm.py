@@ -14,7 +14,7 @@ needs_bad_llvm = pytest.mark.skipif(not BAD, reason="this machine has no libLLVM
 
 
 def run(code: str, **environment: str) -> subprocess.CompletedProcess:
-    clean = {k: v for k, v in os.environ.items() if k not in (llvm._PATH, llvm._CHECKED)}
+    clean = {k: v for k, v in os.environ.items() if k not in (llvm.PATH, llvm._CHECKED)}
     return subprocess.run(
         [sys.executable, "-c", code], env=clean | environment, capture_output=True, text=True
     )
@@ -28,7 +28,7 @@ def test_a_kernel_runs_whatever_is_imported_first():
 
 
 def test_children_inherit_the_choice_without_a_second_trial():
-    code = f"import gva_mi, os; print(os.environ['{llvm._PATH}'] == os.environ['{llvm._CHECKED}'])"
+    code = f"import gva_mi, os; print(os.environ['{llvm.PATH}'] == os.environ['{llvm._CHECKED}'])"
     assert run(code).stdout.strip() == "True"
 
 

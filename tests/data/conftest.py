@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera, look_at
 
 WIDTH, HEIGHT, FRAMES = 8, 6, 3

@@ -8,7 +8,7 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film import Film
-from gva_mi.data.pictures import write_alpha_film, write_movie
+from gva_mi.data.pictures import write_film
 
 COUNT, SIZE = 40, (24, 32)
 SOME = 1 << 15  # bytes: of some pictures, not of all
@@ -25,7 +25,7 @@ def path(request, tmp_path):
     """All pictures alone; pictures between others, and key pictures every twelve; a bare stream."""
     path = tmp_path / "film.mp4"
     if request.param == "lossless":
-        write_movie(path, (shown(k) for k in range(COUNT)))
+        write_film(path, (shown(k) for k in range(COUNT)))
         return path
     path = path if request.param == "between" else tmp_path / "film.h264"
     with av.open(str(path), "w") as container:
@@ -116,7 +116,7 @@ def _bytes(frame):
 
 def test_a_damaged_film_is_refused(tmp_path):
     path = tmp_path / "film.mp4"
-    write_movie(path, (shown(k) for k in range(COUNT)))
+    write_film(path, (shown(k) for k in range(COUNT)))
     film = Film(path, kept=0)
     path.write_bytes(b"no film at all" * 10)
     with pytest.raises(InputError, match="cannot be decoded as a video"):
@@ -134,8 +134,8 @@ def litter(seed):
     return kept
 
 
-@pytest.mark.parametrize("kind", ["lossless", "playable", "see-through"])
-def test_equal_pictures_give_equal_films_to_the_bit(kind, tmp_path):
+@pytest.mark.parametrize("way", ["lossless", "playable", "alpha"])
+def test_equal_pictures_give_equal_films_to_the_bit(way, tmp_path):
     patch = np.random.default_rng(0).integers(0, 255, (20, 12, 4), dtype=np.uint8)
     pictures = np.full((4, 48, 32, 4), 255, np.uint8)
     for k, picture in enumerate(pictures):
@@ -143,11 +143,7 @@ def test_equal_pictures_give_equal_films_to_the_bit(kind, tmp_path):
     films = set()
     for seed in range(12):
         kept = litter(seed)
-        if kind == "see-through":
-            write_alpha_film(tmp_path / "film.webm", pictures)
-            films.add((tmp_path / "film.webm").read_bytes())
-        else:
-            write_movie(tmp_path / "film.mp4", pictures[..., :3], lossless=kind == "lossless")
-            films.add((tmp_path / "film.mp4").read_bytes())
+        write_film(tmp_path / "film", pictures if way == "alpha" else pictures[..., :3], way=way)
+        films.add((tmp_path / "film").read_bytes())
         del kept
     assert len(films) == 1

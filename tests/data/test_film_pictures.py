@@ -10,7 +10,7 @@ from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.film_pictures import read_film
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_film
 
 HEIGHT, WIDTH = 48, 64
 
@@ -102,7 +102,7 @@ def test_a_film_held_upright_is_turned(tmp_path):
     path = tmp_path / "a.mp4"
     sideways = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
     sideways[:, :16] = 220  # the left is to be the top
-    write_movie(path, [sideways] * 3)
+    write_film(path, [sideways] * 3)
     held = bytearray(path.read_bytes())
     at = held.index(b"tkhd") + 44  # its matrix, in 16.16, here a quarter turn clockwise
     held[at : at + 20] = struct.pack(">5i", 0, 1 << 16, 0, -1 << 16, 0)

@@ -10,8 +10,8 @@ from gva_mi import InputError
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.ground_truth import load_ground_truth, truth_of
-from gva_mi.data.video import save_cameras
 from gva_mi.splat import Camera
 
 

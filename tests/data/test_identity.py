@@ -8,7 +8,8 @@ import pytest
 
 from gva_mi.data.identity import PARTS, differing, identity
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import Splits, load_video
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import load_video
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from PIL import Image
 from gva_mi import InputError
 from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_film
 
 INSIDE = np.zeros((20, 30), bool)
 INSIDE[5:16, 8:20] = True
@@ -98,10 +98,10 @@ def test_a_film_of_masks_is_read_by_the_same_rule(tmp_path):
     hard = np.kron(HARD, np.ones((2, 2), np.uint8))
     film = tmp_path / "masks.mp4"
     for picture in (grey(hard), np.dstack([hard, 0 * hard, 0 * hard])):
-        write_movie(film, [picture] * 3)
+        write_film(film, [picture] * 3)
         found = list(masks(film))
         assert len(found) == 3 and all(np.array_equal(mask, hard) for mask in found)
-    write_movie(film, [PHOTO])
+    write_film(film, [PHOTO])
     with pytest.raises(InputError, match=r"masks\.mp4: picture 0: a mask in several colours"):
         list(masks(film))
 

@@ -18,8 +18,8 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.core.spill_cache import KEPT
-from gva_mi.data.pictures import write_image, write_movie
-from gva_mi.data.video import save_cameras
+from gva_mi.data.cameras import save_cameras
+from gva_mi.data.pictures import write_film, write_image
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
@@ -101,7 +101,7 @@ def draw(folder, frames):
             image[stack[k] > 0] = (200, 150, 3 * k % 255)
             yield image
 
-    write_movie(folder / "video.mp4", pictures(), lossless=False)
+    write_film(folder / "video.mp4", pictures(), way="playable")
     stack.flush()
     k = np.arange(frames)
     transl = np.stack([0.4 * np.sin(k / 50), 0.2 + 0 * k, 3.5 + 0 * k], axis=1)

@@ -8,8 +8,9 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.pose import save_poses
-from gva_mi.data.pictures import read_image, write_image, write_movie
-from gva_mi.data.video import Splits, load_video
+from gva_mi.data.pictures import read_image, write_film, write_image
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import load_video
 
 
 def rewrite(path, **changes):
@@ -31,7 +32,7 @@ def test_a_subject_comes_back_as_it_was_written(subject):
 
 def test_a_lossless_film_reads_like_frames(subject):
     frames = [f.image for f in load_video(subject).frames()]
-    write_movie(subject / "video.mp4", frames)
+    write_film(subject / "video.mp4", frames)
     shutil.rmtree(subject / "frames")
     for frame, image in zip(load_video(subject).frames(), frames, strict=True):
         assert np.array_equal(frame.image, image)
@@ -91,8 +92,8 @@ def subject_file(subject, name):
 
 
 def test_splits_share_no_frame_and_lose_none():
-    every, middle, film = Splits.every(8, 37), Splits.one_range(8, 64), Splits.of_film(60)
-    assert middle.test == list(range(28, 36)) and Splits.one_range(8, 3).test == [1]
+    every, middle, film = Splits.every(37), Splits.one_range(64), Splits.of_film(60)
+    assert middle.test == list(range(28, 36)) and Splits.one_range(3).test == [1]
     assert film.held_out_range == list(range(42, 48)) and set(film.test) > set(range(42, 48))
     assert film.without({44}).held_out_range == [42, 43, 45, 46, 47]
     for splits, count in ((every, 37), (middle, 64), (film, 60), (Splits.of_film(3), 3)):

@@ -6,7 +6,7 @@ import numpy as np
 from samples.scenes import few_gaussians
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.video import save_cameras
+from gva_mi.data.cameras import save_cameras
 from gva_mi.splat import Camera, look_at
 
 

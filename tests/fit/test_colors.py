@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from gva_mi.data.video import Splits
+from gva_mi.data.splits import Splits
 from gva_mi.fit.colors import seen_colors
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.crop import Box, Extent, NoEvidence, ScaledCrop, person_box
+from gva_mi.data.crop import Box, Extent, NoEvidence, ScaledCrop, person_extent
 from gva_mi.splat import Camera, look_at
 
 CAMERA = Camera(100, 100, 50, 40, look_at((0, 0, 5), (0, 0, 0)), 100, 80)
@@ -24,19 +24,24 @@ def at(*pixels):
     return np.array([[(x - 50) / 20, (40 - y) / 20, 0.0] for x, y in pixels])
 
 
+def box_around(mask, points, margin):
+    extent = person_extent(mask, CAMERA, points, "it")
+    return extent.box(margin, np.array([CAMERA.width, CAMERA.height]))
+
+
 def edges(box):
     return box.left, box.top, box.right, box.bottom
 
 
 def test_the_box_contains_mask_points_and_margin_and_ends_with_the_image():
-    assert edges(person_box(MASK, CAMERA, at((70.5, 45)), 0.1, "it")) == (36, 26, 74, 54)
-    wide = mask((0, 80), (90, 100)), CAMERA, at((200, -30), (95, 40)), 1, "it"
-    assert edges(person_box(*wide)) == (0, 0, 100, 80)
+    assert edges(box_around(MASK, at((70.5, 45)), 0.1)) == (36, 26, 74, 54)
+    wide = mask((0, 80), (90, 100)), at((200, -30), (95, 40)), 1
+    assert edges(box_around(*wide)) == (0, 0, 100, 80)
 
 
 def test_the_cropped_camera_sees_the_cropped_image():
     points = at((41, 31), (66, 47))
-    box = person_box(MASK, CAMERA, points, 0.2, "it")
+    box = box_around(MASK, points, 0.2)
     picture = np.random.default_rng(0).random((80, 100, 3))
     camera = box.cut_camera(CAMERA)
     assert box.cut(picture).shape[:2] == (camera.height, camera.width)
@@ -55,7 +60,7 @@ def test_the_cropped_camera_sees_the_cropped_image():
 )
 def test_frames_that_show_nothing_say_why(mask, points, sentence):
     with pytest.raises(NoEvidence, match=sentence):
-        person_box(mask, CAMERA, points, 0.1, "its avatar")
+        person_extent(mask, CAMERA, points, "its avatar")
 
 
 def coarser(picture, crop):

@@ -24,7 +24,7 @@ from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.pictures import read_background, write_movie
+from gva_mi.data.pictures import read_background, write_film
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
 from gva_mi.fit import checkpoint, run_folder
@@ -121,9 +121,7 @@ def seeds(subject, avatar):
         copied(folder)
         shutil.rmtree(folder / "frames")
         shutil.rmtree(folder / "normals")
-        write_movie(
-            folder / "video.mp4", [np.full((48, 48, 3), 40 * k, np.uint8) for k in range(6)]
-        )
+        write_film(folder / "video.mp4", [np.full((48, 48, 3), 40 * k, np.uint8) for k in range(6)])
 
     def synthetic(folder):
         about = {"options": SynthOptions().recorded(), "body": fingerprint(body)}
@@ -234,7 +232,7 @@ def seeds(subject, avatar):
         for suffix in ("png", "jpg", "bmp", "tif", "webp"):
             Image.fromarray(image).save(folder / f"a.{suffix}")
         np.save(folder / "masks.npy", np.ones((T, H, W), bool))
-        write_movie(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
+        write_film(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
 
     def read_footage(folder, path=None):
         read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.data.video import load_video
 from gva_mi.fit.renders import render_frame
 from gva_mi.pose.refine import Refined
 

@@ -21,7 +21,7 @@ def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
         for others in editions[:k]:
             assert not {c.take.person for c in some} & {c.take.person for c in others}
             assert not {c.draw for c in some} & {c.draw for c in others}
-    alike = lambda c: (c.error_model, c.take.motion, c.take.figure, c.take.outfit, c.take.bare)
+    alike = lambda c: (c.kind_of_errors, c.take.motion, c.take.figure, c.take.outfit, c.take.bare)
     assert held_out() is HELD_OUT
     assert [alike(c) for c in held_out(2)] == [alike(c) for c in HELD_OUT]
 
@@ -44,9 +44,9 @@ def test_limits_change_one_thing_of_one_film_at_a_time():
 
 
 def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
-    families = Counter(case.error_model for case in HELD_OUT)
+    families = Counter(case.kind_of_errors for case in HELD_OUT)
     assert set(families) == {*ERROR_MODELS, NO_NORMALS, FILM}
-    assert set(families) - {case.error_model for case in TUNING} == {"shape", "focal", "normals"}
+    assert set(families) - {case.kind_of_errors for case in TUNING} == {"shape", "focal", "normals"}
     takes = {case.take for case in HELD_OUT}
     assert {take.figure for take in takes} == {"own", "stretched", "anny"}
     assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}

@@ -130,7 +130,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
 def test_a_take_is_filmed_by_one_worker(tmp_path, body):
     amira = [case for case in TUNING if case.take.person == "amira"]
     filming = Filming(tmp_path, 8, 64)
-    films = [work.call.args[1] for work in filming_work(filming, [*amira, TUNING[1]], body)]
+    films = [work.call.args[0] for work in filming_work(filming, [*amira, TUNING[1]], body)]
     assert films == [tuple(amira), (TUNING[1],)]
     folders = {filming.subject(case) for cases in films for case in cases}
     assert len(folders) == len(amira) + 1
@@ -166,7 +166,9 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     options = RefineStudyOptions(frames=3, size=48, refine=refine, known=True)
     bare = next(case for case in TUNING if case.take.bare)
     case = replace(bare, noise="focal", draw=51)
-    video = load_video(Filming(tmp_path, 3, 48).film(case, body))
+    filming = Filming(tmp_path, 3, 48)
+    filming.film([case], body)
+    video = load_video(filming.subject(case))
     truth = load_ground_truth(video.truth, body)
     zoomed = with_true_focal(truth, video, body)
     focal, right = (v.cameras[0].fx / truth.cameras[0].fx for v in (video, zoomed))

@@ -9,8 +9,9 @@ import torch
 
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.core.errors import InputError
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.normals import NormalMaps
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.run_folder import METRICS
 from gva_mi.study.evaluate import SplitScores

@@ -14,11 +14,11 @@ from gva_mi.study.page import (
 
 
 def test_a_page_is_one_file_with_its_pictures(tmp_path):
-    image = np.zeros((4, 6, 3))
+    image = np.zeros((4, 6, 3), np.uint8)
     section = Section(
         "Section <1>",
         "A & B",
-        [picture("grey", image + 0.5), animation("moving", [image.astype(np.uint8)] * 2)],
+        [picture("grey", image + 128), animation("moving", [image] * 2)],
         tables=[Table(("name", "value"), [("x < y", number(1.25, 1)), ("z", number(None, 3))])],
     )
     write_page(

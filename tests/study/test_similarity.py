@@ -8,7 +8,8 @@ import roma
 import torch
 
 from gva_mi.body.pose import Pose, save_poses
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.data.cameras import save_cameras
+from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import FITTED
 from gva_mi.study.evaluate import evaluate_views, views_of

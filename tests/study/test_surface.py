@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
-from gva_mi.data.fingerprint import ABOUT, fingerprint
+from gva_mi.data.fingerprint import SYNTH, fingerprint
 from gva_mi.study.surface import (
     NEAR,
     PARTS,
@@ -82,7 +82,7 @@ def test_a_folder_that_synth_did_not_make_has_no_figures(tmp_path, known, body):
 def drawn(folder, body, options):
     """What ``synth`` says of a person, without any picture."""
     about = {"options": options.recorded(), "body": fingerprint(body)}
-    (folder / ABOUT).write_text(json.dumps(about))
+    (folder / SYNTH).write_text(json.dumps(about))
     person = draw_subject(body, options.person(body), options.clothes, options.hair)
     (folder / "truth").mkdir()
     write_surface(folder / SURFACE, person)

@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 
 from gva_mi import InputError
-from gva_mi.data.video import load_cameras, load_video
+from gva_mi.data.cameras import load_cameras
+from gva_mi.data.video import load_video
 from gva_mi.synthetic import degrade, describe_errors, make_subject
 from gva_mi.synthetic.error_models.models import ERROR_MODELS, draw_errors
 

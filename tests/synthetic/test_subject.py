@@ -6,15 +6,21 @@ import torch
 
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.clothes.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.clothes.level_sets import BodySurface
 from gva_mi.synthetic.look import Material
+from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.render import Renderer
 from gva_mi.synthetic.subject import draw_subject
+from gva_mi.synthetic.surface import vertex_normals
+
+
+def person(body, seed):
+    return SyntheticPerson.draw(seed, body.num_betas)
 
 
 @pytest.fixture(scope="module")
 def dressed(body):
-    return draw_subject(body, 1)
+    return draw_subject(body, person(body, 1))
 
 
 def part(subject, *materials):
@@ -31,7 +37,9 @@ def closed(subject, faces):
 
 
 def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
-    bare, other, again = (draw_subject(body, k, clothes=False, hair=False) for k in (0, 1, 0))
+    bare, other, again = (
+        draw_subject(body, person(body, k), clothes=False, hair=False) for k in (0, 1, 0)
+    )
     assert np.allclose(bare.vertices, body.rest(bare.shape).vertices.numpy(), atol=1e-6)
     assert np.array_equal(bare.faces, body.faces.numpy())
     assert set(bare.material) == {int(Material.SKIN)}
@@ -42,9 +50,9 @@ def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
 def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body):
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    subject = draw_subject(body, 1, hair=False)
+    subject = draw_subject(body, person(body, 1), hair=False)
     pose = motion.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
-    surface = subject.posed(body, pose)[0]
+    surface = subject.skinned(body, pose)[0]
     camera = camera_around(surface, 96)
     seen = Renderer(subject)(surface, camera, 4)
     x, y = np.floor(camera.project(body(pose, subject.shape).vertices[0].double().numpy())).T
@@ -77,7 +85,7 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
 
 
 def test_loose_strands_follow_the_hair_and_change_nothing_else(body, dressed):
-    hairy = draw_subject(body, 1, loose_strands=True)
+    hairy = draw_subject(body, person(body, 1), loose_strands=True)
     vertices, faces = len(dressed.vertices), len(dressed.faces)
     assert np.array_equal(hairy.vertices[:vertices], dressed.vertices)
     assert np.array_equal(hairy.faces[:faces], dressed.faces) and hairy.look == dressed.look
@@ -90,4 +98,4 @@ def test_loose_strands_follow_the_hair_and_change_nothing_else(body, dressed):
     rest = gap(hairy.vertices)
     assert rest.max() < 0.06 and rest.min() < 0.001
     pose = motion.perform("turn", np.array([0.3]), None, 10, np.random.default_rng(0))
-    assert np.abs(gap(hairy.posed(body, pose)[0]) - rest).max() < 0.01
+    assert np.abs(gap(hairy.skinned(body, pose)[0]) - rest).max() < 0.01

@@ -8,11 +8,12 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.pose import load_poses
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.pictures import read_image
-from gva_mi.data.video import load_cameras, load_video
+from gva_mi.data.video import load_video
 from gva_mi.synthetic import describe_errors, make_subject
 
 pytest.importorskip("mitsuba")

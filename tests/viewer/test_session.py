@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.pictures import read_image
-from gva_mi.data.video import load_cameras
 from gva_mi.fit.renders import over, render_layer
 from gva_mi.viewer.controls import Click
 from gva_mi.viewer.drawing import Drawing

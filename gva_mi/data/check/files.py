@@ -16,13 +16,13 @@ from gva_mi.body.pose import PoseFile, load_offsets, read_pose_file
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.data.cameras import load_cameras
+from gva_mi.data.cameras import CAMERAS, load_cameras
 from gva_mi.data.check.numbers import check_intrinsics
 from gva_mi.data.check.problems import Problem, doubt, error
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import ABOUT, NormalMaps
+from gva_mi.data.normals import NORMALS, NormalMaps
 from gva_mi.data.pictures import read_image, size_of_whole
 from gva_mi.data.splits import load_splits
 from gva_mi.data.video import POSES, is_frame
@@ -96,7 +96,7 @@ def read_subject(
     """Read a folder."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected a subject's")
-    parts = ("video.mp4", "frames", "masks", "cameras.npz", POSES)
+    parts = ("video.mp4", "frames", "masks", CAMERAS, POSES)
     if not any((folder / part).exists() for part in parts):
         raise InputError(f"{folder}: no subject's folder; expected some of {', '.join(parts)}")
     files = SubjectFiles(folder, poses or folder / POSES)
@@ -190,7 +190,7 @@ def _read_poses(files: SubjectFiles, body: BodyModel) -> None:
 
 
 def _read_cameras(files: SubjectFiles) -> None:
-    path = files.folder / "cameras.npz"
+    path = files.folder / CAMERAS
     found = files.attempt("unreadable", lambda: load_cameras(path))
     if found is None:
         return
@@ -245,7 +245,7 @@ def _sizes_and_masks(files: SubjectFiles) -> Iterator[Problem]:
 
 def _open_normals(files: SubjectFiles) -> None:
     cause = "maps of a crop, or of another size"
-    remedy = f"write maps of the frame's size, or the crop's 'boxes' into {ABOUT}"
+    remedy = f"write maps of the frame's size, or the crop's 'boxes' into {NORMALS}"
     what = "normals cannot be read"
     opened = files.attempt(
         what, lambda: NormalMaps.open(files.folder, max(1, files.count)), cause, remedy

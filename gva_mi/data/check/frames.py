@@ -12,7 +12,7 @@ from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.check.files import FULL, SubjectFiles, small_size
-from gva_mi.data.joints import count_in_mask, joint_places, joints_seen
+from gva_mi.data.joints import count_in_mask, joints_in_world, joints_seen
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
@@ -53,7 +53,7 @@ class CheckedFrames:
     def pixels(self) -> np.ndarray:
         """Project root and body joints, (n, 22, 2) px; infinite behind the camera."""
         turns, transl = self.pose.rotations.numpy(), self.pose.transl.numpy()
-        places = joint_places(turns, transl, self.joints)[:, : BODY.stop]
+        places = joints_in_world(turns, transl, self.joints)[:, : BODY.stop]
         return np.stack([joints_seen(*one) for one in zip(self.cameras, places, strict=True)])
 
     def inside(self) -> np.ndarray:

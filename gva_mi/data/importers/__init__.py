@@ -3,6 +3,7 @@
 ======================  ============================================================
 ``spellings``           names under which programs write a body's arrays
 ``fields``              a body's arrays of any names and shapes
+``joint_rotations``     rotations of joints in any public shape
 ``tracks``              one person, frame by frame, in a camera's axes
 ``people``              choice of the subject among several people
 ``numbering``           frame numbers
@@ -12,7 +13,13 @@
                         distortion
 ``estimators``          one record for each pose estimator; the readers of their files
                         are ``estimator_files``, ``people_files``, ``frame_files``
-``motions``             AMASS, AIST++ and what estimators saw, as driving poses
+``hands``               hands of a hand estimator, which ``hand_merge`` puts in
+``keypoints``           keypoints of other networks, as landmarks
+``motions``             AMASS (``mosh``), AIST++ and what estimators saw, as driving
+                        poses; ``frame_rate``: frames a second
+``joint_motion``        motions of joints without rotations, posed by ``joint_fit``
+``bvh``                 motion capture, which ``retarget`` turns into poses by the
+                        joints that ``humanoid`` finds
 ``capture``             people with their pictures, masks and splits
 ``datasets``            one record for each data set (``one_camera``, ``multi_view``)
 ``other_views``         a data set's other cameras, held out

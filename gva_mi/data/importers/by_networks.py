@@ -17,7 +17,7 @@ from gva_mi.data.masks import read_mask
 from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
-from gva_mi.data.normals import ABOUT, in_convention
+from gva_mi.data.normals import NORMALS, in_convention
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.mesh.visibility import normals_of_both_sides
 from gva_mi.splat import Camera
@@ -95,7 +95,7 @@ def write_normals(
             maps += 1
         if progress:
             progress(k + 1, len(cameras))
-    write_json(folder / ABOUT, {"convention": network.spec.convention, "boxes": boxes})
+    write_json(folder / NORMALS, {"convention": network.spec.convention, "boxes": boxes})
     return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]
 
 

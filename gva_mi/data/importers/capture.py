@@ -14,7 +14,7 @@ import numpy as np
 from gva_mi.data.importers.footage import Pictures, masks
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.masks import MaskMeaning
-from gva_mi.data.video import Splits
+from gva_mi.data.splits import Splits
 
 Numbered = Mapping[int, Path]  # files by the data set's numbers
 

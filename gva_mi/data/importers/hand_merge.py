@@ -15,15 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.gestures import GESTURES, put_hand
-from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
+from gva_mi.body.pose import HANDS, JOINTS, PARENTS, SIDES
 from gva_mi.body.rotations import to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.hands import SIDES, ForeignHand, read_hands
+from gva_mi.data.importers.hands import ForeignHand, read_hands
 from gva_mi.data.importers.people import pixels_by_frame
 from gva_mi.data.importers.tracks import Track, interpolate
 
 NEAR = 5  # frames around a hand that was seen, in which it is held
-_HANDS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 
 
 def merge_hands(
@@ -49,9 +48,7 @@ def merge_hands(
             None where the lens is not known.
     """
     hands, notes = read_hands(path, first)
-    rotations = track.rotations.copy()
-    if track.from_mean_hand:
-        rotations[:, LEFT_HAND.start :] += mean_hands
+    rotations = track.with_flat_hands(mean_hands).rotations.copy()
     seen, said = {} if body is None else pixels_by_frame(track, body), []
     for k, side in enumerate(SIDES):
         if not track.has_hands:
@@ -100,7 +97,7 @@ def _put(
     """Write one side's hands into rotations (n, 55, 3) of ``frames`` (n,)."""
     order = sorted(hands)
     seen = np.stack([hands[k].fingers + mean for k in order])
-    joints = list(range(_HANDS[side].start, _HANDS[side].stop))
+    joints = list(range(HANDS[side].start, HANDS[side].stop))
     if wrists:
         if any(hands[k].wrist is None for k in order):
             raise InputError(f"{path}: holds no wrists (global_orient), which are asked for")

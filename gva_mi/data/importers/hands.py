@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.joint_rotations import axis_angles
 from gva_mi.data.importers.numbering import counted_from_0
 
-SIDES = ("left", "right")
 MIRROR = np.array([1.0, -1.0, -1.0])
 _POSES = ("hand_pose", "pose_body", "mano_pose", "hand_poses", "pred_hand_pose")
 _WRISTS = ("global_orient", "root_orient")

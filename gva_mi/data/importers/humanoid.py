@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.core.errors import InputError
 
-SIDES = ("left", "right")
 FINGERS = {"index": "index", "middle": "middle", "pinky": "pinky|pinkie|little", "ring": "ring",
            "thumb": "thumb"}  # fmt: skip
 _NO_JOINT = re.compile(r"twist|roll|(^|[^a-z])ik[^a-z]|nub$|end$|top|tip$")

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LARGEST, PARENTS
+from gva_mi.body.pose import JOINTS, LARGEST, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.data.importers.retarget import Places, leg_length, on_body
 from gva_mi.data.importers.tracks import Track
@@ -30,7 +30,7 @@ _FIXED = {"pelvis": ("left_hip", "right_hip", "spine1"),
           "spine3": ("neck", "left_collar", "right_collar")}  # fmt: skip
 _BONES = {
     "neck": "head",
-    **{f"{side}_{joint}": f"{side}_{child}" for side in ("left", "right") for joint, child in (
+    **{f"{side}_{joint}": f"{side}_{child}" for side in SIDES for joint, child in (
         ("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("collar", "shoulder"),
         ("shoulder", "elbow"), ("elbow", "wrist"))},
 }  # fmt: skip

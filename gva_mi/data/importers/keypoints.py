@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.data.importers.numbering import counted_from_0
@@ -33,7 +34,7 @@ _FAR = 0.2  # of a person's height, by which keypoints lie off at most, in most 
 
 
 def _sided(*names: str) -> list[str]:
-    return [f"{side}_{name}" for name in names for side in ("left", "right")]
+    return [f"{side}_{name}" for name in names for side in SIDES]
 
 
 _COCO = ("nose", *_sided("eye", "ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle"))
@@ -52,7 +53,7 @@ LAYOUTS: Mapping[int, tuple[str, ...]] = {  # "" for points that nothing here is
     136: (*_HALPE, *[""] * 68, *_HANDS),
 }
 NAMES = (*dict.fromkeys(filter(None, LAYOUTS[133])),)
-_OPENPOSE = {f"hand_{side}_keypoints_2d": hand_names(side) for side in ("left", "right")}
+_OPENPOSE = {f"hand_{side}_keypoints_2d": hand_names(side) for side in SIDES}
 
 
 def read_keypoints(path: Path) -> dict[int, list[np.ndarray]]:
@@ -166,7 +167,7 @@ def with_keypoints(
             apart.append(min(off) / np.ptp(guide[np.isfinite(guide[:, 1]), 1]))
         pixels[t, at] = before = person[:, :2]
         confidence[t, at] = np.nan_to_num(person[:, 2])
-    for side in ("left", "right"):  # a hand is found, or is not, as a whole
+    for side in SIDES:  # a hand is found, or is not, as a whole
         hand = landmarks.indices(hand_names(side))
         seen = confidence[:, hand]
         confidence[:, hand] = np.median(seen, 1, keepdims=True) * (seen > 0)

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
-from gva_mi.body.pose import LEFT_HAND, Pose, Shape
+from gva_mi.body.pose import SIDES, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, options_of
@@ -121,16 +121,15 @@ def _resampled(
         counted = replace(track, frames=track.frames - start)
         track, more = merge_hands(counted, Path(options.hands), body.mean_hands)
         track = replace(track, notes=(*track.notes, *more))
-    rotations, others, known = _timeline(where, track)
+    rotations, others, known = _timeline(where, track.with_flat_hands(body.mean_hands))
     notes = list(track.notes)
     if not known.all():
         _check_gaps(where, known, rate, options)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
     if track.from_mean_hand:
-        rotations[:, LEFT_HAND.start :] += body.mean_hands
         notes.append("fingers are relative to the mean hand, and the body's is added")
     if not track.has_hands:
-        for side in ("left", "right") if options.hands == "relaxed" else ():
+        for side in SIDES if options.hands == "relaxed" else ():
             put_hand(rotations, side, GESTURES["rest"].values)
         notes.append(f"the source has no hands; they are {options.hands}")
     times = np.arange(len(rotations)) / rate
@@ -161,9 +160,8 @@ def _resampled(
     pelvis = places[0] if options.place == "start" else body.pelvises(body.form, own)
     notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
                     f"now {count} at {options.fps:g}, y up")  # fmt: skip
-    tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
-    pose = Pose(tensor(rotations), tensor(places - pelvis), tensor(expression))
-    return Motion(pose, Shape(tensor(betas)), tuple(notes))
+    shape = Shape(torch.from_numpy(betas.astype(np.float32)))
+    return Motion(Pose.of_arrays(rotations, places - pelvis, expression), shape, tuple(notes))
 
 
 def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:

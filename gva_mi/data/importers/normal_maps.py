@@ -19,7 +19,7 @@ from gva_mi.core.files import write_json
 from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import ABOUT, Convention, NormalMaps, read_map
+from gva_mi.data.normals import NORMALS, Convention, NormalMaps, read_map
 from gva_mi.data.pictures import in_8_bits, require_sides, write_image
 from gva_mi.splat import Camera
 
@@ -77,7 +77,7 @@ def write_maps(
             with atomic_write(out / "normals" / f"{k:06d}.npy") as unfinished:
                 with unfinished.open("wb") as file:
                     np.save(file, stored)
-    write_json(out / ABOUT, {"convention": convention})
+    write_json(out / NORMALS, {"convention": convention})
     read, pixels, z = NormalMaps(out / "normals", convention, None), 0, 0.0
     for k in sorted(maps):
         mask = read_mask(out / "masks", k)

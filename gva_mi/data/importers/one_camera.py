@@ -22,7 +22,7 @@ from gva_mi.data.importers.frame_files import osx_parameters
 from gva_mi.data.importers.lens import CAMERA, lens_in
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import make_track
-from gva_mi.data.video import Splits
+from gva_mi.data.splits import Splits
 
 _EXAVATAR = ("smplx_optimized/smplx_params_smoothed", "smplx_optimized/smplx_params")
 

@@ -18,7 +18,7 @@ import numpy as np
 from gva_mi.body.pose import BODY
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.tracks import Track
-from gva_mi.data.joints import count_in_mask, joint_places
+from gva_mi.data.joints import count_in_mask, joints_in_world
 from gva_mi.data.masks import BARELY
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
@@ -113,7 +113,7 @@ def pixels_by_frame(
     Pixels (count, 2) are not finite behind the camera. ``joints`` are (55, 3) of a body at rest,
     metres.
     """
-    places = joint_places(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
+    places = joints_in_world(track.rotations, np.zeros((len(track.frames), 3)), joints)[:, :count]
     x = places - places[:, :1] + track.places[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         projected = np.einsum("tab,tjb->tja", track.K, x)

@@ -19,12 +19,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import LEFT_HAND, Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.provenance import versions
+from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.importers import footage
@@ -45,7 +46,8 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import require_sides, write_image
-from gva_mi.data.video import POSES, save_cameras, spread
+from gva_mi.data.splits import SPLITS
+from gva_mi.data.video import POSES, spread
 from gva_mi.splat import Camera
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
@@ -88,7 +90,7 @@ def prepare_folder(
         )  # fmt: skip
         notes += of_hands
     if capture.splits is not None:
-        write_json(out / "splits.json", capture.splits.to_json())
+        write_json(out / SPLITS, capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
@@ -97,7 +99,7 @@ def prepare_folder(
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
         more += write_masks(out, mask_network, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
-    save_cameras(out / "cameras.npz", cameras)
+    save_cameras(out / CAMERAS, cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
         posed = lambda k: body.model(pose[k], shape).vertices[0]
@@ -248,15 +250,13 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
     if track.expression is not None:
         expression, note = body.expression(track.form, track.expression)
         notes += note
-    if track.from_mean_hand:
-        track.rotations[:, LEFT_HAND.start :] += body.mean_hands
     if not track.has_hands:
         notes.append("the source has no hands; they are flat")
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    rotations, places = upright(track.rotations, track.places, "-y")
+    rotations = track.with_flat_hands(body.mean_hands).rotations
+    rotations, places = upright(rotations, track.places, "-y")
     places = places - body.pelvises(body.form, betas)
-    tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
-    pose = Pose(tensor(rotations), tensor(places), tensor(expression))
+    pose = Pose.of_arrays(rotations, places, expression)
     notes.append(
         f"for the body {body.name}: rotations, place and betas are the source's own" if own else
         f"retargeted to the body {body.name}: rotations and the pelvis's place are the source's; "

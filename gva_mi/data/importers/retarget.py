@@ -24,11 +24,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.bvh import BvhClip, read_bvh
-from gva_mi.data.importers.humanoid import FINGERS, SIDES, Humanoid, find_humanoid
+from gva_mi.data.importers.humanoid import FINGERS, Humanoid, find_humanoid
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track
 from gva_mi.data.importers.world import unit

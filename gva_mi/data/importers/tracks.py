@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from gva_mi.body.pose import LEFT_HAND
 from gva_mi.body.rotations import composed, nearest_rotations, to_rotvecs
 from gva_mi.body.so3 import compose
 from gva_mi.core.console import listed
@@ -33,9 +34,7 @@ class Track:
     person: str  # the estimator's name of them
     frames: np.ndarray  # (n,) int
     rotations: np.ndarray  # (n, 55, 3) axis-angle; the root's is relative to the camera's axes
-    places: (
-        np.ndarray
-    )  # (n, 3) the pelvis, metres, in the camera's axes: x right, y down, z forward
+    places: np.ndarray  # (n, 3) the pelvis, metres, as the camera sees it: x right, y down, z deep
     betas: np.ndarray | None  # (n, B)
     K: np.ndarray  # (n, 3, 3) pixels
     form: str  # "SMPL", "SMPL+H" or "SMPL-X"
@@ -56,6 +55,17 @@ class Track:
         rotations = self.rotations.copy()
         rotations[:, 0] = composed(turn, rotations[:, 0])
         return replace(self, rotations=rotations, places=places)
+
+    def with_flat_hands(self, mean_hands: np.ndarray) -> Track:
+        """Return the track with fingers relative to flat hands.
+
+        ``mean_hands`` (30, 3) of the body are added where they are relative to those.
+        """
+        if not self.from_mean_hand:
+            return self
+        rotations = self.rotations.copy()
+        rotations[:, LEFT_HAND.start :] += mean_hands
+        return replace(self, rotations=rotations, from_mean_hand=False)
 
     def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
         """Transform a track from world to camera axes, x_cam = R x + T.

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.rotations import composed, to_matrices
-from gva_mi.data.joints import joint_places
+from gva_mi.data.joints import joints_in_world
 
-UP = ("x", "-x", "y", "-y", "z", "-z")
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+UP: tuple[Axis, ...] = get_args(Axis)
 LEANS = 20  # degrees from the up axis that are worth a note
 _CLEAR = 0.7  # share of the way from feet to head that must lie along one axis
 _BEGINS = 0.5  # seconds: people begin upright, also who lies down, dances on the hands, or swims
@@ -36,7 +38,7 @@ class Upward:
 
         ``joints`` are (55, 3) at rest of any body.
         """
-        seen = joint_places(rotations, places - joints[0], joints)
+        seen = joints_in_world(rotations, places - joints[0], joints)
         at = lambda name: seen[:, JOINTS.index(name)]
         upward = unit(at("head") - (at("left_ankle") + at("right_ankle")) / 2)
         first = max(1, round(_BEGINS * rate))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-SIDES = (80, 320)  # pixels of the shrunk pictures' longer side
+LONGER_SIDES = (80, 320)  # pixels of the shrunk pictures' longer side
 STEPS = (12, 6)  # of each
 CLEAR = 8  # 8-bit probability below which a pixel shows background
 LEAST = 0.2  # share of the picture that both have to show of the background
@@ -28,7 +28,7 @@ COARSE = 0.06  # difference of grey in [0, 1] beyond which a pixel counts less: 
 
 @dataclass(frozen=True)
 class ShrunkPicture:
-    """A picture at the sizes :data:`SIDES`."""
+    """A picture at the sizes :data:`LONGER_SIDES`."""
 
     grey: list[np.ndarray]  # (h, w) float32 in [0, 1]
     bare: list[np.ndarray]  # (h, w) float32, 1 where the person is not
@@ -39,7 +39,7 @@ class ShrunkPicture:
         from PIL import Image
 
         grey, bare = [], []
-        for side in SIDES:
+        for side in LONGER_SIDES:
             scale = min(1.0, side / max(image.shape[:2]))
             size = [max(8, round(n * scale)) for n in image.shape[1::-1]]
             small, P = (

@@ -25,9 +25,10 @@ MOST = 6.0  # largest log ratio of the two densities
 SHADOW, CONTACT = 0.1, 0.4  # mean of 1 - s: anywhere, and below this height:
 FEET = 0.92  # of the person, from the top
 SURE = 0.95  # probability of certainty, for b
-DEEP, DEEPEST, MIDDLE = 0.02, 0.05, 4.0  # b is 0 at the first distance, shares of the person's
-# height, and the last number at the second
-BRIGHT = 0.02  # likewise above 1: nothing shines on the background but what lights it anyway
+# b is 0 up to the first distance and MIDDLE from the second on; both are shares of the person's
+# height.
+DEEP, DEEPEST, MIDDLE = 0.02, 0.05, 4.0
+BRIGHT = 0.02  # mean of s - 1: nothing shines on the background but what lights it anyway
 DARKEST, BRIGHTEST = 0.25, 1.15  # range of s
 SEEN_ELSE, GUESS_ELSE = 0.01, 0.5  # e: share of colours that the plate does not explain
 NU = 4.0  # degrees of freedom of t

@@ -14,8 +14,8 @@ from gva_mi.data.matting.camera import moved
 
 SEEN = 3  # pictures that have to show a pixel of the background
 LEAST = 0.012  # smallest spread, of colours in [0, 1]: noise and compression
-GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel, and per further
-FARTHER = 0.003  # pixel of distance this much more
+GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel
+FARTHER = 0.003  # growth of this spread for each pixel of distance
 AGREES = 0.04  # mean difference of the channels, in [0, 1], up to which colours agree
 ROWS = 64  # computed at once
 REACH = 7  # pixels, side of the squares whose mean is the colour or the shade near a pixel
@@ -125,8 +125,8 @@ def _continued(
     if seen.all():
         return color, spread
     away, nearest = distance_transform_edt(~seen, return_indices=True)
-    share = uniform_filter(seen.astype(np.float32), 7, mode="constant").clip(1e-6)
-    total = uniform_filter(color * seen[..., None], (7, 7, 1), mode="constant")
+    share = uniform_filter(seen.astype(np.float32), REACH, mode="constant").clip(1e-6)
+    total = uniform_filter(color * seen[..., None], (REACH, REACH, 1), mode="constant")
     mean = (total / share[..., None])[tuple(nearest)]
     color = np.where(seen[..., None], color, mean)
     return color, np.where(seen, spread, GUESSED + FARTHER * away).astype(np.float32)

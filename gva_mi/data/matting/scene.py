@@ -20,8 +20,8 @@ POSSIBLE, CERTAIN = 0.05, 0.95  # probabilities: below the one is background, ab
 NEAR = 4, 3  # pixels around what is possible that count as possible, too: by the network, the cut
 INNER = 2  # pixels inside of the outline whose colours are not counted
 AROUND = 0.12  # of the person's longer side: where a picture is looked at beyond what is possible
-PRICE, FLAT_PRICE, EDGE = 1.5, 4.0, 0.1  # of an outline: anywhere; more where colours differ less
-# than EDGE
+PRICE, FLAT_PRICE = 1.5, 4.0  # of an outline: anywhere, and added where colours are equal
+EDGE = 0.1  # difference of colours, in [0, 1], at which less than half of this is added
 STEPS = 50  # of the cut
 ISLAND = 0.002  # share of the largest piece's area: smaller ones are dropped
 

@@ -5,6 +5,7 @@ MediaPipe's landmark networks, fetched once by pip (``weights``) and run by ai-e
 ====================  ==================================================================
 ``watch``             one person's landmarks and silhouette in all pictures of a film
 ``person_tracker``    keeps to one person, though others walk past
+``known_person``      what is remembered of a person
 ``person_detector``   finds the people of a picture
 ``body_landmarks``    the body's landmarks and silhouette
 ``hand_landmarks``    the landmarks of both hands, ``face_landmarks`` of the face

@@ -1,4 +1,4 @@
-"""The body's landmarks and silhouette: MediaPipe's BlazePose, in several passes over a picture.
+"""The body's landmarks and silhouette: MediaPipe's BlazePose, in two passes over a picture.
 
 BlazePose sees a square around the person and gives
 
@@ -7,10 +7,10 @@ BlazePose sees a square around the person and gives
 * the same landmarks in metres, in axes turned with the square, relative to the middle of the hips;
 * the probability that a pixel is of the person.
 
-A second pass sees the square mirrored, further passes see a wider one. Their mean is better than
-each of them, and their standard deviation shows where the network is unsure. Where one pass takes
-the left arm or leg for the right one, or the back for the front, the mean would lie between both.
-There the pass counts that is closest to the picture before.
+A second pass sees the square mirrored. The mean of both is better than each of them, and their
+standard deviation shows where the network is unsure. Where one pass takes the left arm or leg for
+the right one, or the back for the front, the mean would lie between both. There the pass counts
+that is closer to the picture before.
 """
 
 from __future__ import annotations
@@ -18,18 +18,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES, mirrored_name
 from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.person_detector import MARGIN
 from gva_mi.data.networks.tflite import TfliteNetwork, sigmoid
 from gva_mi.data.networks.turned_square import TurnedSquare
 from gva_mi.data.networks.weights import weights_file
 
-BodyNetworkName = Literal["full", "heavy"]
-PASSES = ((1.0, False), (1.0, True), (1.12, False), (1.12, True))  # square's scale, mirrored
 _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
@@ -40,15 +38,13 @@ _PARTS = [  # each arm, each leg, the trunk
     [BODY.index(f"{side}_{name}") for side in sides for name in names]
     for sides, names in (
         (["left"], _ARM), (["right"], _ARM), (["left"], _LEG), (["right"], _LEG),
-        (["left", "right"], ("shoulder", "hip")),
+        (SIDES, ("shoulder", "hip")),
     )
 ]  # fmt: skip
 _APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
 
-
-_OTHER = {"left": "right", "right": "left"}
 _MIRRORED = np.array([  # which landmark (39,) a landmark of the mirrored picture is
-    *(BODY.index("_".join(_OTHER.get(word, word) for word in name.split("_"))) for name in BODY),
+    *(BODY.index(mirrored_name(name)) for name in BODY),
     *range(33, _POINTS),
 ])  # fmt: skip
 
@@ -88,9 +84,9 @@ class SeenBody:
 class BodyNetwork:
     """BlazePose."""
 
-    def __init__(self, model: BodyNetworkName = "full", folder: Path | None = None) -> None:
+    def __init__(self, folder: Path | None = None) -> None:
         """Open the network; ``folder`` holds the weights."""
-        self._network = TfliteNetwork(weights_file(f"pose_landmark_{model}.tflite", folder))
+        self._network = TfliteNetwork(weights_file("pose_landmark_full.tflite", folder))
 
     def see(self, image: np.ndarray, square: TurnedSquare, mirrored: bool = False) -> SeenBody:
         """See the person in a square of a picture (H, W, 3) 8-bit once."""
@@ -109,23 +105,16 @@ class BodyNetwork:
             float(out["Identity_1"][0]), ((square, inside),),
         )  # fmt: skip
 
-    def see_again(
-        self, image: np.ndarray, first: SeenBody, passes: int, before: SeenBody | None = None
-    ) -> SeenBody:
-        """Return the mean of a first pass and of more of them, up to ``passes`` in all.
-
-        ``before`` is the body in the picture before; it decides where passes contradict.
-        """
-        seen = [first]
-        for scale, mirrored in PASSES[1:passes]:
-            seen.append(self.see(image, first.square.scaled(scale), mirrored))
-        return mean_of_passes(seen, before)
+    def see_mirrored(self, image: np.ndarray, first: SeenBody, before: SeenBody | None) -> SeenBody:
+        """Return the mean of a first pass and of a mirrored one; see :func:`mean_of_passes`."""
+        return mean_of_passes([first, self.see(image, first.square, mirrored=True)], before)
 
 
 def mean_of_passes(seen: Sequence[SeenBody], before: SeenBody | None) -> SeenBody:
-    """Return the mean of passes over one picture; ``before`` decides where they contradict."""
-    if len(seen) == 1:
-        return seen[0]
+    """Return the mean of passes over one picture.
+
+    ``before`` is the body in the picture before; it decides where they contradict.
+    """
     points = np.stack([one.points for one in seen])
     metric = np.stack([one.metric for one in seen])
     mean_points, mean_metric = points.mean(0), metric.mean(0)

@@ -47,20 +47,17 @@ class FaceNetwork:
         """Open the network; ``folder`` holds the weights."""
         self._network = TfliteNetwork(weights_file("face_landmark.tflite", folder))
 
-    def find(
-        self, image: np.ndarray, body: SeenBody, before: SeenPart | None, passes: int
-    ) -> SeenPart | None:
+    def find(self, image: np.ndarray, body: SeenBody, before: SeenPart | None) -> SeenPart | None:
         """Return the face of a body in a picture (H, W, 3) 8-bit, if the network sees it.
 
         Args:
             image: the picture.
             body: the body in it.
             before: the face in the picture before.
-            passes: 1, or 2 with a mirrored one.
         """
         see = partial(self._see, image, body)
         face = found_again(see, before, _square_of_body(body))
-        return face if face is None or passes == 1 else with_mirrored(see, face)
+        return None if face is None else with_mirrored(see, face)
 
     def _see(
         self, image: np.ndarray, body: SeenBody, square: TurnedSquare, mirrored: bool = False

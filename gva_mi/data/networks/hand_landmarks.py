@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.data.landmarks import BODY, hand_names
 from gva_mi.data.networks.body_landmarks import SeenBody
 from gva_mi.data.networks.seen_part import SeenPart, found_again, with_mirrored
@@ -21,7 +22,6 @@ from gva_mi.data.networks.tflite import TfliteNetwork
 from gva_mi.data.networks.turned_square import TurnedSquare
 from gva_mi.data.networks.weights import weights_file
 
-SIDES = ("left", "right")
 FOUND = 0.3  # least probability of a hand
 _POINTS = 21
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
@@ -40,7 +40,7 @@ class HandNetwork:
         self._network = TfliteNetwork(weights_file("hand_landmark_full.tflite", folder))
 
     def find(
-        self, image: np.ndarray, body: SeenBody, before: dict[str, SeenPart], passes: int
+        self, image: np.ndarray, body: SeenBody, before: dict[str, SeenPart]
     ) -> dict[str, SeenPart]:
         """Return the hands that are found in a picture (H, W, 3) 8-bit, by side.
 
@@ -48,7 +48,6 @@ class HandNetwork:
             image: the picture.
             body: the body in it.
             before: the hands in the picture before.
-            passes: 1, or 2 with a mirrored one.
         """
         found = {}
         see = partial(self._see, image)
@@ -57,10 +56,9 @@ class HandNetwork:
                 _from_wrist(hand, body, side) < _FAR * 2 * body.radius
             )
             hand = found_again(see, before.get(side), _square_at_wrist(body, side), hangs_on)
-            if hand is not None and passes > 1:
+            if hand is not None:
                 hand = with_mirrored(see, hand)
-                hand = replace(hand, square=_square_around(hand.points))
-            found |= {} if hand is None else {side: hand}
+                found[side] = replace(hand, square=_square_around(hand.points))
         return _one_each(found, body)
 
     def _see(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.body_landmarks import SeenBody
 
@@ -15,7 +16,7 @@ _STEADY = 0.7  # likewise of the speed
 _STEP = 1.0  # of the radius: what a person hardly moves beyond the expected place in a picture
 _DOUBTFUL = 0.6  # of the usual likeness of colours: less is another person, if others are near
 _NEAR = 1.2  # of the radius: people closer than this hide each other
-_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in ("left", "right")]
+_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
 
 
 @dataclass

@@ -5,34 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Within, require_ranges
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
-from gva_mi.data.networks.body_landmarks import BodyNetwork, BodyNetworkName, SeenBody
+from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.data.networks.face_landmarks import FaceNetwork
-from gva_mi.data.networks.hand_landmarks import SIDES, HandNetwork
+from gva_mi.data.networks.hand_landmarks import HandNetwork
 from gva_mi.data.networks.person_detector import PersonDetector
 from gva_mi.data.networks.person_tracker import PersonTracker
 from gva_mi.data.networks.seen_part import SeenPart
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
-
-
-@dataclass(frozen=True)
-class WatchOptions:
-    """How a film is watched."""
-
-    person: Annotated[int, Within(1, 20)] | None = None  # N-th from the left; else the largest
-    model: BodyNetworkName = "full"  # of the body; heavy is a file of your own
-    passes: Annotated[int, Within(1, 4)] = 2  # of the body: plain, mirrored, wider, wider mirrored
-    hand_passes: Annotated[int, Within(0, 2)] = 2  # 0: no hands
-    face_passes: Annotated[int, Within(0, 2)] = 2  # 0: no face
-    weights: Path | None = None  # folder of the networks' files; else GVA_MI_WEIGHTS or the cache
 
 
 @dataclass(frozen=True)
@@ -47,7 +34,8 @@ class WatchedFilm:
 def watch_film(
     pictures: Sequence[np.ndarray],
     on_silhouette: Callable[[int, np.ndarray], None] | None = None,
-    options: WatchOptions | None = None,
+    person: int | None = None,
+    weights: Path | None = None,
     progress: Progress | None = None,
 ) -> WatchedFilm:
     """Find one person's landmarks in all pictures of a film, in their order.
@@ -56,16 +44,13 @@ def watch_film(
         pictures: T pictures (H, W, 3) 8-bit; each is read once.
         on_silhouette: called with each picture's number and the probability (H, W) float32 that
             a pixel is of the person; zero where the person is not found.
-        options: how.
+        person: the N-th from the left; None: the largest and most central.
+        weights: folder of the networks' files; None: ``GVA_MI_WEIGHTS`` or the cache.
         progress: called after every picture.
     """
-    options = options or WatchOptions()
-    require_ranges("watch_film", options)
-    detector = PersonDetector(options.weights)
-    body_network = BodyNetwork(options.model, options.weights)
-    hand_network = HandNetwork(options.weights) if options.hand_passes else None
-    face_network = FaceNetwork(options.weights) if options.face_passes else None
-    tracker = PersonTracker(detector, body_network, options.person)
+    body_network = BodyNetwork(weights)
+    hand_network, face_network = HandNetwork(weights), FaceNetwork(weights)
+    tracker = PersonTracker(PersonDetector(weights), body_network, person)
     rows, body, hands, face = [], None, {}, None
     for k in range(len(pictures)):
         image, before = pictures[k], body
@@ -73,11 +58,9 @@ def watch_film(
         if body is None:
             hands, face = {}, None
         else:
-            body = body_network.see_again(image, body, options.passes, before)
-            if hand_network is not None:
-                hands = hand_network.find(image, body, hands, options.hand_passes)
-            if face_network is not None:
-                face = face_network.find(image, body, face, options.face_passes)
+            body = body_network.see_mirrored(image, body, before)
+            hands = hand_network.find(image, body, hands)
+            face = face_network.find(image, body, face)
         rows.append(_row(body, hands, face))
         if on_silhouette is not None:
             nobody = np.zeros(image.shape[:2], np.float32)
@@ -85,7 +68,7 @@ def watch_film(
         if progress:
             progress(k + 1, len(pictures))
     if not tracker.begun:
-        several = f"{options.person} people" if (options.person or 1) > 1 else "anybody"
+        several = f"{person} people" if (person or 1) > 1 else "anybody"
         raise InputError(
             f"no picture of the film shows {several} whom the network recognises; film one person "
             "from head to feet"

@@ -52,11 +52,6 @@ _IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
         "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
     ),
 }
-_BY_HAND = {  # files that pip does not reach
-    "pose_landmark_heavy.tflite": (
-        "59e42d71bcd44cbdbabc419f0ff76686595fd265419566bd4009ef703ea8e1fe"
-    ),
-}
 _SCRATCH = ".fetching-"  # folders to download into
 _LICENCE = f"mediapipe-{VERSION}.dist-info/LICENSE"
 _NOTICE = f"""\
@@ -79,17 +74,12 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
         folder: where the files lie; see the module for the default.
     """
     path = _place(folder) / name
-    if not path.is_file() and name in _IN_WHEEL:
+    if not path.is_file():
         require_writable(path.parent)
         with _lock(path.parent):
             if not path.is_file():  # another process may have fetched it meanwhile
                 _fetch(path.parent)
-    if not path.is_file():
-        raise InputError(
-            f"{path}: no such file, and pip does not reach it; `npm pack @mediapipe/holistic` "
-            f"downloads an archive that holds package/{name}, or use the model 'full'"
-        )
-    _require_hash(path, _BY_HAND.get(name) or _IN_WHEEL[name][1])
+    _require_hash(path, _IN_WHEEL[name][1])
     return path
 
 

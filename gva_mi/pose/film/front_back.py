@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from gva_mi.body.pose import SIDES, mirrored_name
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.pose.swaps import TOGETHER, least_states
@@ -31,7 +32,6 @@ PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 SPEED = 0.9  # σ: of limbs in the picture, heights of the person a second
 EACH = 0.3  # a, nats: mistakes last, so a frame says little
 SEEN_FACE = 5.0  # f, nats, of a frame with a face
-_OTHER = {"left": "right", "right": "left"}
 
 
 def with_backs(landmarks: Landmarks, fps: float) -> tuple[Landmarks, list[int]]:
@@ -45,8 +45,8 @@ def with_backs(landmarks: Landmarks, fps: float) -> tuple[Landmarks, list[int]]:
     if not frames:
         return landmarks, []
     names = list(landmarks.names)
-    other = {name: "_".join(_OTHER.get(word, word) for word in name.split("_")) for name in names}
-    order = [names.index(other[name] if other[name] in names else name) for name in names]
+    other = [mirrored_name(name) for name in names]
+    order = [names.index(b if b in names else a) for a, b in zip(names, other, strict=True)]
     found = {}
     for field in ("pixels", "confidence", "spread", "metric"):
         found[field] = getattr(landmarks, field).copy()
@@ -57,7 +57,7 @@ def with_backs(landmarks: Landmarks, fps: float) -> tuple[Landmarks, list[int]]:
 
 def _mistaken(landmarks: Landmarks, fps: float) -> list[int]:
     """Return the frames whose states are exchanged (eq. 1)."""
-    wanted = [f"{side}_{part}" for side in _OTHER for part in PARTS]
+    wanted = [f"{side}_{part}" for side in SIDES for part in PARTS]
     if not set(wanted) <= set(landmarks.names):
         return []
     x = landmarks.pixels[:, landmarks.indices(wanted)].astype(float)

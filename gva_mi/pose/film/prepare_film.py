@@ -26,21 +26,22 @@ from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.provenance import versions
 from gva_mi.core.tasks import on_all_cores
+from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.networks.watch import WatchedFilm, WatchOptions, watch_film
+from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
-from gva_mi.data.video import POSES, save_cameras
+from gva_mi.data.video import POSES
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
-from gva_mi.pose.film.solver import CAMERAS, KnownOfFilm, SolvedFilm, solve_film
+from gva_mi.pose.film.solver import CAMERA_HEIGHTS, KnownOfFilm, SolvedFilm, solve_film
 from gva_mi.pose.film.vertical_lines import vertical_of
-from gva_mi.pose.stature import PEOPLE
+from gva_mi.pose.stature import PERSON_HEIGHTS
 
 _LENS = (
     "the film does not say its focal length: a field of view is assumed and fitted, so distances "
@@ -59,9 +60,9 @@ class FilmOptions:
 
     # The person's height, metres; without it, that of an average person, uncertain by 5 percent,
     # and so are all distances.
-    height: Annotated[float, PEOPLE] | None = None
+    height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
-    camera_height: Annotated[float, CAMERAS] | None = None
+    camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None
     # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
     # folder of pictures, their rate.
     fps: Annotated[float, Within(1, 240)] | None = None
@@ -140,7 +141,7 @@ def prepare_film(
         notes = film_masks(stored, rough, out / "masks", part_of_progress(progress, 6, 4, 10))
     solved, watched = motion.solved, motion.watched
     save_poses(out / POSES, solved.pose, solved.shape, stage=1)
-    save_cameras(out / "cameras.npz", [solved.camera] * len(pictures))
+    save_cameras(out / CAMERAS, [solved.camera] * len(pictures))
     watched.landmarks.save(out / LANDMARKS)
     write_json(out / SPLITS, Splits.of_film(len(pictures)).to_json())
     record = FilmRecord(
@@ -226,7 +227,8 @@ def motion_of_film(
     watched = watch_film(
         pictures.pictures,
         on_silhouette,
-        WatchOptions(person=person, weights=options.weights),
+        person,
+        options.weights,
         part_of_progress(progress, 0, 4, 5),
     )
     if options.keypoints is not None:

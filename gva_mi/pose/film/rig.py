@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.blend_shapes import columns_of
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 
@@ -45,7 +45,6 @@ _FACE = {
 }  # fmt: skip
 _FACE_LOOSE, _EAR_LOOSE, _FOOT_LOOSE = 0.015, 0.030, 0.015  # metres
 _KNUCKLE_LOOSE, _TIP_LOOSE = 0.006, 0.005
-_SIDES = ("left", "right")
 _FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 # Bones by which two skeletons' sizes are compared.
 _LONG = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -116,7 +115,7 @@ class LandmarkRig:
         """
         x, metric, ratios = self.at_rest(betas), torch.from_numpy(landmarks.metric).to(betas), []
         for ends in _LONG:
-            for side in _SIDES:
+            for side in SIDES:
                 pair = [f"{side}_{end}" for end in ends]
                 if not set(pair) <= set(self.names):
                     continue
@@ -135,14 +134,14 @@ def _marked(name: str) -> tuple[float, float, float]:
 
 
 def _without_side(name: str) -> str:
-    return "_".join(word for word in name.split("_") if word not in _SIDES)
+    return "_".join(word for word in name.split("_") if word not in SIDES)
 
 
 def _points(body: BodyModel) -> Iterator[tuple[str, tuple[int, int, float]]]:
     """Yield names with the joint, the vertex or -1 for the joint itself, and ``loose``."""
     for name, (vertex, loose) in _face(body).items():
         yield name, (JOINTS.index("head"), vertex, loose)
-    for side in _SIDES:
+    for side in SIDES:
         for name, (joint, loose) in _JOINTS.items():
             yield f"{side}_{name}", (JOINTS.index(f"{side}_{joint}"), -1, loose)
         yield from _foot(body, side)
@@ -159,7 +158,7 @@ def _points(body: BodyModel) -> Iterator[tuple[str, tuple[int, int, float]]]:
 def _face(body: BodyModel) -> dict[str, tuple[int, float]]:
     """Return the vertex and ``loose`` of every landmark of the face."""
     v, at = body.v_template, {name: body.j_template[k] for k, name in enumerate(JOINTS)}
-    eyes = [at[f"{side}_eye_smplhf"] for side in _SIDES]
+    eyes = [at[f"{side}_eye_smplhf"] for side in SIDES]
     middle, wide = (eyes[0] + eyes[1]) / 2, (eyes[0] - eyes[1]).norm()
     own = body.weights[:, [JOINTS.index("head"), JOINTS.index("jaw")]].sum(1)
     front = (own > 0.5) & (v[:, 2] > middle[2] - 0.3 * wide)

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from gva_mi.body import so3
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
@@ -48,17 +48,16 @@ from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.smoothness import Smoothness
 from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.stature import PEOPLE, Stature
+from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
 from gva_mi.splat import Camera
 
-CAMERAS = Within(0.05, 20, unit="metres")  # their heights above the floor
+CAMERA_HEIGHTS = Within(0.05, 20, unit="metres")  # above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START, BODY, HAND = 8, 30, 15  # steps, at most
 _PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
 _FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 _BODY = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE]
-_HANDS = {"left": LEFT_HAND, "right": RIGHT_HAND}
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ class KnownOfFilm:
     camera_height: float | None = None
 
     def __post_init__(self) -> None:
-        for name, range_ in (("height", PEOPLE), ("camera_height", CAMERAS)):
+        for name, range_ in (("height", PERSON_HEIGHTS), ("camera_height", CAMERA_HEIGHTS)):
             if getattr(self, name) is not None:
                 range_.require("a film", name, getattr(self, name))
         if self.focal is not None and not (np.isfinite(self.focal) and self.focal > 0):
@@ -136,7 +135,7 @@ def solve_film(
         state = problem.minimised(state, BODY)
         state = film.with_arm_depths(problem, state).minimised(state, BODY)
         report(2, 4)
-        for k, side in enumerate(_HANDS):
+        for k, side in enumerate(HANDS):
             state = film.hand_problem(state, side).minimised(state, HAND)
             report(3 + k, 4)
         return film.result(state)
@@ -209,7 +208,7 @@ class _Film:
 
     def hand_problem(self, state: FilmState, side: str) -> FilmProblem:
         """Return the problem of one hand's fingers."""
-        joints = range(len(JOINTS))[_HANDS[side]]
+        joints = range(len(JOINTS))[HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
         free = Free(joints, 0, False, of_fingers, habits_of(self.anatomy, joints))

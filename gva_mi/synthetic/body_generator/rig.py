@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, mirrored_name
 from gva_mi.synthetic.body_generator.anatomy import (
     EYE_RADIUS,
     FINGERS,
@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 
 _NEAREST = 90  # vertices that regress a joint
 _QUANTUM = 4096  # weights are multiples of 1/4096, so that rows sum to exactly 1
-
-
-_OTHER = {"left": "right", "right": "left"}
-MIRRORED = [  # of each joint, its mirror image
-    JOINTS.index("_".join([_OTHER.get(side, side), *rest]))
-    for side, *rest in (name.split("_") for name in JOINTS)
-]
+MIRRORED = [JOINTS.index(mirrored_name(name)) for name in JOINTS]  # of each joint
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from gva_mi.synthetic.body_generator.anatomy import (
     LID_RADIUS,
     joint_positions,
 )
-from gva_mi.synthetic.clothes.level_sets import smoothstep
+from gva_mi.synthetic.surface import smoothstep
 
 Strains = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gva_mi.body.pose import SIDES
 from gva_mi.synthetic.clothes.level_sets import RestMesh, VoxelGrid, smax, smin, surface_of
 from gva_mi.synthetic.rest_body import RestBody
 
@@ -29,7 +30,7 @@ BagParts = tuple[RestMesh, RestMesh, str]  # bag, strap, the joint that the bag 
 
 def glasses(rest: RestBody) -> RestMesh:
     """Model the frame of a pair of glasses, without lenses."""
-    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in ("left", "right")]
+    eyes = [rest.joints[f"{side}_eye_smplhf"] for side in SIDES]
     middle, unit = rest.between_eyes, float(np.linalg.norm(eyes[0] - eyes[1]))
     points = rest.surface.points - middle
     lens = np.array([0.40, 0.31]) * unit  # half width and height

@@ -22,20 +22,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.synthetic.clothes import accessories, garments
 from gva_mi.synthetic.clothes.hair import hair_mesh, strands
-from gva_mi.synthetic.clothes.level_sets import (
-    BAND,
-    BodySurface,
-    RestMesh,
-    VoxelGrid,
-    smoothstep,
-    vertex_normals,
-)
+from gva_mi.synthetic.clothes.level_sets import BAND, BodySurface, RestMesh, VoxelGrid
 from gva_mi.synthetic.look import Material, SkirtCone
 from gva_mi.synthetic.people import Outfit
 from gva_mi.synthetic.rest_body import RestBody
+from gva_mi.synthetic.surface import smoothstep, vertex_normals
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -118,7 +112,7 @@ def _clothes(
         pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.035 * drop))
     else:
         pieces.append(_soft(rest, Material.BOTTOM, bottom, 0.025, 0.4 * loose * drop, 0.004))
-    shoes = [garments.shoe(rest, side, outfit.sole) for side in ("left", "right")]
+    shoes = [garments.shoe(rest, side, outfit.sole) for side in SIDES]
     return pieces + [_soft(rest, Material.SHOES, shoe, 0.02) for shoe in shoes], cone
 
 

@@ -25,12 +25,11 @@ from gva_mi.synthetic.clothes.level_sets import (
     VoxelGrid,
     smax,
     smin,
-    smoothstep,
     surface_of,
-    vertex_normals,
 )
 from gva_mi.synthetic.people import Outfit
 from gva_mi.synthetic.rest_body import RestBody
+from gva_mi.synthetic.surface import smoothstep, vertex_normals
 
 HAIR_CELL = 0.005  # m, grid of hair
 DRAPED = 0.014  # m, thickness of long hair on the back, over the cloth below it

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gva_mi.synthetic.surface import smoothstep
+
 BAND = 0.05  # m, distances are exact this close to the body's surface
 _CRUMB = 400  # faces; connected components of at most this size are dropped
 
@@ -56,12 +58,6 @@ def smax(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
 def smin(a: np.ndarray, b: np.ndarray, k: float = 0.012) -> np.ndarray:
     """Smooth minimum."""
     return -smax(-a, -b, k)
-
-
-def smoothstep(x: np.ndarray, lo: float, hi: float) -> np.ndarray:
-    """Smooth step: 0 below ``lo``, 1 above ``hi``."""
-    t = np.clip((x - lo) / (hi - lo), 0, 1)
-    return t * t * (3 - 2 * t)
 
 
 class BodySurface:
@@ -130,16 +126,3 @@ def surface_of(grid: VoxelGrid, field: np.ndarray, uncut: np.ndarray | None = No
         shade = 1 - 0.65 * smoothstep(-depth, 0.006, 0.014) - 0.2 * smoothstep(-depth, 0.014, 0.04)
     vertices = (vertices * grid.cell + grid.lo).astype(np.float32)
     return RestMesh(vertices, faces.reshape(-1, 3), shade.astype(np.float32))
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return area-weighted unit vertex normals (V, 3) in float64.
-
-    ``gva_mi.mesh.surface`` sums in another order; synthetic subjects depend on this rounding.
-    """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    count = len(vertices)
-    sums = [sum(np.bincount(faces[:, k], cross[:, i], count) for k in range(3)) for i in range(3)]
-    normals = np.stack(sums, axis=1)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

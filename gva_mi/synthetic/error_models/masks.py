@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.kinematics import joint_places, joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, PARENTS, SIDES, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
-from gva_mi.synthetic.error_models.outliers import SIDES
 from gva_mi.synthetic.error_models.processes import field, runs
 
 FEET_FRAMES = 6.0  # mean number of consecutive frames without a foot

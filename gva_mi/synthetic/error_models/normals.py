@@ -27,6 +27,10 @@ class NormalErrors:
     convention: Convention = "perspective"  # of the files
     missing: float = 0.0  # fraction of the frames without normals
 
+    def convention_at(self, level: float) -> Convention:
+        """Return the convention of the files; exact ones are as rendered."""
+        return self.convention if level > 0 else "perspective"
+
 
 def noisy_normals(
     normals: np.ndarray,

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import HANDS, JOINTS, SIDES
 from gva_mi.synthetic.error_models.processes import runs
 
-SIDES = ("left", "right")
 LEG = ("hip", "knee", "ankle", "foot")
 LOST_FRAMES, SWAPPED_FRAMES, JUMP_FRAMES = 5.0, 4.0, 4.0  # mean length of a run
 MEAN_FINGER = 0.3  # rad, curl of the fingers of the mean hand
@@ -38,7 +37,7 @@ def lose_hands(
     rotations: np.ndarray, outliers: Outliers, level: float, rng: np.random.Generator
 ) -> None:
     """Replace hands by the mean hand in some frames, in place in ``rotations`` (T, 55, 3)."""
-    for side, hand in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
+    for side, hand in HANDS.items():
         lost = runs(rng, len(rotations), _share(level, outliers.lost), LOST_FRAMES)
         lost = min(level, 1.0) * lost[:, None, None]
         rotations[:, hand] += lost * (mean_hand(side) - rotations[:, hand])

@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, SIDES, Pose, Shape
 from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 from gva_mi.synthetic.error_models.camera_bias import CameraTilt, placed, tilted
 from gva_mi.synthetic.error_models.outliers import (
     LEG,
-    SIDES,
     Outliers,
     jumps,
     lose_hands,

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.rotations import about, to_rotvecs
 from gva_mi.synthetic.motion.turning import root_rotations
 
@@ -117,7 +117,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
 
     ``t`` are moments (T,) in rounds, ``joints`` (55, 3) those of the body at rest, metres.
     """
-    legs = [Leg.of(joints, side) for side in ("left", "right")]
+    legs = [Leg.of(joints, side) for side in SIDES]
     pelvis = joints[0].astype(float)
     dense = np.arange(DENSE) / DENSE
     height = np.interp(t % 1.0, dense, _height(path, legs, pelvis, dense), period=1.0)

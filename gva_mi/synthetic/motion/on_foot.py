@@ -15,7 +15,7 @@ from gva_mi.body.pose import JOINTS
 from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import GESTURING, act
 from gva_mi.synthetic.motion.footwork import Path
-from gva_mi.synthetic.motion.turning import SIDES, slow_wave
+from gva_mi.synthetic.motion.turning import SIGNED_SIDES, slow_wave
 
 CIRCLE = 2 * np.pi
 
@@ -69,7 +69,7 @@ def _walk(
     step = lambda t: CIRCLE * (cycles * t - 0.3)  # the left foot's stance is centred on 0
     swing = 0.45 * np.sin(step(t))
     lower = 1.22  # rad below the T-pose
-    for side, sign in SIDES:
+    for side, sign in SIGNED_SIDES:
         at = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
         rotations[:, at("collar")] = 0
         rotations[:, at("collar"), 2] = -sign * 0.1 * lower
@@ -103,7 +103,7 @@ def _sit(
     rotations[:, JOINTS.index("spine1"), 0] += 0.22 * bent[:, 0]
     rotations[:, JOINTS.index("neck"), 0] -= 0.35 * bent[:, 0]
     raise_, beat = _waves(rng, 2)(t), _waves(rng, 2)(3 * t)
-    for k, (side, sign) in enumerate(SIDES):
+    for k, (side, sign) in enumerate(SIGNED_SIDES):
         shoulder, elbow = (JOINTS.index(f"{side}_{name}") for name in ("shoulder", "elbow"))
         ahead = np.stack([0 * t, -sign * (0.9 + 0.25 * raise_[:, k]), -sign * 0.55 + 0 * t], axis=1)
         rotations[:, shoulder] += bent * (ahead - rotations[:, shoulder])
@@ -128,7 +128,7 @@ def _dance(
     for name in ("spine1", "spine2", "spine3"):
         rotations[:, JOINTS.index(name), 1] += 0.13 * beat(t, 0.5, 0.25)
     phases = rng.uniform(0, 1, (2, 3))
-    for (side, sign), (a, b, c) in zip(SIDES, phases, strict=True):
+    for (side, sign), (a, b, c) in zip(SIGNED_SIDES, phases, strict=True):
         lower = 0.35 + 0.75 * beat(t, 0.5, a)  # arms from the hips to above the shoulders
         ahead, bent = 0.45 + 0.45 * beat(t, 1.0, b), 0.9 + 0.7 * beat(t, 1.0, c)
         at = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")

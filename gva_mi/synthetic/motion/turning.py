@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, Pose
@@ -16,7 +15,7 @@ from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 from gva_mi.synthetic.motion.actions import POSES
 
 A_POSE = 0.98  # rad, angle of the arms below the T-pose
-SIDES = (("left", 1.0), ("right", -1.0))
+SIGNED_SIDES = (("left", 1.0), ("right", -1.0))
 
 
 def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
@@ -29,7 +28,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     names = list(POSES)
     for k in range(count):
         action = POSES[names[k % len(names)]]
-        for side, sign in SIDES:
+        for side, sign in SIGNED_SIDES:
             rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
             rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
         for name, value in action.joints.items():
@@ -41,7 +40,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     facing = rng.uniform(-0.9, 0.9, count)
     rotations[:, 0] = to_rotvecs(root_rotations(facing, np.zeros((count, 2))))
     expression = rng.normal(0, 0.5, (count, expressions)) * (np.arange(expressions) < 10)
-    return _to_pose(rotations, np.zeros((count, 3)), expression)
+    return Pose.of_arrays(rotations, np.zeros((count, 3)), expression)
 
 
 def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +54,7 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
     ):  # fmt: skip
         for axis in range(3):
             rotations[:, JOINTS.index(name), axis] = wave(size)
-    for side, sign in SIDES:
+    for side, sign in SIGNED_SIDES:
         of = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
         lower = A_POSE + rng.normal(0, 0.04) + wave(0.06)
         rotations[:, of("shoulder"), 2] = -sign * 0.88 * lower
@@ -100,18 +99,12 @@ def with_face(
     expression = np.zeros((len(t), expressions))
     for k in range(min(expressions, 10)):
         expression[:, k] = slow_wave(t, 0.45, rng)
-    return _to_pose(rotations, transl, expression)
+    return Pose.of_arrays(rotations, transl, expression)
 
 
 def root_rotations(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
     """Return matrices (T, 3, 3): a turn by yaw (T,) after small ones (T, 2) about x and z."""
     return about(1, yaw) @ to_matrices(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
-
-
-def _to_pose(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
-    """Convert to a float32 Pose."""
-    tensor = lambda x: torch.from_numpy(x).float()
-    return Pose(tensor(rotations), tensor(transl), tensor(expression))
 
 
 def _blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ INDIRECT = 0.55  # light that a wall sends back, over its albedo, as of other su
 CEILING = 1.25 * np.array(SKY)  # radiance: it is lit by all that falls on the floor
 EXPOSED = {"usual": 0.95, "side": 0.95, "ambient": 1.5}  # a camera's gain by the light
 FAIR = 0.7  # albedo that is not overexposed at this gain
-SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
+BOX_SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
 AROUND = 5  # pixels, side of the squares in which light is smooth
 DEEPEST = 0.8  # m, of all furniture
 
@@ -37,7 +37,7 @@ class Room:
     uv: np.ndarray  # (N, 2) float32 metres
     faces: np.ndarray  # (F, 3)
     finish: np.ndarray  # (F,) index of a triangle's finish
-    finishes: tuple[Finish, ...]  # first those of the box's SIDES
+    finishes: tuple[Finish, ...]  # first those of the box's BOX_SIDES
     gain: Color  # exposure and white balance of the camera: factors on the light
 
     @property
@@ -96,7 +96,7 @@ def draw_room(
         join(solid.vertices for solid in solids).astype(np.float32),
         join(solid.uv for solid in solids).astype(np.float32),
         join(solid.faces + k for solid, k in zip(solids, starts, strict=False)),
-        np.repeat(SIDES + np.arange(len(solids)), [len(solid.faces) for solid in solids]),
+        np.repeat(BOX_SIDES + np.arange(len(solids)), [len(solid.faces) for solid in solids]),
         (*finishes, *(solid.finish for solid in solids)),
         tuple(float(c) for c in gain),
     )  # fmt: skip

@@ -5,7 +5,7 @@ import signal
 import numpy as np
 import pytest
 
-from gva_mi.data.pictures import write_movie
+from gva_mi.data.pictures import write_film
 from gva_mi.data.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
@@ -27,7 +27,7 @@ def prepared(tmp_path_factory, built_in_body):
     )  # fmt: skip
     make_subject(taken, bare, built_in_body)
     images = [np.round(255 * frame.image).astype(np.uint8) for frame in load_video(taken).frames()]
-    write_movie(folder / "film.mp4", images, fps=10, lossless=False)
+    write_film(folder / "film.mp4", images, fps=10, way="playable")
     return folder
 
 

@@ -8,7 +8,7 @@ from gva_mi.body.pose import JOINTS
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.joints import joint_places
+from gva_mi.data.joints import joints_in_world
 
 BODY = TargetBody.read(None)
 AS_IT_IS = MotionOptions(fps=20, hands="flat")
@@ -34,7 +34,7 @@ def known():
     put("left_knee", 1.0, 0, 0)
     put("right_knee", 0.9 + 0.2 * np.sin(4 * t), 0, 0)
     transl = np.hstack([0.4 * t, 1.0 + 0 * t, 0.7 * t])
-    return rotations, joint_places(rotations, transl, BODY.joints)[:, :22]
+    return rotations, joints_in_world(rotations, transl, BODY.joints)[:, :22]
 
 
 def read(path, array, options=AS_IT_IS):
@@ -44,7 +44,7 @@ def read(path, array, options=AS_IT_IS):
 
 def posed(motion):
     transl = motion.pose.transl.double().numpy()
-    return joint_places(motion.pose.rotations.double().numpy(), transl, BODY.joints)[:, :22]
+    return joints_in_world(motion.pose.rotations.double().numpy(), transl, BODY.joints)[:, :22]
 
 
 def of_pelvis(places):

@@ -7,7 +7,7 @@ from PIL import Image
 from gva_mi import InputError
 from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import write_alpha_film, write_movie
+from gva_mi.data.pictures import write_film
 
 SHAPE, FRAMES = (48, 64), 5
 ME, OTHER = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)
@@ -59,7 +59,7 @@ def test_pictures_of_16_bits_are_in_one_unit(tmp_path):
 
 
 def test_a_film_of_noise_at_first(tmp_path):
-    write_movie(tmp_path / "m.mp4", [np.stack([x] * 3, -1) for x in (NOISE, 255 * ME.astype("u1"))])
+    write_film(tmp_path / "m.mp4", [np.stack([x] * 3, -1) for x in (NOISE, 255 * ME.astype("u1"))])
     noise, mask = masks(tmp_path / "m.mp4")
     assert noise.max() <= 1 and np.array_equal(mask > 127, ME)
 
@@ -91,7 +91,7 @@ def test_few_numbers_below_the_unit_are_labels(drawn, container, tmp_path):
 def test_a_film_of_vp9_keeps_its_alpha(tmp_path):
     """FFmpeg's own decoder drops it, and a person in colours is no mask."""
     color = np.stack([200 * ME, 90 * OTHER, 0 * ME, 255 * ME], axis=-1).astype(np.uint8)
-    write_alpha_film(tmp_path / "m.webm", [color, color])
+    write_film(tmp_path / "m.webm", [color, color], way="alpha")
     found = list(masks(tmp_path / "m.webm"))
     assert len(found) == 2
     assert all(((mask > 127) != ME).mean() < 0.01 for mask in found)

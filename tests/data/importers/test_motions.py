@@ -15,7 +15,7 @@ from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.joints import joint_places
+from gva_mi.data.joints import joints_in_world
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -93,14 +93,14 @@ def test_any_axis_may_be_up(read, walk, body, up):
     """The same walk in another world comes back to where each joint was."""
     rotations, transl = walk(6)
     joints = body.rest(Shape(torch.zeros(10))).joints.double().numpy()
-    before = joint_places(rotations, transl, joints)
+    before = joints_in_world(rotations, transl, joints)
     W = matrices(np.array(TURNS[up]))
     turned = rotations.copy()
     turned[:, 0] = vectors(W @ matrices(rotations[:, 0]))
     moved = (joints[0] + transl) @ W.T - joints[0]
     found = read(poses=turned.reshape(6, -1), trans=moved, mocap_frame_rate=30)
     assert f"{up} up" in found.notes[0]
-    after = joint_places(found.pose.rotations.numpy(), found.pose.transl.numpy(), joints)
+    after = joints_in_world(found.pose.rotations.numpy(), found.pose.transl.numpy(), joints)
     assert np.abs(after - before).max() < 1e-5
 
 
@@ -219,7 +219,7 @@ def test_a_bad_motion_is_refused_in_one_sentence(read, case):
 
 
 def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, camera):
-    from gva_mi.data.video import save_cameras
+    from gva_mi.data.cameras import save_cameras
 
     rotations, transl = walk(3)
     np.savez(tmp_path / "amass.npz", poses=rotations, trans=transl, mocap_frame_rate=30)
@@ -248,7 +248,7 @@ def test_the_up_axis_is_that_of_the_floor_and_the_first_frames(read, walk, body)
     for end in (LIE, 2 * LIE):  # on the back, head down
         rotations = np.zeros((90, 55, 3))
         rotations[:, 0] = share * end
-        down = joint_places(rotations, 0 * rotations[:, 0], joints)[..., 1].min(1)
+        down = joints_in_world(rotations, 0 * rotations[:, 0], joints)[..., 1].min(1)
         moved = transl * [1, 0, 1] - np.outer(down, [0, 1, 0])  # on the floor
         for up in ("y", "z"):
             W = np.eye(3) if up == "y" else matrices(np.array(TURNS["z"]))

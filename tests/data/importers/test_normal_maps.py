@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gva_mi.data.importers.lens import centred
-from gva_mi.data.normals import to_icon
-from gva_mi.data.pictures import read_image, write_image, write_movie
+from gva_mi.data.normals import in_convention
+from gva_mi.data.pictures import read_image, write_film, write_image
 from gva_mi.data.video import load_video
 from gva_mi.splat import Camera
 
@@ -28,7 +28,7 @@ def true_normals(k):
 
 def told(k, convention):
     if convention == "icon":
-        return to_icon(true_normals(k), CAMERA)
+        return in_convention(true_normals(k), CAMERA, "icon")
     return true_normals(k) * ((1, -1, -1) if convention == "opengl" else 1)
 
 
@@ -80,7 +80,7 @@ def test_maps_of_every_convention(convention, kind, maps, given, cli, tmp_path):
 
 def test_frames_may_have_none_and_a_film_counts_from_0_or_1(maps, given, cli, tmp_path):
     film = tmp_path / "film.mp4"
-    write_movie(film, [read_image(tmp_path / f"shots/frame_{k + 8}.png", 3) for k in range(FRAMES)])
+    write_film(film, [read_image(tmp_path / f"shots/frame_{k + 8}.png", 3) for k in range(FRAMES)])
     given[given.index("--frames") + 1] = film
     more = ("--normals-convention", "perspective", "--overwrite", "--normals")
     assert cli(*given, *more, maps(lambda k: f"{k}.png", frames=(0, 3)))[0] == 0

@@ -32,10 +32,12 @@ def rendered_person(built_in_body):
     pytest.importorskip("mitsuba")
     from gva_mi.body.pose import JOINTS, Pose
     from gva_mi.splat import Camera, look_at
+    from gva_mi.synthetic.people import SyntheticPerson
     from gva_mi.synthetic.render import Renderer
     from gva_mi.synthetic.subject import draw_subject
 
-    person = draw_subject(built_in_body, 101, clothes=False, hair=False)
+    drawn = SyntheticPerson.draw(101, built_in_body.num_betas)
+    person = draw_subject(built_in_body, drawn, clothes=False, hair=False)
     pose = Pose.rest(1)
     turns = {
         "left_shoulder": (0, 0, -0.7), "right_shoulder": (0, 0, 0.7), "left_elbow": (-1.4, 0, 0),
@@ -43,7 +45,7 @@ def rendered_person(built_in_body):
     }  # fmt: skip
     for name, turn in turns.items():
         pose.rotations[0, JOINTS.index(name)] = pose.rotations.new_tensor(turn)
-    vertices = person.skinned(built_in_body, pose, np.arange(len(person.vertices)))[0]
+    vertices = person.skinned(built_in_body, pose)[0]
     camera = Camera(1000, 1000, 240, 330, look_at((0, 0.1, 4.2), (0, -0.2, 0)), 480, 600)
     seen = Renderer(person)(vertices, camera, 4)
     joints = built_in_body(pose, person.shape).joints[0].numpy()

@@ -6,7 +6,7 @@ import pytest
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, FACE
 from gva_mi.data.networks.body_landmarks import SeenBody, mean_of_passes
-from gva_mi.data.networks.watch import NAMES, WatchOptions, watch_film
+from gva_mi.data.networks.watch import NAMES, watch_film
 
 pytest.importorskip("ai_edge_litert")
 JOINTS = ("shoulder", "elbow", "wrist", "knee", "ankle")
@@ -64,7 +64,7 @@ def test_the_face_is_found_where_it_is_and_nowhere_else(watched, rendered_person
     head = rendered_person.joints["head"]
     hidden = rendered_person.picture.copy()
     hidden[: int(head[1]) + 10] = 120, 80, 60
-    gone = watch_film([hidden] * 2, options=WatchOptions(passes=1, hand_passes=0)).landmarks
+    gone = watch_film([hidden] * 2).landmarks
     assert np.isnan(gone.pixels[:, _FACE:]).all() and not gone.confidence[:, _FACE:].any()
 
 
@@ -99,7 +99,7 @@ def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_pers
     from PIL import Image
 
     turned = np.rot90(np.asarray(Image.fromarray(rendered_person.picture).resize((960, 1200))))
-    found = watch_film([turned] * 2, options=WatchOptions(hand_passes=0)).landmarks.pixels[1]
+    found = watch_film([turned] * 2).landmarks.pixels[1]
     expected = 2 * watched[0].landmarks.pixels[1, :, ::-1] * (1, -1) + (0, 960)
     moved = np.linalg.norm(found - expected, axis=-1)[: len(BODY)]
     assert np.median(moved) < 8 and moved.max() < 40
@@ -136,7 +136,7 @@ def test_the_person_is_kept_while_another_one_walks_past_in_front(rendered_perso
     """The other one comes from the right and leaves to the left; both are 240 pixels wide."""
     lefts = [1000 - 80 * k for k in range(19)]
     film = [rendered_person.on(rendered_person.on(GREY, 260), left, (2, 0, 1)) for left in lefts]
-    found = watch_film(film, options=WatchOptions(passes=1, hand_passes=0))
+    found = watch_film(film)
     hips = found.landmarks.pixels[:, [NAMES.index(f"{s}_hip") for s in SWAP], 0].mean(1)
     off = np.abs(hips - 260 - rendered_person.joints["pelvis"][0])
     assert np.nanmax(off) < 50 and np.isfinite(off).sum() >= 12
@@ -151,8 +151,7 @@ def test_people_are_numbered_from_the_left(rendered_person):
     alone = rendered_person.on(GREY, 100)
     x = []
     for person in (1, 2):
-        options = WatchOptions(person=person, passes=1, hand_passes=0)
-        found = watch_film([alone, both], options=options)
+        found = watch_film([alone, both], person=person)
         x.append(found.landmarks.pixels[:, 0, 0])
     assert np.isnan(x[1][0]) and np.isfinite(x[0]).all()  # one person is no second one
     assert x[1][1] - x[0][1] > 400
@@ -170,5 +169,3 @@ def test_a_lost_person_is_found_again(rendered_person):
 def test_a_film_without_anybody_is_refused():
     with pytest.raises(InputError, match="no picture of the film shows anybody"):
         watch_film([GREY] * 2)
-    with pytest.raises(InputError, match="passes must be from 1 to 4"):
-        watch_film([GREY], options=WatchOptions(passes=9))

@@ -119,14 +119,6 @@ def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatc
     assert not list((tmp_path / "there").glob("*.tflite"))
 
 
-def test_the_heavy_network_is_a_file_of_the_user_s(tmp_path):
-    with pytest.raises(InputError, match="npm pack @mediapipe/holistic"):
-        weights_file("pose_landmark_heavy.tflite", tmp_path)
-    (tmp_path / "pose_landmark_heavy.tflite").write_bytes(b"another network")
-    with pytest.raises(InputError, match="another file"):
-        weights_file("pose_landmark_heavy.tflite", tmp_path)
-
-
 def test_a_missing_package_and_a_damaged_file_are_sentences(tmp_path, monkeypatch):
     path = tmp_path / "network.tflite"
     path.write_bytes(b"no network")

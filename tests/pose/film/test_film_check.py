@@ -8,9 +8,10 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.landmarks import Landmarks, hand_names
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import load_video, save_cameras
+from gva_mi.data.video import load_video
 from gva_mi.pose.film.film_check import check_film, seen_from
 from gva_mi.splat import Camera, look_at
 

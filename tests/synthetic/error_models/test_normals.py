@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gva_mi.data.normals import NormalMaps, to_icon
+from gva_mi.data.normals import NormalMaps, in_convention
 from gva_mi.synthetic.error_models.normals import NormalErrors, noisy_normals
 
 USUAL = NormalErrors()
@@ -33,6 +33,8 @@ def test_flat_normals_turn_toward_the_camera_everywhere(disc, rng):
 def test_icons_convention_is_read_back(disc, camera, tmp_path):
     _, normals = disc
     (tmp_path / "normals").mkdir()
-    np.save(tmp_path / "normals/000000.npy", to_icon(normals, camera).astype(np.float32))
+    np.save(
+        tmp_path / "normals/000000.npy", in_convention(normals, camera, "icon").astype(np.float32)
+    )
     read = NormalMaps(tmp_path / "normals", "icon", None).read(0, camera)
     assert np.abs(read - normals).max() < 1e-6

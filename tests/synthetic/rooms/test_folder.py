@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import load_poses
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image
-from gva_mi.data.video import load_cameras, load_video
+from gva_mi.data.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
 pytest.importorskip("mitsuba")

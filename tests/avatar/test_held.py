@@ -5,9 +5,9 @@ import copy
 import pytest
 import torch
 
-from gva_mi.avatar.fingers import finger_weights
 from gva_mi.avatar.held import ARMPIT, BEYOND, FINGER, Held, shared_weights
 from gva_mi.body.pose import JOINTS
+from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import vertex_normals
 
 

@@ -3,8 +3,8 @@
 import torch
 
 from gva_mi.body.pose import save_poses
+from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import in_8_bits, write_image
-from gva_mi.data.video import save_cameras
 from gva_mi.fit.renders import DRAWN
 from gva_mi.splat import render
 

@@ -29,6 +29,7 @@ from gva_mi.synthetic.subject import Subject
 
 # Options of older folders, which changed nothing but the pictures.
 RETIRED = ("background", "blur", "sensor_noise", "folds")
+RENAMED = {"family": "error_model"}  # options of older folders
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -41,7 +42,8 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     path, expected = subject / SYNTH, "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
-        kept = {k: v for k, v in about["options"].items() if k not in RETIRED}
+        named = {RENAMED.get(k, k): v for k, v in about["options"].items()}
+        kept = {k: v for k, v in named.items() if k not in RETIRED}
         return about, SynthOptions(**kept)
 
 

@@ -212,6 +212,14 @@ def seed_on_surface(
     )
 
 
+def rotated(quats: Tensor, vectors: Tensor) -> Tensor:
+    """Rotate vectors (N, 3) by quaternions (N, 4) wxyz of any length."""
+    q = torch.nn.functional.normalize(quats, dim=-1)
+    w, v = q[:, :1], q[:, 1:]
+    across = 2 * torch.linalg.cross(v, vectors)
+    return vectors + w * across + torch.linalg.cross(v, across)
+
+
 def disc_quats(normals: Tensor) -> Tensor:
     """Return the shortest rotation of the z axis onto the line of each normal (N, 3), (N, 4) wxyz.
 

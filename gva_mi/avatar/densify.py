@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians
+from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, rotated
 from gva_mi.core.options import Within, options_of
 from gva_mi.splat import Screen
 
@@ -92,7 +92,7 @@ def densify(
         values = {name: getattr(G, name)[parents] for name in PARAMETERS}
         new = slice(len(kept) + len(clones), None)
         drawn = torch.randn(2 * len(halves), 3, generator=generator, dtype=G.means.dtype)
-        values["means"][new] += _rotate(
+        values["means"][new] += rotated(
             values["quats"][new], drawn * values["log_scales"][new].exp()
         )
         values["log_scales"][new] -= math.log(SPLIT_SHRINK)
@@ -129,11 +129,3 @@ def replace_gaussians(
                 state[key] = carried
         optimizer.state[after] = state
     avatar.canonical = canonical
-
-
-def _rotate(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Turn vectors (N, 3) by quaternions (N, 4) wxyz of any length."""
-    q = torch.nn.functional.normalize(quats, dim=-1)
-    w, v = q[:, :1], q[:, 1:]
-    across = 2 * torch.linalg.cross(v, vectors)
-    return vectors + w * across + torch.linalg.cross(v, across)

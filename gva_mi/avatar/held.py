@@ -9,13 +9,21 @@ the arms hang, what stands off the body there is hidden between arm and trunk. O
 hangs from both as a flap.
 
 What a video shows from one side only may lie anywhere along the line of sight: shins of a person
-who never turned grew balloons. Silhouettes have shown how far clothes and hair stand off the body.
+who never turned grew balloons and rags. Silhouettes have shown how far clothes stand off the body;
+of hair they show less, as it is softer than a mask.
 
 So a Gaussian that has left the body comes back toward its nearest vertex v, to the distance
 
-    reach(v) = FINGER                               of fingers
-             = max(ARMPIT, looseness(v))            in armpits, where clothes may be loose
-             = looseness(v) + BEYOND                everywhere, if clothes are known
+    1. reach(v) = FINGER                            of fingers
+                = max(ARMPIT, looseness(v))         in armpits, where clothes may be loose
+                = looseness(v) + HAIR               of the head, if clothes are known
+                = looseness(v) + BEYOND             of all others, if clothes are known
+
+It may also be long along the line of sight, which from the side is a spike, or stand on its edge,
+which keeps the colour of the wall that the edge was seen before. So its standard deviation d along
+the normal n of v is at most THICK. Axes a_i, of standard deviations s_i, shrink by their shares:
+
+    2. log s_i <- log s_i - (d_i / d)² log(d / THICK),    d_i = s_i a_i·n,    d² = Σ_i d_i²
 """
 
 from __future__ import annotations
@@ -26,16 +34,18 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.canonical import CanonicalGaussians, rotated
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import vertex_normals
 
-FINGER, ARMPIT, BEYOND = 0.004, 0.015, 0.03  # metres
+FINGER, ARMPIT, HAIR, BEYOND, THICK = 0.004, 0.015, 0.03, 0.01, 0.008  # metres
 SHARED = 0.05  # product of the weights of trunk and arm in an armpit
 INTO_ARMPIT = 0.5  # cosine between normals of an armpit and the direction between side and down
 _TRUNK = [JOINTS.index(k) for k in ("spine1", "spine2", "spine3", "left_collar", "right_collar")]
 _ARMS = [JOINTS.index(k) for k in ("left_shoulder", "right_shoulder")]
+_HEAD = [JOINTS.index(k) for k in ("neck", "head")]
 
 
 class Held:
@@ -45,6 +55,8 @@ class Held:
     """
 
     def __init__(self, rig: Rig) -> None:
+        from scipy.spatial import cKDTree
+
         normals = vertex_normals(rig.vertices, rig.faces)
         outward = torch.sign(rig.vertices[:, 0]) * normals[:, 0]  # at rest, arms are level
         armpit = shared_weights(rig.weights) > SHARED
@@ -58,15 +70,29 @@ class Held:
         ]
         known = slice(None if bool(rig.looseness.any()) else 0)
         everyone = lambda weights: torch.ones(len(weights), dtype=torch.bool)
-        self._body = _Part(everyone, rig.vertices[known], rig.looseness[known] + BEYOND)
+        beyond = torch.where(head_weights(rig.weights) > 0.5, HAIR, BEYOND)
+        reach = (rig.looseness + beyond).to(rig.looseness)
+        self._body = _Part(everyone, rig.vertices[known], reach[known])
+        self._normals, self._tree = normals, cKDTree(rig.vertices.double().numpy())
 
     def hold(self, avatar: Avatar, body: bool) -> None:
-        """Move Gaussians that have left their part of the body back, to its reach.
+        """Move Gaussians that have left their part of the body back (eq. 1), and flatten (eq. 2).
 
-        Without ``body``, only those of fingers and armpits.
+        Without ``body``, only move those of fingers and armpits.
         """
         for part in (self._body, *self._parts) if body else self._parts:
             part.hold(avatar)
+        if body:
+            self._flatten(avatar.canonical)
+
+    @torch.no_grad()
+    def _flatten(self, G: CanonicalGaussians) -> None:
+        nearest = torch.from_numpy(self._tree.query(G.means.double().numpy())[1])
+        along = rotated(G.quats * G.quats.new_tensor([1, -1, -1, -1]), self._normals[nearest])
+        squares = (along * G.scales).square()
+        thick = squares.sum(1, keepdim=True)
+        excess = torch.log(thick / THICK**2).clamp_min(0) / 2
+        G.log_scales -= squares / thick * excess
 
 
 class _Part:
@@ -99,3 +125,8 @@ class _Part:
 def shared_weights(weights: Tensor) -> Tensor:
     """Return the product of the weights of trunk and upper arms, (N,), of rows (N, 55)."""
     return weights[:, _TRUNK].sum(1) * weights[:, _ARMS].sum(1)
+
+
+def head_weights(weights: Tensor) -> Tensor:
+    """Return the share of each row of skinning weights (N, 55) that belongs to head and neck."""
+    return weights[:, _HEAD].sum(1)

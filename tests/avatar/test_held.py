@@ -5,10 +5,20 @@ import copy
 import pytest
 import torch
 
-from gva_mi.avatar.held import ARMPIT, BEYOND, FINGER, Held, shared_weights
+from gva_mi.avatar.held import (
+    ARMPIT,
+    BEYOND,
+    FINGER,
+    HAIR,
+    THICK,
+    Held,
+    head_weights,
+    shared_weights,
+)
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.splat.reference import rotation
 
 
 @pytest.fixture
@@ -73,13 +83,42 @@ def test_all_gaussians_come_back_to_clothes_that_are_known(known, looseness):
     Held(rig).hold(avatar, body=True)
     free = (finger_weights(G.weights) <= 0.5) & (shared_weights(G.weights) == 0)
     was, now = (_off(means[free], rig.vertices)[0] for means in (before, G.means.detach()))
-    far = was > looseness + BEYOND
+    head = head_weights(rig.weights)[_off(before[free], rig.vertices)[1]] > 0.5
+    reach = looseness + torch.where(head, HAIR, BEYOND)
+    far = was > reach
     assert far.any() and (~far).any()
     assert torch.equal(G.means[free][~far], before[free][~far])
     if looseness:
-        assert now.max() < looseness + BEYOND + 1e-6
+        assert (now < reach + 1e-6).all() and head.any() and (~head).any()
     else:
         assert torch.equal(now, was)
+
+
+def test_gaussians_lie_flat_on_the_body(known):
+    avatar = copy.deepcopy(known)
+    G, rig = avatar.canonical, avatar.rig
+    normals = vertex_normals(rig.vertices, rig.faces)[_off(G.means.detach(), rig.vertices)[1]]
+    with torch.no_grad():
+        G.log_scales[::2] += 3  # discs of the seeds become thick
+        G.log_scales[1::4, 0] += 1
+        G.quats += 0.3 * torch.randn(G.quats.shape, generator=torch.Generator().manual_seed(0))
+    before = G.log_scales.detach().clone()
+    was = _along(G, normals)
+    held = Held(rig)
+    held.hold(avatar, body=False)
+    assert torch.equal(G.log_scales, before)
+    for _ in range(60):
+        held.hold(avatar, body=True)
+    assert (was > THICK).any() and (was < THICK).any()
+    assert _along(G, normals).max() < 1.01 * THICK
+    assert torch.equal(G.log_scales[was < THICK], before[was < THICK])
+
+
+def _along(G, normals):
+    """Return the standard deviations (N,) of Gaussians along normals (N, 3)."""
+    axes = torch.stack([rotation(q) for q in G.quats.detach()])
+    S = axes @ torch.diag_embed(G.scales.detach().square()) @ axes.mT
+    return (normals[:, None] @ S @ normals[..., None]).flatten().sqrt()
 
 
 def _armpit(rig):

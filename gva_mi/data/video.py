@@ -39,7 +39,6 @@ from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import CAMERAS, load_cameras
-from gva_mi.data.cameras import save_cameras as save_cameras  # lesson 3 imports it from here
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks

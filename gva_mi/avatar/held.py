@@ -19,9 +19,10 @@ So a Gaussian that has left the body comes back toward its nearest vertex v, to 
                 = looseness(v) + HAIR               of the head, if clothes are known
                 = looseness(v) + BEYOND             of all others, if clothes are known
 
-It may also be long along the line of sight, which from the side is a spike, or stand on its edge,
-which keeps the colour of the wall that the edge was seen before. So its standard deviation d along
-the normal n of v is at most THICK. Axes a_i, of standard deviations s_i, shrink by their shares:
+A Gaussian may also be long along the line of sight. From the side it is a spike. A disc that stands
+on the surface like a fin sticks out where the body is seen in profile, takes the colour of the wall
+there, and shows it from all sides. So the standard deviation d along the normal n of v is at most
+THICK. Each axis a_i, of standard deviation s_i, shrinks by its share of d²:
 
     2. log s_i <- log s_i - (d_i / d)² log(d / THICK),    d_i = s_i a_i·n,    d² = Σ_i d_i²
 """

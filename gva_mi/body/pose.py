@@ -186,6 +186,11 @@ def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     stage = data.get("stage", np.array(1))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
         raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
+    if "focal" in data and not (data["focal"] == 1).all():  # of a program before this version
+        raise InputError(
+            f"{path}: holds poses for fx and fy of cameras.npz times {data['focal']}, a factor "
+            "that is no longer read; change cameras.npz, remove this file and refine again"
+        )
     offsets = data.get("offsets")
     if offsets is not None:
         offsets = _numbers(path, "offsets", offsets, (None, 3))

@@ -14,6 +14,8 @@ from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.fingerprint import prepared_body
 from gva_mi.data.video import POSES, REFINED_POSES, Video
 
+MOST_PEOPLE = 20  # that --person tells apart
+
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
 Switch = Annotated[bool, FlagCreatePairsOff]  # off by default and without a --no-... form
@@ -56,9 +58,10 @@ def body_of(subject: Path, given: Path | None = None) -> Path | None:
 
 def nth_person(text: str | None) -> int | None:
     """Return the person of a film that ``--person`` names, from the left; None: the largest."""
-    if text is not None and not (text.isdecimal() and int(text) > 0):
+    if text is not None and not (text.isdecimal() and 1 <= int(text) <= MOST_PEOPLE):
         raise InputError(
-            f"--person of a film must be a number from 1 on, from the left; got {text}"
+            f"--person of a film must be a number from 1 to {MOST_PEOPLE}, from the left; "
+            f"got {text}"
         )
     return None if text is None else int(text)
 

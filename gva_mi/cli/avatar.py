@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
 from gva_mi.cli.refine import refine_videos
@@ -71,7 +71,7 @@ def avatar(
     choice: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
     *,
     out: Path,
-    person: Annotated[int, Within(1, 20)] | None = None,
+    person: Annotated[int, Within(1, MOST_PEOPLE)] | None = None,
     lens: str | None = None,
     body: Path | None = None,
     overwrite: Switch = False,

@@ -26,6 +26,7 @@ NOW = {
     "study --noise": "gone: errors have their usual size, and synth --noise scales them",
     "synth --sheet": "`gva-mi check --sheet`",
     "synth --family": "--error-model",
+    "synth --folds": "gone: cloth always has its usual creases",
     "synth --background": "--scene",
 }
 

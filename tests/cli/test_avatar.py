@@ -128,7 +128,7 @@ SENTENCES = {
     "of films": (
         ("prepare", "wham", "w.pkl", "me", "--height", 1.7), "--height is for a film; got wham",
     ),
-    "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 on"),
+    "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 to 20"),
     "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
     "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for films"),

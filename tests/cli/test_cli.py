@@ -148,6 +148,14 @@ def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
         assert code == 2 and there in err and not out and "Traceback" not in err
 
 
+def test_positional_arguments_are_shown_by_their_names_and_choices_as_such(cli):
+    assert " KIND SOURCE OUT" in cli.works("prepare", "--help").splitlines()[0]
+    assert " SUBJECTS ..." in cli.works("refine", "--help").splitlines()[0]
+    assert " {splat,fit,mesh,viewer}" in cli.works("bench", "--help").splitlines()[0]
+    missing = cli.fails("prepare", "film.mp4", "me")
+    assert "OUT" in missing and "SOURCE" not in missing and "PATH" not in missing
+
+
 def test_an_error_of_a_command_is_not_taken_for_bad_arguments(monkeypatch, cli):
     def body():
         raise ValueError("a bug")

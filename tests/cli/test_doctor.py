@@ -12,6 +12,14 @@ def test_every_component_is_listed(cli):
         assert name in out
 
 
+def test_a_missing_optional_package_is_fine_and_names_its_commands_and_extra(monkeypatch):
+    monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {})
+    monkeypatch.setattr("gva_mi.cli.doctor.OPTIONAL", {"no_such_module": ("`gva-mi x`", "film")})
+    (missing,) = (x for x in examine() if x.name == "no_such_module")
+    assert missing.fine and missing.found.startswith("none; `gva-mi x` would need it")
+    assert "'gva_mi[film]'" in missing.found
+
+
 @pytest.mark.parametrize("there", [False, True])
 def test_weights_are_optional_and_a_fit_must_be_given_them(there, tmp_path, monkeypatch):
     weights = tmp_path / "hub/checkpoints/vgg16-397923af.pth"

@@ -98,7 +98,7 @@ def _render(
     x = means @ R.T + t
     depths = x[:, 2]
     order = torch.argsort(depths.detach(), stable=True)
-    visible = (depths > options.near) & (depths < options.far)
+    visible = (depths >= options.near) & (depths <= options.far)
 
     remaining = torch.ones(H, W, dtype=torch.float64)
     stopped = torch.zeros(H, W, dtype=torch.bool)

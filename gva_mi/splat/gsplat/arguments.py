@@ -103,6 +103,8 @@ def colors_by_view(
 ) -> list[Tensor]:
     """Split the colours, or the coefficients up to ``sh_degree``, into one set per picture."""
     axes = 2 if sh_degree is None else 3
+    if "RGB" not in mode:
+        colors = colors.detach()  # unused: no gradient instead of zeros, as in gsplat
     if sh_degree is not None:
         if sh_degree not in range(MAX_DEGREE + 1):
             refuse(f"sh_degree must be 0 to {MAX_DEGREE}, got {sh_degree}")

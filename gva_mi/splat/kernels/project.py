@@ -71,9 +71,12 @@ class ProjectedMemory:
 
 
 def _in_camera(m: list[Array], view: CameraArrays) -> tuple[list[Array], Array]:
-    """Eq. 1, and z; z = 1 keeps a Gaussian before the near plane finite: it is not drawn."""
+    """Eq. 1, and z; z = 1 keeps a Gaussian far before the near plane finite: it is not drawn.
+
+    Far before it, because a Gaussian on the plane is drawn, whatever the last digit of its z.
+    """
     x = [dot(view.R[3 * k : 3 * k + 3], m) + view.t[k] for k in range(3)]
-    return x, dr.select(x[2] > view.near, x[2], 1)
+    return x, dr.select(x[2] > 0.5 * view.near, x[2], 1)
 
 
 def _ellipse(
@@ -106,7 +109,7 @@ def project(inputs: Inputs, plan: Plan, exact: CameraArrays) -> ProjectedGaussia
 
     # alpha >= alpha_min inside d^T C^-1 d <= tau: an ellipse with half extents sqrt(tau C_ii)
     tau = 2 * LN2 * (e.lo - math.log2(options.alpha_min))
-    visible = (x[2] > view.near) & (x[2] < view.far) & (tau > 0)
+    visible = (x[2] >= view.near) & (x[2] <= view.far) & (tau > 0)
     visible &= dr.isfinite(e.det) & dr.isfinite(u[0]) & dr.isfinite(u[1])
     tau = dr.select(visible, tau, 0)
     rx, ry = dr.sqrt(tau * xx), dr.sqrt(tau * yy)

@@ -116,6 +116,29 @@ def test_radius_clip_leaves_out_the_small(arguments):
         torch.testing.assert_close(rasterization(**(a | few))[0][c], clipped[c], atol=0, rtol=0)
 
 
+@pytest.mark.parametrize("dtype, rtol", [(torch.float32, 1e-5), (torch.float64, 1e-11)])
+def test_gaussians_on_the_near_and_far_plane_are_drawn(dtype, rtol):
+    """As in gsplat; 0.3 and 0.7 are no float32 numbers, and are rounded as the depths are."""
+    z = torch.tensor([0.3, 0.7, 0.3, 0.7], dtype=dtype)
+    z[2:] = torch.nextafter(z[2:], torch.tensor([0.0, 1.0], dtype=dtype))
+    means = torch.stack([0.1 * z, -0.05 * z, z], dim=-1).requires_grad_()
+    quats = torch.tensor([[1.0, 0, 0, 0]], dtype=dtype).expand(4, 4)
+    others = (quats, 0.02 + 0 * means.detach(), 0.8 + 0 * z, 0.5 + 0 * means.detach())
+    camera = Camera(20.0, 22.0, 12.3, 8.1, torch.eye(4).numpy(), W, H)
+    Ks, view = (torch.tensor(m, dtype=dtype)[None] for m in (camera.K, camera.T_camera_world))
+    found, _, meta = rasterization(
+        means, *others, view, Ks, W, H, near_plane=0.3, far_plane=0.7, packed=False
+    )
+    assert (meta["radii"][0] > 0).all(dim=-1).tolist() == [True, True, False, False]
+    options = SplatOptions(near=0.3, far=0.7)
+    expected = reference.render(Gaussians(means, *others), camera, options).color
+    assert (found[0] - expected).norm() <= rtol * expected.norm()
+    by_kernels, by_reference = (
+        torch.autograd.grad(x.square().sum(), means)[0] for x in (found, expected)
+    )
+    assert (by_kernels - by_reference).norm() <= rtol * by_reference.norm()
+
+
 def test_arguments_for_a_gpu_change_nothing(arguments):
     a = arguments()
     idle = {"packed": False, "tile_size": 8, "sparse_grad": True, "channel_chunk": 4}

@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter, shift
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.matting.odds import log_odds
 from gva_mi.data.matting.plate import Plate
+from gva_mi.data.matting.shadows import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, counted
 from gva_mi.data.pictures import read_image
 
 H, W, T = 96, 80, 10
@@ -63,10 +64,49 @@ def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_backgro
     plate = Plate(grey, np.full((4, 4), 0.02, np.float32), np.ones((4, 4), bool))
     blue = np.broadcast_to(np.float32([0, 0, 1]), (4, 4, 3))
     height, P, person = np.linspace(0, 1, 4), np.full((4, 4), 0.5), np.full((4, 4), 2.0)
-    odds = [log_odds(blue, P, height, plate, person, h * np.ones((4, 4))) for h in (1.0, 8.0)]
+    known = blue, P, height, plate, Shadows(), person
+    odds = [log_odds(*known, h * np.ones((4, 4))) for h in (1.0, 8.0)]
     # Eq. 2 without the plate: p(I | background) = e h, with e = 0.01.
     assert odds[0] == pytest.approx(np.log(2 / 0.01), abs=0.02)
     assert odds[1] == pytest.approx(np.log(2 / 0.08), abs=0.02)
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.7])
+def test_the_density_of_shadows_integrates_to_one(deep):
+    s = np.linspace(DARKEST, BRIGHTEST, 20_001)[None]
+    for height, mean in ((0.5, MEAN), (0.95, CONTACT)):
+        k = Shadows(deep, deep).density(s, np.array([height]))[0]
+        darker = s[0] <= 1
+        whole = np.trapezoid(k[darker], s[0][darker])
+        missing = (1 - deep) * np.exp((DARKEST - 1) / mean)  # the exponential's part below DARKEST
+        assert whole == pytest.approx(1 - missing, abs=1e-3)
+
+
+def test_dark_skin_before_wood_is_no_shadow_unless_the_film_has_deep_ones():
+    wood = np.broadcast_to(np.float32([0.8, 0.5, 0.3]), (2, 2, 3))
+    plate = Plate(wood, np.full((2, 2), 0.01, np.float32), np.ones((2, 2), bool))
+    P, flat, height = np.full((2, 2), 0.5), np.ones((2, 2)), np.array([0.4, 0.5])
+    odds = lambda s, deep: log_odds(
+        s * wood, P, height, plate, Shadows(deep, deep), 100 * flat, flat
+    )
+    assert (odds(0.35, 0.0) > 1).all()  # skin
+    assert (odds(0.35, 0.7) < -1).all()  # the sun's shadow
+    assert (odds(0.95, 0.0) < -2).all()  # a faint shadow
+
+
+def test_deep_shadows_are_counted_where_the_person_is_not():
+    wall = np.full((10, 6, 3), 0.8, np.float32) * np.float32([1, 0.8, 0.7])
+    plate = Plate(wall, np.full((10, 6), 0.006, np.float32), np.ones((10, 6), bool))
+    image, bare = wall.copy(), np.ones((10, 6), bool)
+    image[8:, :3] *= 0.4
+    image[9, 5] = [0, 0, 0.3]  # another hue
+    image[:2, :3] *= 0.85
+    bare[:, 2] = False
+    counts = counted(image, plate, bare, np.linspace(0.05, 1, 10))
+    assert counts.tolist() == [[40, 0, 4], [10, 4, 0]]
+    shadows = Shadows.of(2 * counts)
+    assert shadows.high == 0
+    assert shadows.low == pytest.approx(0.4 / (0.4 + 0.01))
 
 
 def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):

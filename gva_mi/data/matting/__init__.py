@@ -7,6 +7,7 @@ A network knows roughly where the person is; the pictures know exactly where the
 :mod:`.camera`  how the camera moved between pictures
 :mod:`.plate`   the background without the person, gathered over the whole film
 :mod:`.colors`  the person's colours, by height
+:mod:`.shadows` how dark the person's shadows are
 :mod:`.odds`    evidence of each pixel: person or background
 :mod:`.cut`     the smoothest outline that agrees with the evidence
 :mod:`.alpha`   how much of each outline pixel is the person

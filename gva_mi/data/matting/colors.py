@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-BITS = 5  # of each channel: 32 bins
+BITS = 6  # of each channel: 64 bins
 BANDS = 8  # of the height
 BLUR = 1.0  # bins, standard deviation
-ANYWHERE, UNKNOWN = 0.35, 0.05  # shares of the colours of all heights, and of any colour at all
+ANYWHERE, UNKNOWN = 0.1, 0.05  # shares of the colours of all heights, and of any colour at all
 
 
 class ColorsByHeight:

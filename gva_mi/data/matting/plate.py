@@ -13,7 +13,7 @@ import numpy as np
 from gva_mi.data.matting.camera import moved
 
 SEEN = 3  # pictures that have to show a pixel of the background
-LEAST = 0.012  # smallest spread, of colours in [0, 1]: noise and compression
+LEAST = 0.006  # smallest spread, of colours in [0, 1]: that of rounding to 8 bits
 GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel
 FARTHER = 0.003  # growth of this spread for each pixel of distance
 AGREES = 0.04  # mean difference of the channels, in [0, 1], up to which colours agree

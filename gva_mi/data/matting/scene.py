@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from gva_mi.data.matting.colors import ColorsByHeight
 from gva_mi.data.matting.cut import smoothest_cut
 from gva_mi.data.matting.odds import log_odds
 from gva_mi.data.matting.plate import Plate
+from gva_mi.data.matting.shadows import Shadows, counted
 
 POSSIBLE, CERTAIN = 0.05, 0.95  # probabilities: below the one is background, above the other person
 NEAR = 4, 3  # pixels around what is possible that count as possible, too: by the network, the cut
-INNER = 2  # pixels inside of the outline whose colours are not counted
+INNER = 1  # pixels inside of the outline whose colours are not counted
 AROUND = 0.12  # of the person's longer side: where a picture is looked at beyond what is possible
 PRICE, FLAT_PRICE = 1.5, 4.0  # of an outline: anywhere, and added where colours are equal
 EDGE = 0.1  # difference of colours, in [0, 1], at which less than half of this is added
@@ -38,9 +39,10 @@ class GridPicture:
 
 @dataclass(frozen=True)
 class FilmScene:
-    """The background, and the colours of person and background."""
+    """The background, its shadows, and the colours of person and background."""
 
     plate: Plate
+    shadows: Shadows
     person: ColorsByHeight
     background: ColorsByHeight
 
@@ -57,7 +59,8 @@ class FilmScene:
             for k, view in enumerate(views):
                 person.add(view.image, binary_erosion(inside[k], iterations=INNER), view.height)
                 background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
-            scene = FilmScene(_plate(views, outside), person, background)
+            scene = FilmScene(_plate(views, outside), Shadows(), person, background)
+            scene = replace(scene, shadows=scene._shadows_of(views, outside))
             if near == NEAR[0]:
                 inside = list(on_all_cores(scene.inside, views))
                 possible = [
@@ -89,11 +92,22 @@ class FilmScene:
             self.background.density(image, grid_rows),
         )
         image = image.astype(np.float32) / 255
-        odds = log_odds(image, P, rows, plate, person, background)
+        odds = log_odds(image, P, rows, plate, self.shadows, person, background)
         cut = smoothest_cut(odds, _prices(image), odds > 0, STEPS) > 0.5
         whole = np.zeros(view.probability.shape, bool)
         whole[part] = _person_alone(cut, P)
         return whole
+
+    def _shadows_of(self, views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Shadows:
+        """Count shadows around the person, in pictures (h, w) bool of where it is not."""
+
+        def count(seen: tuple[GridPicture, np.ndarray]) -> np.ndarray:
+            view, bare = seen
+            part = _looked_at(view)
+            image = view.image[part].astype(np.float32) / 255
+            return counted(image, self._plate_in(view).part(part), bare[part], view.height[part[0]])
+
+        return Shadows.of(sum(on_all_cores(count, zip(views, outside, strict=True))))
 
     def _plate_in(self, view: GridPicture) -> Plate:
         """Return the plate as a picture's camera sees and exposes it."""

@@ -1,4 +1,4 @@
-"""Time the renderer: stages, a moving camera, entry points, larger scenes, gsplat's reference.
+"""Time the renderer: stages, a camera that moves, entry points, larger scenes, threads, gsplat.
 
 Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmonics of degree 3.
 """
@@ -32,6 +32,7 @@ STAGES = {  # a stage's name, and the function that is it
 }
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)
 WIDTHS = (128, 256, 512, 1024, 2048)  # px, of square pictures
+SHARED = ((20_000, 512), (100_000, 512), (1_000_000, 1024))  # Gaussians and px, for more threads
 
 
 def run(
@@ -71,6 +72,7 @@ def run(
         yield gsplat_reference.compare(work.scene, max(2, repeats // 5))
     if growth:
         yield _growth(person, max(2, repeats // 5))
+        yield more_threads(person, max(2, repeats // 2))
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,25 @@ def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
         figures = {"forward min ms": forward.minimum, "both min ms": both.minimum}
         rows.append(row | figures | {"Dr.Jit's MiB": round(memory)})
     return Table("growth", rows)
+
+
+def more_threads(person: Callable[[int, int], Scene], repeats: int) -> Table:
+    """Time forward and backward with 1, 2, 4 ... threads, up to as many as there are."""
+    most = dr.thread_count()
+    counts = [*(n for n in (2**k for k in range(16)) if n < most), most]
+    rows = []
+    try:
+        for n, size in SHARED:
+            work, found = Work.on(person(n, size)), []
+            for threads in counts:
+                dr.set_thread_count(threads)
+                found.append(timed(work.both, repeats).minimum)
+            row = {"Gaussians": n, "pixels": f"{size}x{size}", "1 thread, min ms": found[0]}
+            ratios = zip(counts[1:], found[1:], strict=True)
+            rows.append(row | {f"{threads} threads": found[0] / x for threads, x in ratios})
+    finally:
+        dr.set_thread_count(most)
+    return Table("threads: forward and backward, times as fast", rows)
 
 
 def _wide(scene: Scene, width: int) -> Scene:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -36,6 +37,14 @@ def test_a_benchmark_runs(name):
         assert table.rows and len(str(table).splitlines()) == 2 + len(table.rows)
         times = [v for row in table.rows for k, v in row.items() if k.endswith(("ms", "min s"))]
         assert all(time > 0 for time in times)
+
+
+def test_the_count_of_threads_is_restored(monkeypatch):
+    splat, before = import_module("benchmarks.splat"), dr.thread_count()
+    monkeypatch.setattr(splat, "SHARED", ((300, 48),))
+    table = splat.more_threads(lambda n, size: person_scene(np.random.default_rng(0), n, size), 1)
+    assert table.rows[0]["1 thread, min ms"] > 0
+    assert dr.thread_count() == before
 
 
 def test_a_renderer_with_another_image_is_not_timed():

@@ -25,6 +25,10 @@ import threading
 from collections import deque
 from contextlib import ContextDecorator
 
+# Seconds after which a waiting thread looks for a Ctrl-C: Python does not notice one that comes
+# just before a lock starts to wait.
+PATIENCE = 0.5
+
 
 class Exclusive(ContextDecorator):
     """A reentrant lock, first come, first served, as a context manager and as a decorator."""
@@ -54,7 +58,8 @@ class Exclusive(ContextDecorator):
                 if self._queue:
                     turn.acquire()  # the thread before releases it
                 self._queue.append(turn)
-            turn.acquire()
+            while not turn.acquire(timeout=PATIENCE):
+                pass
             self._inside, self._depth = threading.get_ident(), 1
         except BaseException:  # Ctrl-C while waiting
             self._leave(turn)

@@ -27,7 +27,7 @@ from contextlib import ContextDecorator
 
 # Seconds after which a waiting thread looks for a Ctrl-C: Python does not notice one that comes
 # just before a lock starts to wait.
-PATIENCE = 0.5
+SIGNALS_EVERY = 0.5
 
 
 class Exclusive(ContextDecorator):
@@ -58,7 +58,7 @@ class Exclusive(ContextDecorator):
                 if self._queue:
                     turn.acquire()  # the thread before releases it
                 self._queue.append(turn)
-            while not turn.acquire(timeout=PATIENCE):
+            while not turn.acquire(timeout=SIGNALS_EVERY):
                 pass
             self._inside, self._depth = threading.get_ident(), 1
         except BaseException:  # Ctrl-C while waiting

@@ -1,5 +1,6 @@
 """The lock of Dr.Jit: threads take turns in the order in which they came."""
 
+import _thread
 import signal
 import threading
 import time
@@ -56,7 +57,13 @@ def test_a_thread_enters_again_inside_and_errors_leave():
     assert not entered.is_alive()
 
 
-def test_ctrl_c_while_waiting_gives_the_turn_up():
+def to_main_thread():
+    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+
+
+@pytest.mark.parametrize("ctrl_c", [to_main_thread, _thread.interrupt_main])
+def test_ctrl_c_while_waiting_gives_the_turn_up(ctrl_c):
+    """The second sets Python's flag and wakes nobody: as a signal just before the wait does."""
     lock, inside, leave, after = Exclusive(), threading.Event(), threading.Event(), []
 
     def hold():
@@ -71,7 +78,7 @@ def test_ctrl_c_while_waiting_gives_the_turn_up():
 
     def interrupt():
         until(lambda: len(lock._queue) == 3)
-        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        ctrl_c()
 
     threads = [threading.Thread(target=target) for target in (hold, behind, interrupt)]
     threads[0].start()

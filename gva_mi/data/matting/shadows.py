@@ -4,13 +4,12 @@ A shadow multiplies the background by some s < 1 and leaves its hue. Under a sky
 is faint: 1 - s is distributed exponentially, with a mean σ. The sun, or one lamp, casts deep ones,
 of any s. With their share w of all shadows, the density of s is
 
-1. ``k(s) = (1 - w) exp(-(1 - s) / σ) / σ + w / (1 - DARKEST)``
+1. ``k(s) = (1 - w) exp(-(1 - s) / σ) / σ + w / (1 - DARKEST)``,   ``s <= 1``
 
-w is counted where the person surely is not, apart for what is near the floor:
+Above 1 it falls within BRIGHT. The film shows w where the person surely is not. Pixels there are
+counted, high up and near the floor separately; of their shares in deep and in faint shadow,
 
 2. ``w = deep / (deep + faint + FEW)``
-
-of the shares of pixels there whose s is of the one and of the other kind.
 """
 
 from __future__ import annotations

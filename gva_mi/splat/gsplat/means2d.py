@@ -125,6 +125,7 @@ def _projection(drawn: Drawn) -> Callable[[Tensor, Tensor, Tensor], tuple[Tensor
         means = drawn.pick(means)
         x = (means[:, None, :] * T_camera_world[:3, :3]).sum(dim=-1) + T_camera_world[:3, 3]
         depths, f, c = x[:, 2], torch.diagonal(K)[:2], K[:2, 2]
+        # One on the near plane is drawn, whatever the last digit of its depth.
         z = torch.where(depths > 0.5 * near, depths, 1)[:, None]
         if model == "pinhole":
             return f * x[:, :2] / z + c, depths

@@ -43,13 +43,31 @@ def one_thread() -> Iterator[None]:
     A second thread of Dr.Jit makes them a fifth faster, and costs half more CPU, because it mostly
     waits for the next kernel. On a busy machine both times double.
     """
+    with _drjit_threads(1), one_torch_thread():
+        yield
+
+
+@contextmanager
+def core_for_torch() -> Iterator[None]:
+    """Run Dr.Jit on one thread less, so that torch has a core for :func:`in_torch_thread`.
+
+    Threads of Dr.Jit spin for milliseconds before they sleep. On two cores, torch on two threads
+    takes twice as long right after a kernel. To end a thread and to start it again takes 0.2 ms.
+    """
+    import drjit as dr
+
+    with _drjit_threads(max(1, dr.thread_count() - 1)):
+        yield
+
+
+@contextmanager
+def _drjit_threads(count: int) -> Iterator[None]:
     import drjit as dr
 
     before = dr.thread_count()
-    dr.set_thread_count(1)
+    dr.set_thread_count(count)
     try:
-        with one_torch_thread():
-            yield
+        yield
     finally:
         dr.set_thread_count(before)
 

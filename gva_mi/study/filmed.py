@@ -32,10 +32,10 @@ ALL = 240.0  # pictures a second, more than any of these films has: every pictur
 
 
 def watch_take(take: Path, out: Path, body: BodyModel) -> None:
-    """Write a copy of a synthetic subject whose pictures, masks, landmarks and poses are its film's.
+    """Write a copy of a synthetic subject with what its film gives: pictures, masks and poses.
 
-    The film is the compressed one, ``film.mp4``, and all steps are those of ``gva-mi prepare
-    film``. The height and the focal length are known. A camera that was held by hand is taken for
+    The film is the compressed one, ``film.mp4``; the steps are those of ``gva-mi prepare film``.
+    The height and the focal length are known. A camera that was held by hand is taken for
     one that stands, as in any film: then the true poses are those that the first camera would have
     seen so.
 

@@ -42,11 +42,13 @@ def test_a_steadied_pose_is_seen_by_the_first_camera_as_each_frame_s_camera_saw_
 
 @pytest.mark.slow
 def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_body):
-    options = SynthOptions(seed=101, frames=12, size=256, samples=4, novel_poses=0, novel_views=0)
+    few = {"frames": 12, "samples": 4, "novel_poses": 0, "novel_views": 0}
+    options = SynthOptions(seed=101, size=256, scene="room", **few)
     make_subject(tmp_path / "take", options, built_in_body)
     watch_take(tmp_path / "take", tmp_path / "filmed", built_in_body)
     video = load_video(tmp_path / "filmed")
     truth = load_ground_truth(video.truth, built_in_body)
     errors = means(pose_errors(built_in_body, (video.pose, video.shape), truth))
-    assert video.kind == "film" and len(video.landmarks) == 12 and video.normals is None
+    assert video.kind == "film" and len(video) == len(video.landmarks) == 12
+    assert video.normals is None
     assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120

@@ -9,13 +9,18 @@ import numpy as np
 from gva_mi.body.pose import SIDES
 from gva_mi.data.landmarks import BODY
 from gva_mi.data.networks.body_landmarks import SeenBody
+from gva_mi.data.networks.turned_square import TurnedSquare
 
 _BINS = 4  # of each colour channel
 _MEMORY = 0.9  # share of the colours that stays in each picture
 _STEADY = 0.7  # likewise of the speed
-_STEP = 1.0  # of the radius: what a person hardly moves beyond the expected place in a picture
+# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
+# and in each picture without a sight.
+_STEP, _DRIFT = 1.0, 0.3
+_FORGOTTEN, _ONCE = 60, 5  # pictures after which nobody is expected any more; after one sight
 _DOUBTFUL = 0.6  # of the usual likeness of colours: less is another person, if others are near
 _NEAR = 1.2  # of the radius: people closer than this hide each other
+_SURROUNDINGS = 5.0  # of the radius: side of the square in which a person is searched
 _TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
 
 
@@ -28,17 +33,30 @@ class KnownPerson:
     speed: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels a picture
     usual: float = 0.7  # likeness of the colours from picture to picture
     unseen: int = 0  # pictures since then
+    sights: int = 1
+
+    @property
+    def is_expected(self) -> bool:
+        """Whether the person may still be around; who was seen once may have been nobody."""
+        return self.unseen < min(_FORGOTTEN, _ONCE * self.sights)
 
     @property
     def expected(self) -> np.ndarray:
         """Where the hips (2,) are now, if the person has gone on, pixels."""
         return self.body.hips + self.unseen * self.speed
 
+    @property
+    def surroundings(self) -> TurnedSquare:
+        """The part of the picture to search for this person."""
+        return TurnedSquare(tuple(self.expected.tolist()), _SURROUNDINGS * self.body.radius)
+
     def resemblance(self, body: SeenBody, colours: np.ndarray) -> float:
         """Return how much somebody looks like this person: 1 is the expected place and colours."""
         moved = np.linalg.norm(body.hips - self.expected) / self.body.radius
         grown = abs(np.log(body.radius / self.body.radius))
-        return _likeness(colours, self.colours) - float(moved + grown) / (_STEP * (1 + self.unseen))
+        return _likeness(colours, self.colours) - float(moved + grown) / (
+            _STEP + _DRIFT * self.unseen
+        )
 
     def is_doubtful(self, colours: np.ndarray) -> bool:
         """Return whether these colours are hardly this person's."""
@@ -52,7 +70,7 @@ class KnownPerson:
     def update(self, body: SeenBody, colours: np.ndarray, hidden: bool) -> None:
         """Remember a new sight; what is half ``hidden`` has others' colours."""
         moved = (body.hips - self.body.hips) / max(1, self.unseen)
-        self.body, self.unseen = body, 0
+        self.body, self.unseen, self.sights = body, 0, self.sights + 1
         if not hidden:
             self.speed = _STEADY * self.speed + (1 - _STEADY) * moved
             alike = _likeness(colours, self.colours)

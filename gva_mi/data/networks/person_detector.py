@@ -7,6 +7,8 @@ around the whole person, whose centre is the middle of the hips.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,31 +31,54 @@ class PersonDetector:
         self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
         self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
 
-    def find(self, image: np.ndarray) -> list[TurnedSquare]:
+    def find(self, image: np.ndarray, squares: Sequence[TurnedSquare]) -> list[TurnedSquare]:
         """Return what the landmark network should see of the people of a picture (H, W, 3) 8-bit.
 
-        The most certain person comes first.
+        Only ``squares`` of the picture are searched, in each of which people are seen who fill a
+        fifth of it or more. The most certain person comes first.
         """
-        height, width = image.shape[:2]
-        whole = TurnedSquare((width / 2, height / 2), max(height, width))
-        out = self._network(2 * whole.cut(image, self._network.size, edge=False) - 1)
-        scores = sigmoid(out["Identity_1"][:, 0])
+        scores, boxes, points = (
+            np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
+        )
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] >= CERTAIN]
-        values = out["Identity"].astype(np.float64) / self._network.size
-        centres, sizes = values[:, :2] + self._anchors, values[:, 2:4]
-        boxes = np.concatenate([centres - sizes / 2, centres + sizes / 2], axis=1)
         people = []
         while len(order):  # the mean of overlapping boxes, weighted by their scores, is a person
             same = _overlap(boxes[order[0]], boxes[order]) > _SAME
             same[0] = True
             group, order = order[same], order[~same]
-            points = values[group, 4:8].reshape(-1, 2, 2) + self._anchors[group, None]
-            mean = np.average(points, axis=0, weights=scores[group])
-            hips, top = whole.to_picture(mean)
+            hips, top = np.average(points[group], axis=0, weights=scores[group])
             radius = float(np.linalg.norm(top - hips))
             people.append(TurnedSquare.upright(hips, top, 2 * MARGIN * radius))
         return people
+
+    def _see(
+        self, image: np.ndarray, square: TurnedSquare
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return scores (2254,), boxes (2254, 4) and the points (2254, 2, 2) in the picture."""
+        out = self._network(2 * square.cut(image, self._network.size, edge=False) - 1)
+        values = out["Identity"].astype(np.float64) / self._network.size
+        centres, sizes = values[:, :2] + self._anchors, values[:, 2:4]
+        corners = square.to_picture(np.stack([centres - sizes / 2, centres + sizes / 2], axis=1))
+        points = values[:, 4:8].reshape(-1, 2, 2) + self._anchors[:, None]
+        scores = sigmoid(out["Identity_1"][:, 0])
+        return scores, corners.reshape(-1, 4), square.to_picture(points)
+
+
+def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
+    """Return squares over a whole picture (H, W, 3), of which neighbours share a half or more."""
+    height, width = image.shape[:2]
+    return [
+        TurnedSquare((x, y), side) for y in _middles(height, side) for x in _middles(width, side)
+    ]
+
+
+def _middles(length: int, side: float) -> list[float]:
+    """Return the middles of intervals over a length; one that is longer than it is centred."""
+    if side >= length:
+        return [length / 2]
+    count = math.ceil(2 * (length - side) / side) + 1
+    return np.linspace(side / 2, length - side / 2, count).tolist()
 
 
 def _anchors(size: int) -> np.ndarray:

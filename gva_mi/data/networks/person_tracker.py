@@ -5,27 +5,33 @@ searches the rest of the picture when that finds nobody, in every picture while 
 around, and now and then to learn whether they are. A person found in a picture is ours only if it
 resembles ours more than any other that is known.
 
-The detector sees one person at a time, the most prominent: those who are known are painted over.
+The detector sees the most prominent people: those who are known are painted over. It misses people
+who fill less than a fifth of what it sees, so it looks at parts of the picture too: where people
+were expected, and at squares over all of it while our person is missing. What it takes for a person
+is one if the body network agrees twice, of the picture and of its mirror image.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.data.networks.known_person import KnownPerson, torso_colours
-from gva_mi.data.networks.person_detector import PersonDetector
+from gva_mi.data.networks.person_detector import PersonDetector, squares_over
 from gva_mi.data.networks.turned_square import TurnedSquare
 
 FOUND = 0.5  # least presence of a person
 MOST = 6  # people of a picture
 _EVERY = 5  # pictures between two that are searched for other people
-_FORGOTTEN = 60  # pictures after which another person is no longer expected
 _SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
 _LOOKS = 3  # at a detected person: each look centres the next
 _SAME = 0.4  # of the radius: bodies closer than this are one person
+_TRIED = 3  # detected people whom the body network is asked about, of those not known
+_AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
+_GREY = 128
 _AROUND = 0.1  # of the radius: painted over around the landmarks
 _CLEAR = 0.3  # difference of resemblance that tells two people apart
 _LEAST = -0.5  # least resemblance to a known person
@@ -72,18 +78,33 @@ class PersonTracker:
 
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Add the people who are not among the seen."""
+        ours, due = self._ours, self._number % _EVERY == 0
+        known = self._others if ours is None else [ours, *self._others]
+        squares = squares_over(image, max(image.shape[:2]))
+        squares += [person.surroundings for person in known if person.unseen or not seen]
+        just_lost = ours is not None and ours.unseen < _EVERY
+        if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
+            squares += squares_over(image, min(image.shape[:2]))
+        found = self._found_in(squares, image, seen)
+        if ours is None and not found and due:
+            found = self._found_in(squares_over(image, min(image.shape[:2]) / 2), image, [])
+        return found
+
+    def _found_in(
+        self, squares: Sequence[TurnedSquare], image: np.ndarray, seen: list[SeenBody]
+    ) -> list[SeenBody]:
+        """Return the seen, and the other people in squares of a picture."""
         rest = image.copy()
-        grey = np.full(3, 128, np.uint8)
         for body in seen:
-            _paint_over(rest, body, grey)
+            _paint_over(rest, body)
         while len(seen) < MOST:
-            people = self._detector.find(rest)
-            body = self._look(rest, people[0]) if people else None
-            near = lambda x, y: np.linalg.norm(x.hips - y.hips) < _SAME * min(x.radius, y.radius)
-            if body is None or any(near(body, other) for other in seen):
+            looks = map(partial(self._look, rest), self._detector.find(rest, squares)[:_TRIED])
+            others = (x for x in looks if x is not None and not any(_is_same(x, y) for y in seen))
+            body = next(others, None)
+            if body is None:
                 break
             seen = [*seen, body]
-            _paint_over(rest, body, grey)
+            _paint_over(rest, body)
         return seen
 
     def _look(self, image: np.ndarray, person: TurnedSquare) -> SeenBody | None:
@@ -96,7 +117,11 @@ class PersonTracker:
                 square = body.square
             bodies.append(body)
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
-        return best if best.presence >= FOUND else None
+        if best.presence < FOUND:
+            return None
+        mirrored = self._network.see(image, best.square, mirrored=True)
+        off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
+        return best if mirrored.presence >= FOUND and off < _AGREE else None
 
     def _begin(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Choose the person, if enough people are there."""
@@ -138,7 +163,7 @@ class PersonTracker:
             free.remove(b)
             found = seen[b] if p == 0 else found
         self._others += [KnownPerson(seen[b], colours[b]) for b in sorted(free)]
-        self._others = [person for person in self._others if person.unseen < _FORGOTTEN]
+        self._others = [person for person in self._others if person.is_expected]
         return found
 
 
@@ -154,9 +179,15 @@ def _is_ambiguous(score: np.ndarray, b: int) -> bool:
     return not elsewhere.size or elsewhere.max() < _LEAST
 
 
-def _paint_over(image: np.ndarray, body: SeenBody, colour: np.ndarray) -> None:
+def _is_same(one: SeenBody, other: SeenBody) -> bool:
+    """Return whether two bodies are those of one person."""
+    apart = np.linalg.norm(one.hips - other.hips)
+    return bool(apart < _SAME * min(one.radius, other.radius))
+
+
+def _paint_over(image: np.ndarray, body: SeenBody) -> None:
     """Hide a person of a picture (H, W, 3)."""
     margin = _AROUND * body.radius
     left, top = np.floor(body.points.min(0) - margin).astype(int).clip(0)
     right, bottom = np.ceil(body.points.max(0) + margin).astype(int).clip(0)
-    image[top:bottom, left:right] = colour
+    image[top:bottom, left:right] = _GREY

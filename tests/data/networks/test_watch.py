@@ -1,11 +1,15 @@
 """The real landmark networks on a rendered person."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, FACE
 from gva_mi.data.networks.body_landmarks import SeenBody, mean_of_passes
+from gva_mi.data.networks.known_person import KnownPerson
 from gva_mi.data.networks.watch import NAMES, watch_film
 
 pytest.importorskip("ai_edge_litert")
@@ -96,8 +100,6 @@ def test_a_mirrored_picture_has_mirrored_landmarks(watched, rendered_person):
 
 
 def test_a_turned_and_scaled_picture_has_turned_landmarks(watched, rendered_person):
-    from PIL import Image
-
     turned = np.rot90(np.asarray(Image.fromarray(rendered_person.picture).resize((960, 1200))))
     found = watch_film([turned] * 2).landmarks.pixels[1]
     expected = 2 * watched[0].landmarks.pixels[1, :, ::-1] * (1, -1) + (0, 960)
@@ -144,6 +146,29 @@ def test_the_person_is_kept_while_another_one_walks_past_in_front(rendered_perso
     assert any("several people" in note for note in found.notes)
     lost = np.flatnonzero(np.isnan(off))
     assert bool(len(lost)) == any("was not found" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("left", [200, 1200])
+def test_a_small_person_in_a_wide_picture_is_found(left, rendered_person):
+    """The person fills a fifth of the height, and a twentieth of the width."""
+    whole = Image.fromarray(rendered_person.on(GREY[:, :480], 0))
+    wide = np.full((900, 1600, 3), 180, np.uint8)
+    wide[500:680, left : left + 144] = np.asarray(whole.resize((144, 180)))
+    found = watch_film([wide] * 2).landmarks
+    for side in ("left", "right"):
+        for part in JOINTS:
+            true = 0.3 * rendered_person.joints[f"{side}_{part}"] + (left, 500)
+            error = found.pixels[1, NAMES.index(f"{side}_{part}")] - true
+            assert np.linalg.norm(error) < 0.05 * 150, (side, part)
+
+
+def test_who_was_seen_once_is_soon_forgotten():
+    """A phantom must not be taken for our person later."""
+    nobody = SeenBody(np.zeros((39, 2)), np.ones(39), np.zeros(39), np.zeros((39, 3)), 1.0, ())
+    once = KnownPerson(nobody, np.ones(64) / 64, unseen=10)
+    often = replace(once, sights=10)
+    assert often.is_expected and not once.is_expected
+    assert not replace(often, unseen=100).is_expected
 
 
 def test_people_are_numbered_from_the_left(rendered_person):

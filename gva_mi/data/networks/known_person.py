@@ -19,6 +19,7 @@ _STEADY = 0.7  # likewise of the speed
 _STEP, _DRIFT = 1.0, 0.3
 _FORGOTTEN, _ONCE = 60, 5  # pictures after which nobody is expected any more; after one sight
 _DOUBTFUL = 0.6  # of the usual likeness of colours: less is another person, if others are near
+_AT = 0.4  # of the radius: who is so near is where a person is expected
 _NEAR = 1.2  # of the radius: people closer than this hide each other
 _SURROUNDINGS = 5.0  # of the radius: side of the square in which a person is searched
 _TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
@@ -61,6 +62,10 @@ class KnownPerson:
     def is_doubtful(self, colours: np.ndarray) -> bool:
         """Return whether these colours are hardly this person's."""
         return _likeness(colours, self.colours) < _DOUBTFUL * self.usual
+
+    def is_at(self, body: SeenBody) -> bool:
+        """Return whether somebody is where this person is expected."""
+        return bool(np.linalg.norm(body.hips - self.expected) < _AT * self.body.radius)
 
     def is_near(self, other: KnownPerson) -> bool:
         """Return whether this person and another one may hide each other now."""

@@ -8,7 +8,8 @@ resembles ours more than any other that is known.
 The detector sees the most prominent people: those who are known are painted over. It misses people
 who fill less than a fifth of what it sees, so it looks at parts of the picture too: where people
 were expected, and at squares over all of it while our person is missing. What it takes for a person
-is one if the body network agrees twice, of the picture and of its mirror image.
+where none was expected is one if the body network agrees twice, of the picture and of its mirror
+image.
 """
 
 from __future__ import annotations
@@ -76,10 +77,14 @@ class PersonTracker:
             self.lost.append(self._number)
         return found
 
+    @property
+    def _known(self) -> list[KnownPerson]:
+        """Our person, once it was chosen, and the others."""
+        return self._others if self._ours is None else [self._ours, *self._others]
+
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Add the people who are not among the seen."""
-        ours, due = self._ours, self._number % _EVERY == 0
-        known = self._others if ours is None else [ours, *self._others]
+        ours, known, due = self._ours, self._known, self._number % _EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
         squares += [person.surroundings for person in known if person.unseen or not seen]
         just_lost = ours is not None and ours.unseen < _EVERY
@@ -119,6 +124,8 @@ class PersonTracker:
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
         if best.presence < FOUND:
             return None
+        if any(person.is_at(best) for person in self._known):
+            return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
         return best if mirrored.presence >= FOUND and off < _AGREE else None
@@ -141,7 +148,7 @@ class PersonTracker:
     def _assign(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Say who is who; return our person."""
         colours = [torso_colours(image, body) for body in seen]
-        known = [self._ours, *self._others]
+        known = self._known
         for person in known:
             person.unseen += 1
         score = np.full((len(known), len(seen)), -np.inf)

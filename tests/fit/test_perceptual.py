@@ -6,7 +6,15 @@ from scipy.ndimage import gaussian_filter
 
 from gva_mi.core.errors import InputError
 from gva_mi.fit import feature_networks
-from gva_mi.fit.perceptual import Weights, find_weights, lpips, rand_vgg, rand_vgg_loss, vgg16_loss
+from gva_mi.fit.perceptual import (
+    Weights,
+    find_weights,
+    lpips,
+    mean_absolute,
+    rand_vgg,
+    rand_vgg_loss,
+    vgg16_loss,
+)
 
 SIZE = 48
 
@@ -30,6 +38,17 @@ def blurred(image, sigma):
 @pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
 def test_equal_images_have_no_distance(distance, picture):
     assert distance()(picture, picture) == 0
+
+
+def test_the_loss_is_the_mean_absolute_difference_with_its_gradient():
+    f, g = torch.randn(2, 1, 4, 6, 5, generator=torch.Generator().manual_seed(0)).unbind()
+    f[0, 0] = g[0, 0]  # equal features pull nowhere
+    f.requires_grad_(True)
+    loss = mean_absolute(f, g)
+    loss.backward()
+    difference = (f - g).detach()
+    torch.testing.assert_close(loss.detach(), difference.abs().mean())
+    torch.testing.assert_close(f.grad, difference.sign() / difference.numel())
 
 
 @pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])

@@ -74,7 +74,10 @@ def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
 
 
 def _middles(length: int, side: float) -> list[float]:
-    """Return the middles of intervals over a length; one that is longer than it is centred."""
+    """Return the middles of the intervals that cover a length, which overlap by half or more.
+
+    If the interval is longer than that, one around the middle covers it.
+    """
     if side >= length:
         return [length / 2]
     count = math.ceil(2 * (length - side) / side) + 1

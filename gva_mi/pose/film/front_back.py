@@ -11,7 +11,7 @@ later. As in :mod:`gva_mi.pose.swaps`, each frame is as given, ``s_k = 0``, or e
 with the places ``x`` of shoulders, hips and limbs in the picture, left and right by the states, the
 person's height ``S`` in pixels, the time ``Δt`` between two frames, and the cost ``t`` of Student's
 t distribution. ``f`` is large where the face was found. If the network errs from one profile to the
-other, no limb jumps. But then it claims to see people from the front, and sees no face:
+next, no limb jumps. But then it shows a person from the front, of whom no face was found:
 
 2. ``g_k = -log(1 - p c_k)``            of a frame without a face, otherwise 0
 

@@ -126,6 +126,11 @@ class Skin:
         """
         return self._shares(*self._nearest(points, self.options.neighbours + 1))
 
+    def beneath_points(self, points: Tensor, on_body: Tensor) -> Tensor:
+        """Return means (N, C) of the body's values (V, C) beneath the vertices around points."""
+        shares, vertices = self.around(points)
+        return (shares[..., None] * on_body[self.beneath[vertices]]).sum(1)
+
     def _nearest(self, points: Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return distances and numbers (N, k) of up to ``count`` vertices nearest to points."""
         from scipy.spatial import cKDTree

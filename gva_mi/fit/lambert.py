@@ -51,9 +51,7 @@ class Lambert(nn.Module):
 
     def follow(self, avatar: Avatar) -> None:
         """Take the normals beside the Gaussians where they are now."""
-        skin = avatar.skin
-        shares, vertices = skin.around(avatar.canonical.means)
-        normals = (shares[..., None] * self._on_body[skin.beneath[vertices]]).sum(1)
+        normals = avatar.skin.beneath_points(avatar.canonical.means, self._on_body)
         self.normals = torch.nn.functional.normalize(normals, dim=1)
 
     def forward(self, sh: Tensor) -> Tensor:

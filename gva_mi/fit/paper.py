@@ -25,6 +25,7 @@ AVATAR = AvatarOptions(
 FIT = FitOptions(
     naked=True,
     min_scale=0.0,
+    complete=False,
     avatar=AVATAR,
     rates=RATES,
     reinit=REINIT,

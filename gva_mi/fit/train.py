@@ -11,6 +11,8 @@ Each step uses one training frame of the video:
    decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again; hold those of fingers and armpits
+
+In the end, what no frame shows takes other colours (:mod:`gva_mi.fit.completion`).
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ from gva_mi.data.video import Video
 from gva_mi.fit import checkpoint, run_folder
 from gva_mi.fit.adam import lower_rate_of_means, make_adam
 from gva_mi.fit.colors import seen_colors
+from gva_mi.fit.completion import complete_colors
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions
@@ -55,6 +58,7 @@ from gva_mi.splat import Screen, render
 
 # Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
 HOLD_EVERY, HOLD_BODY_EVERY = 10, 100
+SEEN = 32  # training frames, at most, that say in the end what the video shows
 
 
 def fit(
@@ -114,7 +118,7 @@ def fit(
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 checkpoint.save_state(out, run.state())
-        run.finish()
+        run.finish(samples)
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
@@ -136,7 +140,7 @@ def _after_first_fit(
     """Return the video under the poses that a first fit trains, in a folder of the run."""
     first, steps = out / run_folder.FIRST, options.first_steps
     report = part_of_progress(progress, 0, steps, options.all_steps)
-    alone = replace(options, steps=steps, first_steps=0)
+    alone = replace(options, steps=steps, first_steps=0, complete=False)
     fit(video, body, alone, first, offsets=offsets, resume=True, progress=report, samples=samples)
     return replace(video, pose=load_poses(first / run_folder.TRAINED_POSES)[0], stage=2)
 
@@ -259,8 +263,11 @@ class Run:
         return sh if self.lambert is None else self.lambert(sh)
 
     @torch.no_grad()
-    def finish(self) -> None:
+    def finish(self, samples: FrameSampler) -> None:
         """Give the avatar its colours, and clamp the scales that the last step split."""
+        if self.options.complete:
+            seen = (samples[k] for k in range(min(SEEN, len(samples))))
+            complete_colors(self.avatar, seen, self.poses)
         self.avatar.canonical.sh.copy_(self.colors())
         self.clamp_scales()
 

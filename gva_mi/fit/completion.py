@@ -1,0 +1,138 @@
+"""Colours of what no frame shows, once a fit is over.
+
+A frame teaches a Gaussian as much as the frame shows of it, in pixels, and less at a grazing angle:
+
+    1. w_i = mean over frames of  max(0, (s - n_i · d_i) / (s + 1))² Σ_p T_ip α_ip
+
+with the normal n of the body beside it, the direction d from the camera to it, and its share T α of
+pixel p of the mask (Eq. 1-3). A fit changes what it hardly sees at random. So in the end colours c,
+and their changes with the light, replace those of the fit, f, by the solution of
+
+    2. w_i (c_i - f_i) = λ Σ_j a_ij (c_j - c_i)
+
+What frames show keeps its colour. The rest takes that of the j that face the same way
+
+* around i,
+* at the place of i in a mirror: people are alike on the left and on the right,
+* before or behind i: a shirt is red all around, and trousers end at one height. Not of the head.
+
+So the far arm of somebody who only walks past is that of the near one, and the back of somebody who
+never turns has the colours of the front. Eq. 2 is that of :mod:`gva_mi.fit.colors`, for Gaussians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.held import head_weights
+from gva_mi.body.pose import Pose
+from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.samples import Sample
+from gva_mi.mesh.surface import vertex_normals
+from gva_mi.splat import Camera, render
+from gva_mi.splat.kernels.sh import C0
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+SMOOTH = 0.005  # λ, pixels
+AROUND, OPPOSITE = 8, 3  # neighbours j of each kind
+AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
+MIRROR, TURNED = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
+LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
+RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
+NEVER = 1e-7  # pixels: far less than any frame that shows a Gaussian
+
+
+@torch.no_grad()
+def complete_colors(
+    avatar: Avatar, samples: Iterable[Sample], poses: Callable[[int], Pose]
+) -> None:
+    """Replace the colours of an avatar by the solution of eq. 2.
+
+    Args:
+        avatar: whose ``canonical.sh`` (N, K, 3) changes.
+        samples: training frames that eq. 1 is the mean of.
+        poses: of each frame, by its number.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    G, rig = avatar.canonical, avatar.rig
+    on_body = vertex_normals(rig.vertices, rig.faces)
+    normals = normalize(avatar.skin.beneath_points(G.means, on_body), dim=1)
+    shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in samples])
+    w = shown.mean(0).double().numpy() + NEVER
+    from_pelvis = (G.means - rig.joints[0]).double().numpy()
+    head = (head_weights(G.weights) > 0.5).numpy()
+    a = neighbours(from_pelvis, normals.double().numpy(), head)
+    system = diags_array(w + SMOOTH * a.sum(1)) - SMOOTH * a
+    found = splu(system.tocsc()).solve(w[:, None] * G.sh.flatten(1).double().numpy())
+    G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
+
+
+def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tensor:
+    """Return what one frame shows of each Gaussian (N,), pixels, weighted by its angle (eq. 1)."""
+    G = avatar.canonical
+    with torch.enable_grad():  # a picture's derivative by a Gaussian's colour is Σ T α
+        sh = torch.zeros_like(G.sh, requires_grad=True)
+        gaussians = avatar.animate(pose, sh).gaussians
+        target = sample.target(gaussians)
+        image = render(gaussians, target.camera, DRAWN)
+        total = (image.color * target.composite()[2][..., None]).sum()
+        (by_sh,) = torch.autograd.grad(total, sh)
+    T_world_rest = avatar.posed_skeleton(pose).T_world_rest
+    A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5
+    turned = (A.view(-1, 3, 3) * normals[:, None]).sum(2)
+    angle = facing(turned, gaussians.means, sample.camera)
+    return by_sh[:, 0].mean(1) / C0 * angle
+
+
+def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
+    """Return max(0, (s - n · d) / (s + 1))² (N,) of normals (N, 3) at places (N, 3), metres."""
+    T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
+    ahead = places + T[:3, :3].T @ T[:3, 3]
+    away = (normalize(normals, dim=1) * normalize(ahead, dim=1)).sum(1)
+    return ((RIM - away) / (RIM + 1)).clamp_min(0).square()
+
+
+def neighbours(points: np.ndarray, normals: np.ndarray, head: np.ndarray) -> csr_array:
+    """Return a (N, N) of eq. 2, symmetric, of points and unit normals (N, 3) at rest.
+
+    The origin lies between left and right, x points from one to the other, and z ahead. ``head``
+    (N,) bool are points whose front tells nothing of their back.
+    """
+    from scipy.spatial import cKDTree
+
+    N, tree = len(points), cKDTree(points)
+    alike = lambda n, j: np.maximum(np.einsum("ik,ijk->ij", n, normals[j]), LEAST)
+    near = lambda distance: np.exp(-((distance / AWAY) ** 2))
+    around = tree.query(points, k=min(AROUND + 1, N))[1][:, 1:]
+    distance, across = tree.query(points * MIRROR, k=min(OPPOSITE, N))
+    found = _symmetric(around, alike(normals, around))
+    found += _symmetric(across, near(distance) * alike(normals * MIRROR, across))
+    through, weights = np.zeros((N, OPPOSITE), np.int64), np.zeros((N, OPPOSITE))
+    sides = [np.flatnonzero(~head & (sign * normals[:, 2] > 0)) for sign in (1, -1)]
+    if min(map(len, sides)) >= OPPOSITE:
+        for these, those in (sides, sides[::-1]):
+            seen_along_z = cKDTree(points[those, :2])
+            distance, j = seen_along_z.query(points[these, :2], k=OPPOSITE)
+            through[these] = those[j]
+            weights[these] = near(distance) * alike(normals[these] * TURNED, those[j])
+    return found + _symmetric(through, weights)
+
+
+def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
+    """Return the mean of a matrix (N, N), of values (N, K) in some columns, and its transpose."""
+    from scipy.sparse import csr_array
+
+    N, K = columns.shape
+    a = csr_array((values.ravel(), columns.ravel(), np.arange(0, N * K + 1, K)), shape=(N, N))
+    return (a + a.T) / 2

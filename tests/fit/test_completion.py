@@ -1,0 +1,88 @@
+"""Colours of what no frame shows come from around it, and from the other half of the body."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from samples.subjects import write_subject
+from torch.nn.functional import normalize
+
+from gva_mi.avatar.held import head_weights
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.data.video import load_video
+from gva_mi.fit.completion import AWAY, RIM, complete_colors, facing, neighbours
+from gva_mi.fit.samples import FrameSampler
+from gva_mi.mesh.surface import vertex_normals
+
+NOISE = 2.0  # of colours that no frame shows
+
+
+@pytest.fixture(scope="module")
+def alike(known):
+    """An avatar with the same colours on the left and on the right, and its normals at rest."""
+    avatar = copy.deepcopy(known)
+    x, rig = avatar.canonical.means.detach(), avatar.rig
+    with torch.no_grad():
+        avatar.canonical.sh[:, 0] = torch.sin(
+            torch.stack([9 * x[:, 0].abs(), 11 * x[:, 1], 7 * x[:, 2]], dim=1)
+        )
+    on_body = vertex_normals(rig.vertices, rig.faces)
+    return avatar, normalize(avatar.skin.beneath_points(x, on_body), dim=1)
+
+
+def completed(avatar, hidden, turn, camera, folder):
+    """Colours (N, 3) after completion by one frame; before it, those of ``hidden`` are noise."""
+    rotations = torch.zeros(1, 55, 3)
+    rotations[:, 0, 1] = turn
+    pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+    video = load_video(write_subject(folder, avatar, camera, pose, Shape(torch.zeros(10))))
+    found, generator = copy.deepcopy(avatar), torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        drawn = torch.randn(int(hidden.sum()), 3, generator=generator)
+        found.canonical.sh[hidden, 0] = NOISE * drawn
+    complete_colors(found, [FrameSampler(video, [0], 0, 16, 0.0)[0]], lambda frame: pose)
+    return found.canonical.sh.detach()[:, 0]
+
+
+def test_what_frames_show_stays_and_the_rest_has_the_colors_around_it(alike, camera, tmp_path):
+    avatar, n = alike
+    colors = completed(avatar, n[:, 2] < -0.6, 0.0, camera, tmp_path)
+    shown, back = n[:, 2] > 0.8, (n[:, 2] < -0.6).numpy()
+    assert (colors - avatar.canonical.sh[:, 0])[shown].abs().median() < 0.02
+    head = head_weights(avatar.canonical.weights).numpy() > 0.5
+    from_pelvis = (avatar.canonical.means.detach() - avatar.rig.joints[0]).double().numpy()
+    a = neighbours(from_pelvis, n.double().numpy(), head)
+    means = a @ colors.double().numpy() / a.sum(1)[:, None]
+    assert np.abs(means - colors.numpy())[back].max() < 1e-3
+    assert colors[back].abs().max() < 1.1  # of the noise, nothing is left
+
+
+@pytest.mark.parametrize(
+    ("turn", "away", "channels"),
+    [
+        pytest.param(torch.pi / 2, (1.0, 0.0, 0.0), [0, 1, 2], id="a mirror"),
+        pytest.param(0.0, (0.0, 0.0, -1.0), [1], id="the front at its height"),
+    ],
+)
+def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
+    turn, away, channels, alike, camera, tmp_path, monkeypatch
+):
+    avatar, n = alike
+    true, away = avatar.canonical.sh.detach()[:, 0], n @ torch.tensor(away)
+    there = (away > 0.7) & (avatar.canonical.means[:, 1] < -0.3)  # of the legs
+    error = []
+    for reach in (AWAY, 1e-9):  # with and without the other side
+        monkeypatch.setattr("gva_mi.fit.completion.AWAY", reach)
+        colors = completed(avatar, away > 0.6, turn, camera, tmp_path)
+        error.append(float((colors - true)[there][:, channels].abs().mean()))
+    assert error[0] < 0.7 * error[1]
+
+
+def test_a_surface_counts_by_the_square_of_the_cosine_to_the_camera(camera):
+    ahead = torch.tensor(camera.T_camera_world[2, :3]).float()
+    eye = -torch.tensor(camera.T_camera_world[:3, :3].T @ camera.T_camera_world[:3, 3]).float()
+    place = (eye + 2 * ahead)[None]
+    tilted = normalize(torch.tensor([[3.0**0.5, 0, 0]]) - ahead, dim=1)
+    found = [float(facing(normal, place, camera)) for normal in (-ahead[None], tilted, ahead[None])]
+    assert found == pytest.approx([1, ((RIM + 0.5) / (RIM + 1)) ** 2, 0], abs=1e-5)

@@ -42,13 +42,13 @@ from gva_mi.splat.kernels.sh import C0
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-SMOOTH = 0.005  # λ, pixels
+SMOOTH = 0.005  # λ, as a share of the mean of w
 AROUND, OPPOSITE = 8, 3  # neighbours j of each kind
 AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
 MIRROR, TURNED = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
 LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
 RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
-NEVER = 1e-7  # pixels: far less than any frame that shows a Gaussian
+NEVER = 1e-7  # pixels: far less than any frame shows of a Gaussian
 
 
 @torch.no_grad()
@@ -73,7 +73,8 @@ def complete_colors(
     from_pelvis = (G.means - rig.joints[0]).double().numpy()
     head = (head_weights(G.weights) > 0.5).numpy()
     a = neighbours(from_pelvis, normals.double().numpy(), head)
-    system = diags_array(w + SMOOTH * a.sum(1)) - SMOOTH * a
+    a *= SMOOTH * w.mean()
+    system = diags_array(w + a.sum(1)) - a
     found = splu(system.tocsc()).solve(w[:, None] * G.sh.flatten(1).double().numpy())
     G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
 

@@ -106,7 +106,7 @@ class FitOptions:
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
     # In the end, what no frame shows takes the colours around it and of the body's other side.
-    complete: bool = True
+    complete: bool = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
@@ -128,6 +128,7 @@ class FitOptions:
         (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
         Hands keep their turn at the wrist: training leaves it farther off than the refinement does.
+        What no frame shows is completed: many people do not turn all the way round.
         Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error
@@ -136,6 +137,7 @@ class FitOptions:
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
             mask_error=self.mask_error if chosen else FILM_MASK_ERROR,
             still_camera=True,
+            complete=True,
             poses=replace(self.poses, wrists=False),
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or FILM_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or FILM_ALPHA),

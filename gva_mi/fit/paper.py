@@ -25,7 +25,6 @@ AVATAR = AvatarOptions(
 FIT = FitOptions(
     naked=True,
     min_scale=0.0,
-    complete=False,
     avatar=AVATAR,
     rates=RATES,
     reinit=REINIT,

@@ -85,7 +85,7 @@ CHANGES: tuple[tuple[str, tuple[str, ...]], ...] = (  # name, and the options th
     ("+ offset surface", ("reinit",)),
     ("+ smooth weights", ("avatar.skinning",)),
     ("+ stretching", ("avatar.stretch",)),
-    ("+ colour by light", ("avatar.color", "complete")),
+    ("+ colour by light", ("avatar.color",)),
     ("+ our rates", ("rates", "min_scale")),
 )  # and without the residual, it is "full"
 LADDER = tuple(

@@ -84,6 +84,7 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
     assert (dressed.weights >= 0).all()
 
 
+@pytest.mark.slow
 def test_loose_strands_follow_the_hair_and_change_nothing_else(body, dressed):
     hairy = draw_subject(body, person(body, 1), loose_strands=True)
     vertices, faces = len(dressed.vertices), len(dressed.faces)

@@ -293,7 +293,7 @@ def test_moving_the_sensor(scenes, kind, space):
     assert not any(dr.grad_enabled(value) for _, value in scene_parameters)
 
 
-@pytest.mark.parametrize("name", ["tent", "lanczos"])
+@pytest.mark.parametrize("name", ["tent", pytest.param("lanczos", marks=pytest.mark.slow)])
 def test_reconstruction_filters(scenes, integrator, name):
     """The image is Mitsuba's own, and the gradient that of differences."""
     scene, parameters, parts = scenes.load("torus")

@@ -12,7 +12,7 @@ Each step uses one training frame of the video:
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again; hold those of fingers and armpits
 
-In the end, what no frame shows takes other colours (:mod:`gva_mi.fit.completion`).
+With ``complete``, what no frame shows takes other colours then (:mod:`gva_mi.fit.completion`).
 """
 
 from __future__ import annotations

@@ -139,10 +139,10 @@ def test_without_any_background_a_render_stands_before_the_picture(video, monkey
 def test_options_for_a_film_keep_what_was_chosen():
     usual = FitOptions(steps=9).of_film()
     chosen = FitOptions(
-        steps=9, first_steps=2, mask_error=0.02, still_camera=True, rates=Rates(sh_decay=0.1),
-        loss=LossOptions(alpha=0.3), poses=PoseOptions(wrists=False),
+        steps=9, first_steps=2, mask_error=0.02, still_camera=True, complete=True,
+        rates=Rates(sh_decay=0.1), loss=LossOptions(alpha=0.3), poses=PoseOptions(wrists=False),
     )  # fmt: skip
-    assert not usual.poses.wrists
+    assert usual.complete and not usual.poses.wrists
     assert (usual.first_steps, usual.mask_error, usual.still_camera) == (4, 0.003, True)
     assert (usual.rates.sh_decay, usual.loss.alpha) == (0.01, 0.05)
     assert chosen.of_film() == chosen

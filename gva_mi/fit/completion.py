@@ -22,7 +22,7 @@ never turns has the colours of the front. Eq. 2 is that of :mod:`gva_mi.fit.colo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +34,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.held import head_weights
 from gva_mi.body.pose import Pose
 from gva_mi.fit.renders import DRAWN
-from gva_mi.fit.samples import Sample
+from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera, render
 from gva_mi.splat.kernels.sh import C0
@@ -42,24 +42,24 @@ from gva_mi.splat.kernels.sh import C0
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+SEEN = 32  # frames, at most, that eq. 1 is the mean of
 SMOOTH = 0.005  # λ, as a share of the mean of w
 AROUND, OPPOSITE = 8, 3  # neighbours j of each kind
 AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
-MIRROR, TURNED = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
+# What turns left into right, and front into back.
+LEFT_RIGHT, FRONT_BACK = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
 LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
 RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
 NEVER = 1e-7  # pixels: far less than any frame shows of a Gaussian
 
 
 @torch.no_grad()
-def complete_colors(
-    avatar: Avatar, samples: Iterable[Sample], poses: Callable[[int], Pose]
-) -> None:
+def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int], Pose]) -> None:
     """Replace the colours of an avatar by the solution of eq. 2.
 
     Args:
         avatar: whose ``canonical.sh`` (N, K, 3) changes.
-        samples: training frames that eq. 1 is the mean of.
+        samples: of the training frames.
         poses: of each frame, by its number.
     """
     from scipy.sparse import diags_array
@@ -68,7 +68,8 @@ def complete_colors(
     G, rig = avatar.canonical, avatar.rig
     on_body = vertex_normals(rig.vertices, rig.faces)
     normals = normalize(avatar.skin.beneath_points(G.means, on_body), dim=1)
-    shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in samples])
+    some = [samples[k] for k in range(min(SEEN, len(samples)))]
+    shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in some])
     w = shown.mean(0).double().numpy() + NEVER
     from_pelvis = (G.means - rig.joints[0]).double().numpy()
     head = (head_weights(G.weights) > 0.5).numpy()
@@ -110,24 +111,50 @@ def neighbours(points: np.ndarray, normals: np.ndarray, head: np.ndarray) -> csr
     The origin lies between left and right, x points from one to the other, and z ahead. ``head``
     (N,) bool are points whose front tells nothing of their back.
     """
+    front_and_back = _front_and_back(points, normals, head)
+    return _around(points, normals) + _mirrored(points, normals) + front_and_back
+
+
+def _around(points: np.ndarray, normals: np.ndarray) -> csr_array:
+    """Return the weights of the nearest points."""
     from scipy.spatial import cKDTree
 
-    N, tree = len(points), cKDTree(points)
-    alike = lambda n, j: np.maximum(np.einsum("ik,ijk->ij", n, normals[j]), LEAST)
-    near = lambda distance: np.exp(-((distance / AWAY) ** 2))
-    around = tree.query(points, k=min(AROUND + 1, N))[1][:, 1:]
-    distance, across = tree.query(points * MIRROR, k=min(OPPOSITE, N))
-    found = _symmetric(around, alike(normals, around))
-    found += _symmetric(across, near(distance) * alike(normals * MIRROR, across))
-    through, weights = np.zeros((N, OPPOSITE), np.int64), np.zeros((N, OPPOSITE))
-    sides = [np.flatnonzero(~head & (sign * normals[:, 2] > 0)) for sign in (1, -1)]
-    if min(map(len, sides)) >= OPPOSITE:
-        for these, those in (sides, sides[::-1]):
-            seen_along_z = cKDTree(points[those, :2])
-            distance, j = seen_along_z.query(points[these, :2], k=OPPOSITE)
-            through[these] = those[j]
-            weights[these] = near(distance) * alike(normals[these] * TURNED, those[j])
-    return found + _symmetric(through, weights)
+    nearest = cKDTree(points).query(points, k=min(AROUND + 1, len(points)))[1][:, 1:]
+    return _symmetric(nearest, _alike(normals, normals[nearest]))
+
+
+def _mirrored(points: np.ndarray, normals: np.ndarray) -> csr_array:
+    """Return the weights of points at the mirrored place."""
+    from scipy.spatial import cKDTree
+
+    distance, there = cKDTree(points).query(points * LEFT_RIGHT, k=min(OPPOSITE, len(points)))
+    return _symmetric(there, _near(distance) * _alike(normals * LEFT_RIGHT, normals[there]))
+
+
+def _front_and_back(points: np.ndarray, normals: np.ndarray, head: np.ndarray) -> csr_array:
+    """Return the weights of points at the same x and y that face the other way."""
+    from scipy.spatial import cKDTree
+
+    there = np.zeros((len(points), OPPOSITE), np.int64)
+    weights = np.zeros(there.shape)
+    front, back = (np.flatnonzero(~head & (z > 0)) for z in (normals[:, 2], -normals[:, 2]))
+    if min(len(front), len(back)) >= OPPOSITE:
+        for these, those in ((front, back), (back, front)):
+            distance, j = cKDTree(points[those, :2]).query(points[these, :2], k=OPPOSITE)
+            there[these] = those[j]
+            turned = normals[these] * FRONT_BACK
+            weights[these] = _near(distance) * _alike(turned, normals[those[j]])
+    return _symmetric(there, weights)
+
+
+def _near(distance: np.ndarray) -> np.ndarray:
+    """Return how much points count by their distance from the opposite place, metres."""
+    return np.exp(-((distance / AWAY) ** 2))
+
+
+def _alike(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return cosines (N, K), at least LEAST, between normals (N, 3) and others (N, K, 3)."""
+    return np.maximum(np.einsum("ik,ijk->ij", normals, others), LEAST)
 
 
 def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:

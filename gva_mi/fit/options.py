@@ -105,7 +105,7 @@ class FitOptions:
     # Steps between perceptual terms, which take longer than the render.
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
-    # When the fit is over, give what no frame shows the colours around and of the other side.
+    # In the end, what no frame shows takes colours around it and from the body's other side.
     complete: bool = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()

@@ -12,7 +12,8 @@ Each step uses one training frame of the video:
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again; hold those of fingers and armpits
 
-With ``complete``, what no frame shows takes other colours then (:mod:`gva_mi.fit.completion`).
+With ``complete``, what no frame shows takes other colours in the end
+(:mod:`gva_mi.fit.completion`).
 """
 
 from __future__ import annotations
@@ -58,7 +59,6 @@ from gva_mi.splat import Screen, render
 
 # Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
 HOLD_EVERY, HOLD_BODY_EVERY = 10, 100
-SEEN = 32  # training frames, at most, that say in the end what the video shows
 
 
 def fit(
@@ -266,8 +266,7 @@ class Run:
     def finish(self, samples: FrameSampler) -> None:
         """Give the avatar its colours, and clamp the scales that the last step split."""
         if self.options.complete:
-            seen = (samples[k] for k in range(min(SEEN, len(samples))))
-            complete_colors(self.avatar, seen, self.poses)
+            complete_colors(self.avatar, samples, self.poses)
         self.avatar.canonical.sh.copy_(self.colors())
         self.clamp_scales()
 

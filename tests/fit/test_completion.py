@@ -1,4 +1,4 @@
-"""Colours of what no frame shows come from around it, and from the other half of the body."""
+"""Colours of what no frame shows come from around it, and from the other side of the body."""
 
 import copy
 
@@ -41,7 +41,7 @@ def completed(avatar, hidden, turn, camera, folder):
     with torch.no_grad():
         drawn = torch.randn(int(hidden.sum()), 3, generator=generator)
         found.canonical.sh[hidden, 0] = NOISE * drawn
-    complete_colors(found, [FrameSampler(video, [0], 0, 16, 0.0)[0]], lambda frame: pose)
+    complete_colors(found, FrameSampler(video, [0], 0, 16, 0.0), lambda frame: pose)
     return found.canonical.sh.detach()[:, 0]
 
 
@@ -79,7 +79,7 @@ def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
     assert error[0] < 0.7 * error[1]
 
 
-def test_a_surface_counts_by_the_square_of_the_cosine_to_the_camera(camera):
+def test_what_faces_the_camera_counts_fully_and_what_faces_away_not_at_all(camera):
     ahead = torch.tensor(camera.T_camera_world[2, :3]).float()
     eye = -torch.tensor(camera.T_camera_world[:3, :3].T @ camera.T_camera_world[:3, 3]).float()
     place = (eye + 2 * ahead)[None]

@@ -41,7 +41,7 @@ FINGER = 0.5
 RELAXED = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent
 CURL = {1: 0.25, 2: 0.4, 3: 0.27}  # of a finger's joints, radians
 BETA = 0.35  # standard deviation of betas: landmarks know lengths, not girths
-HEIGHT, HEIGHT_KNOWN = (1.70, 0.09), 0.005  # metres
+HEIGHT, AS_TALL = 1.70, 0.005  # of an unknown person, and its standard deviation; metres
 CAMERA_KNOWN, CAMERA_ANYWHERE = 0.02, 10.0  # of the camera's height, metres
 UNLIKE = 0.3  # of the offset of a landmark, the share in which left and right differ
 FOCAL = 0.15  # of its logarithm
@@ -147,7 +147,7 @@ class SharedPrior:
         always: (Q,) of habits, radians.
         betas: (B,) the mean person of the given height.
         stature: of the body.
-        height: and its standard deviation, metres.
+        height: of the person, metres.
         focal: standard deviation of the focal length's logarithm.
         lines: the direction up, as the room's lines show it with the first focal length.
         camera_height: above the floor, metres; None: unknown.
@@ -159,7 +159,7 @@ class SharedPrior:
     always: Tensor
     betas: Tensor
     stature: Stature
-    height: tuple[float, float]
+    height: float
     focal: float
     lines: Vertical | None
     camera_height: float | None
@@ -219,7 +219,7 @@ class SharedPrior:
         """Return how much too tall the person is, its slope (B,), and its standard deviation."""
         slope = self.stature.slope.double()[: self.free.betas]
         height = self.stature.mean + slope @ state.betas[: len(slope)]
-        return height - self.height[0], slope, self.height[1]
+        return height - self.height, slope, AS_TALL
 
     def energy(self, state: FilmState) -> Tensor:
         """Return (3) and (4), nats."""

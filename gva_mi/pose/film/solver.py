@@ -33,7 +33,6 @@ from gva_mi.pose.film.arm_depths import with_arm_depths
 from gva_mi.pose.film.body_prior import (
     FOCAL,
     HEIGHT,
-    HEIGHT_KNOWN,
     BodyPrior,
     SharedPrior,
     habits_of,
@@ -75,8 +74,9 @@ class KnownOfFilm:
     """What is known of a film beforehand; None: unknown.
 
     Attributes:
-        height: of the person, metres; without it a prior of people's heights, which leaves size and
-            distance uncertain by 5 %.
+        height: of the person, metres; without it that of an average one, so size and distance are
+            uncertain by 5 %. It is not found: depths that networks take for smaller than they are
+            would shrink the person.
         focal: focal length, pixels; without it a prior around the main cameras of phones.
         centre: principal point, pixels; without it the middle of the picture.
         lines: the direction up by lines of the room, for that focal length or for :data:`LENS`.
@@ -178,7 +178,7 @@ class _Film:
         rotations[:, 0] = so3.to_rotvec(first_root(self.landmarks))
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
         up = zero(2)
-        floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT[0])
+        floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT)
         habits = zero(len(self.anatomy.freedoms))
         offsets = zero(len(self.rig.names), 3)
         return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
@@ -186,7 +186,7 @@ class _Film:
     def mean_shape(self) -> Shape:
         """Return the mean person of the given height."""
         mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
-        return Stature.of(self.body).nearest(mean, self.known.height or HEIGHT[0])
+        return Stature.of(self.body).nearest(mean, self.known.height or HEIGHT)
 
     def body_problem(self, state: FilmState, starting: bool = False) -> FilmProblem:
         """Return the problem of body and palms; the starting one has no shared unknowns."""
@@ -235,7 +235,7 @@ class _Film:
             torch.deg2rad(always),
             self.mean_shape().betas.double(),
             Stature.of(self.body),
-            (known.height, HEIGHT_KNOWN) if known.height else HEIGHT,
+            known.height or HEIGHT,
             FOCAL_KNOWN if known.focal else FOCAL,
             known.lines,
             known.camera_height,

@@ -232,12 +232,20 @@ def test_the_order_of_names_does_not_matter_nor_do_unknown_ones(found, known_fil
     assert torch.equal(again.pose.transl, found.pose.transl)
 
 
-def test_a_camera_and_a_height_that_are_not_given_are_found(known_film, built_in_body):
+def test_a_camera_that_is_not_given_is_found(known_film, built_in_body):
     found = solved(known_film, built_in_body, height=None, focal=None)
     assert found.tilt == pytest.approx(20, abs=5)
     assert found.camera.fx == pytest.approx(known_film.camera.fx, rel=0.12)
     lowest = built_in_body(found.pose, found.shape).vertices[..., 1].amin(1)
     assert lowest.abs().max() < 0.03
+
+
+@pytest.mark.parametrize("depth", [0.6, 1.3])
+def test_the_depths_of_a_network_do_not_tell_how_tall_a_person_is(known_film, built_in_body, depth):
+    metric = known_film.landmarks.metric * [1, 1, depth]
+    landmarks = replace(known_film.landmarks, metric=metric.astype(np.float32))
+    found = solved(known_film, built_in_body, landmarks, height=None)
+    assert float(Stature.of(built_in_body).height(found.shape)) == pytest.approx(1.70, abs=0.02)
 
 
 def test_lines_and_the_height_of_the_camera_say_which_way_is_up(known_film, built_in_body):

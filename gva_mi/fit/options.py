@@ -105,7 +105,8 @@ class FitOptions:
     # Steps between perceptual terms, which take longer than the render.
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
-    # In the end, what no frame shows takes colours around it and from the body's other side.
+    # The person may never turn round: nothing moves along the line of sight by noise, and in the
+    # end what no frame shows takes colours around it and from the body's other side.
     complete: bool = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
@@ -128,7 +129,7 @@ class FitOptions:
         (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
         Hands keep their turn at the wrist: training leaves it farther off than the refinement does.
-        What no frame shows is completed: many people do not turn all the way round.
+        Many people do not turn all the way round: what no frame shows is completed.
         Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error

@@ -173,7 +173,9 @@ class Run:
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
         self.held = Held(rig) if options.reinit.surface == "offset" else None
-        self.optimizer = make_adam(self.avatar, self.lambert, options.rates)
+        self.optimizer = make_adam(
+            self.avatar, self.lambert, options.rates, one_sided=options.complete
+        )
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:

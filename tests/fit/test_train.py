@@ -116,11 +116,13 @@ def test_the_naked_option_ignores_offsets(video, body, tmp_path):
     assert not same(naked, fit(video, body, one, tmp_path / "displaced", offsets=offsets))
 
 
+@pytest.mark.parametrize("one_sided", [False, True])
 @pytest.mark.parametrize(("name", "plain"), [("means", 2e-4), ("sh", 6e-6)])
-def test_gaussians_that_only_noise_pulls_stay_as_they_are(known, name, plain):
+def test_gaussians_that_only_noise_pulls_stay_as_they_are(known, name, plain, one_sided):
     """Hidden Gaussians have a hundredth of the gradient of visible ones, and move by a fifth."""
     avatar = copy.deepcopy(known)
-    optimizer, moving = make_adam(avatar, None, Rates()), getattr(avatar.canonical, name)
+    optimizer = make_adam(avatar, None, Rates(), one_sided)
+    moving = getattr(avatar.canonical, name)
     group = next(g for g in optimizer.param_groups if g["name"] == name)
     start = moving.detach().clone()
     for _ in range(20):
@@ -130,6 +132,49 @@ def test_gaussians_that_only_noise_pulls_stay_as_they_are(known, name, plain):
         optimizer.step()
     moved = (moving - start).detach().abs()
     assert moved[1::2].min() > 0.9 * 20e-3 and moved[::2].max() < 0.2 * 20e-3
+
+
+def test_adam_of_one_sided_people_moves_places_alike_in_all_axes(known):
+    """In turned axes it takes the turned steps; along an axis without a signal it hardly moves."""
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0)))[0]
+
+    def moved(axes, one_sided):
+        avatar, generator = copy.deepcopy(known), torch.Generator().manual_seed(1)
+        optimizer, means = make_adam(avatar, None, Rates(), one_sided), avatar.canonical.means
+        optimizer.param_groups[0]["lr"] = 1e-3
+        start = means.detach().clone()
+        for _ in range(20):
+            noise = 1e-5 * torch.randn(len(means), generator=generator)
+            means.grad = torch.stack([torch.full_like(noise, 4e-4), 0 * noise, noise], 1) @ axes
+            optimizer.step()
+        return (means - start).detach() @ axes.T
+
+    straight, turned = moved(torch.eye(3), True), moved(turn, True)
+    torch.testing.assert_close(straight, turned, atol=1e-6, rtol=0)
+    assert straight[:, 0].max() < -0.9 * 20e-3
+    assert straight[:, 2].abs().mean() < 0.1 * moved(torch.eye(3), False)[:, 2].abs().mean()
+
+
+def test_adam_of_one_sided_people_goes_on_from_its_state_to_the_bit(known):
+    def stepped(avatar, steps, state=None):
+        optimizer = make_adam(avatar, None, Rates(), one_sided=True)
+        if state:
+            optimizer.load_state_dict(state)
+        for k in steps:
+            generator = torch.Generator().manual_seed(k)
+            for x in avatar.canonical.parameters():
+                x.grad = 1e-5 * torch.randn(x.shape, generator=generator)
+            optimizer.param_groups[0]["lr"] = 1e-3
+            optimizer.step()
+        return copy.deepcopy(optimizer.state_dict())
+
+    whole, parts = copy.deepcopy(known), copy.deepcopy(known)
+    stepped(whole, range(6))
+    stepped(parts, range(3, 6), stepped(parts, range(3)))
+    for (name, x), y in zip(
+        whole.canonical.named_parameters(), parts.canonical.parameters(), strict=True
+    ):
+        assert torch.equal(x, y), name
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):

@@ -12,10 +12,10 @@ of the gradient of a Gaussian in plain view.
 
 A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
 one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
-for such people (``one_sided``) the D coordinates of a place, or of a rotation, share one v, as in
+for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
 VectorAdam (Ling, Sharp and Jacobson 2022):
 
-3. v <- β2 v + (1 - β2) |g|² / D
+3. v <- β2 v + (1 - β2) |g|²
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class VectorAdam(torch.optim.Adam):
         state["step"] += 1
         m, v, k = state["exp_avg"], state["exp_avg_sq"], int(state["step"])
         b1, b2 = group["betas"]
-        square = sum(coordinate.square() for coordinate in g.split(1, -1)) / g.shape[-1]
+        square = sum(coordinate.square() for coordinate in g.split(1, -1))
         m.mul_(b1).add_(g * (1 - b1))
         v.mul_(b2).add_(square * (1 - b2))
         root = (v / (1 - b2**k)).sqrt() + group["eps"]

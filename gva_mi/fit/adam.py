@@ -12,8 +12,8 @@ of the gradient of a Gaussian in plain view.
 
 A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
 one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
-for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
-VectorAdam (Ling, Sharp and Jacobson 2022):
+for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as those
+of joints do (:mod:`gva_mi.pose.optimizer`):
 
 3. v <- β2 v + (1 - β2) |g|²
 """
@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.core.same_bits import sqrt
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.options import Rates
 
@@ -50,11 +51,11 @@ def make_adam(
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
     if lambert is not None:
         groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
-    adam = VectorAdam if one_sided else torch.optim.Adam
+    adam = AdamOfVectors if one_sided else torch.optim.Adam
     return adam(groups, lr=0.0, eps=TINY, fused=True)
 
 
-class VectorAdam(torch.optim.Adam):
+class AdamOfVectors(torch.optim.Adam):
     """Adam with eq. 3 for the groups named in VECTORS, of one parameter (..., D) each."""
 
     @torch.no_grad()
@@ -72,7 +73,7 @@ class VectorAdam(torch.optim.Adam):
                 self._descend(x, g, group)
 
     def _descend(self, x: Tensor, g: Tensor, group: dict) -> None:
-        """Take a step of eq. 2 and 3. Bits do not depend on the CPU: nothing is fused."""
+        """Take a step of eq. 2 and 3."""
         state = self.state[x]
         if not state:
             state["step"] = torch.zeros(())
@@ -83,8 +84,7 @@ class VectorAdam(torch.optim.Adam):
         square = sum(coordinate.square() for coordinate in g.split(1, -1))
         m.mul_(b1).add_(g * (1 - b1))
         v.mul_(b2).add_(square * (1 - b2))
-        root = (v / (1 - b2**k)).sqrt() + group["eps"]
-        x -= m / root * (group["lr"] / (1 - b1**k))
+        x -= group["lr"] * (m / (1 - b1**k)) / (sqrt(v / (1 - b2**k)) + group["eps"])
 
 
 def lower_rate_of_means(adam: torch.optim.Adam, rates: Rates, done: float) -> None:

@@ -94,7 +94,7 @@ def test_lines_of_an_unknown_lens_tie_the_direction_up_to_it(built_in_body):
     free = Free([0], 4, True)
     lines = Vertical(np.array([0.02, -0.3]), np.array([0.01, 0.02]))
     stature = Stature.of(built_in_body)
-    prior = SharedPrior(free, (), z(0), z(0), z(4), stature, (1.7, 0.09), 0.15, lines, None)
+    prior = SharedPrior(free, (), z(0), z(0), z(4), stature, 1.7, 0.15, lines, None)
     start = FilmState(z(1, 55, 3), z(1, 3), z(4) + 0.1, z() + 0.2, z(2) - 0.1, z(), z(0, 3), z(0))
     equations = NormalEquations.zero(1, free.per_frame, free.shared)
     prior.add(start, equations)

@@ -12,8 +12,8 @@ of the gradient of a Gaussian in plain view.
 
 A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
 one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
-for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as those
-of joints do (:mod:`gva_mi.pose.optimizer`):
+for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
+the optimiser of poses (:mod:`gva_mi.pose.optimizer`):
 
 3. v <- β2 v + (1 - β2) |g|²
 """
@@ -64,7 +64,7 @@ class AdamOfVectors(torch.optim.Adam):
         groups = [group for group in self.param_groups if group["name"] in VECTORS]
         gradients = [group["params"][0].grad for group in groups]
         for group in groups:
-            group["params"][0].grad = None  # which torch's step passes over
+            group["params"][0].grad = None  # torch's step leaves such parameters alone
         super().step()
         for group, g in zip(groups, gradients, strict=True):
             (x,) = group["params"]

@@ -105,8 +105,8 @@ class FitOptions:
     # Steps between perceptual terms, which take longer than the render.
     perceptual_every: FromOne = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
-    # The person may never turn round: nothing moves along the line of sight by noise, and in the
-    # end what no frame shows takes colours around it and from the body's other side.
+    # For a person who may never turn round: Gaussians do not wander along the line of sight, and in
+    # the end what no frame shows takes colours around it and from the body's other side.
     complete: bool = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()

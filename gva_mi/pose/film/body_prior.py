@@ -4,7 +4,7 @@
 2. Hinges bend about one axis and within a range (:mod:`gva_mi.pose.prior.anatomy`). The constant
    offsets of their angles are unknowns of the film, ``habits``.
 3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
-   are near the mean person's of the given height, which they keep.
+   are near the mean person's of the given height, or of an average one, which they keep.
 4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.vertical_lines`); without any, a
    phone is held nearly level, and looks down a little. The height of the camera above the floor may
    be known; with the size of the person it shows as well which way is up.
@@ -41,7 +41,8 @@ FINGER = 0.5
 RELAXED = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent
 CURL = {1: 0.25, 2: 0.4, 3: 0.27}  # of a finger's joints, radians
 BETA = 0.35  # standard deviation of betas: landmarks know lengths, not girths
-HEIGHT, AS_TALL = 1.70, 0.005  # of an unknown person, and its standard deviation; metres
+HEIGHT = 1.70  # of a person of unknown height, metres
+HEIGHT_SPREAD = 0.005  # standard deviation of the body's height about that, or about a given one
 CAMERA_KNOWN, CAMERA_ANYWHERE = 0.02, 10.0  # of the camera's height, metres
 UNLIKE = 0.3  # of the offset of a landmark, the share in which left and right differ
 FOCAL = 0.15  # of its logarithm
@@ -219,7 +220,7 @@ class SharedPrior:
         """Return how much too tall the person is, its slope (B,), and its standard deviation."""
         slope = self.stature.slope.double()[: self.free.betas]
         height = self.stature.mean + slope @ state.betas[: len(slope)]
-        return height - self.height, slope, AS_TALL
+        return height - self.height, slope, HEIGHT_SPREAD
 
     def energy(self, state: FilmState) -> Tensor:
         """Return (3) and (4), nats."""

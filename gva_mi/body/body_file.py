@@ -25,10 +25,12 @@ SMPL-X files with 400 directions or more hold 300 betas, then expressions (versi
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
+from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
 from gva_mi.core.errors import InputError
@@ -54,9 +56,20 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays of a body file, on SMPL-X's 55 joints, with the numbers of shape directions
     that are betas and expressions, ``num_betas`` and ``num_expressions``.
 
+    The built-in body is read and checked once: a program that works on many videos shares it.
+
     Raises:
         InputError: naming the file, the key, and the shape that was found.
     """
+    return dict(_built_in() if path == BUILT_IN_BODY else _read_and_check(path))
+
+
+@cache
+def _built_in() -> dict[str, np.ndarray]:
+    return _read_and_check(BUILT_IN_BODY)
+
+
+def _read_and_check(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(
             f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "

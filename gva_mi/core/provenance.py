@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import functools
 import hashlib
 import platform
@@ -25,24 +24,13 @@ def versions() -> dict[str, str]:
 
 @functools.cache
 def program_digest() -> str:
-    """Return a digest of this program's code, without comments, docstrings and layout."""
+    """Return a digest of this program's source files."""
     digest = hashlib.sha256()
     for package in ("gva_mi", "gva_mi_plugins"):
         for root in find_spec(package).submodule_search_locations:
             for file in sorted(Path(root).rglob("*.py")):
-                digest.update(code_of(file.read_text("utf-8")).encode())
+                digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def code_of(source: str) -> str:
-    """Return a text that is the same for sources with the same code."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list) and body and isinstance(body[0], ast.Expr):
-            if isinstance(body[0].value, ast.Constant):  # a docstring
-                body[0] = ast.Pass()
-    return ast.dump(tree).replace("Pass(), ", "").replace("Pass()", "")
 
 
 def hash_files(paths: Iterable[Path]) -> str:

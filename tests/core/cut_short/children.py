@@ -100,11 +100,9 @@ def run(task):
 
 def main():
     from gva_mi.cli import VERBS, load
-    from gva_mi.core.provenance import program_digest
 
     for verb in VERBS:
         load(verb)
-    program_digest()  # cached for all forks
     answers = os.fdopen(os.dup(1), "w")
     for line in sys.stdin:
         answers.write(json.dumps(run(json.loads(line))) + "\n")

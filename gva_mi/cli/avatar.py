@@ -59,8 +59,8 @@ class AvatarEffort:
     # Steps of the fit, before which half as many find better poses, unless it is a draft; without
     # it, by the quality.
     steps: FromOne | None = None
-    # Leave every 8th frame and a tenth of the film in one piece out of training, to measure the
-    # avatar there; no: all frames train it.
+    # Leave every 8th frame and a tenth of the film in one piece (of a long film fewer, at most 16
+    # each) out of training, to measure the avatar there; no: all frames train it.
     test_frames: bool = True
     seed: Seed = 0  # of the refinement and the fit
 

@@ -10,6 +10,7 @@ neighbours of any other test frame were seen in training.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Container, Iterable
 from dataclasses import asdict, dataclass, field
@@ -20,6 +21,7 @@ from gva_mi.core.files import read_json
 
 SPLITS = "splits.json"
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
+ENOUGH = 16  # test frames of a film, and as many in its range: more tell little, and cost time
 
 
 @dataclass(frozen=True)
@@ -45,15 +47,16 @@ class Splits:
     def of_film(frames: int) -> Splits:
         """Make every 8th frame a test frame, and a tenth of all a held-out range.
 
+        Of a long film fewer, at most 16 each.
+
         The range lies in the middle of the second half, where a person who turns once shows a side
         that the first half has shown.
         """
-        count = max(1, frames // 10)
+        count = min(max(1, frames // 10), ENOUGH)
         first = min(frames - count, 3 * frames // 4 - count // 2)
         held_out = range(first, first + count)
-        return Splits._of(
-            frames, {*range(TEST_EVERY // 2, frames, TEST_EVERY), *held_out}, held_out
-        )
+        step = max(TEST_EVERY, math.ceil(frames / ENOUGH))
+        return Splits._of(frames, {*range(step // 2, frames, step), *held_out}, held_out)
 
     @staticmethod
     def _of(frames: int, test: Collection[int], held_out: Iterable[int] = ()) -> Splits:

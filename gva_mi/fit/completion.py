@@ -8,13 +8,19 @@ with the normal n of the body beside it, the direction d from the camera to it, 
 pixel p of the mask (Eq. 1-3). A fit changes what it hardly sees at random. So in the end colours c,
 and their changes with the light, replace those of the fit, f, by the solution of
 
-    2. w_i (c_i - f_i) = λ Σ_j a_ij (c_j - c_i)
+    2. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
 
 What frames show keeps its colour. The rest takes that of the j that face the same way
 
 * around i,
 * at the place of i in a mirror: people are alike on the left and on the right,
-* before or behind i: a shirt is red all around, and trousers end at one height. Not of the head.
+* before or behind i, on arms and legs: trousers end at one height,
+
+and, where b_i is not zero, that of a guess h_i,
+
+* of the back of a head: as the highest part of it that frames show, hair or a hat,
+* of chest and back: the median of what frames show at that height. A shirt is red all around, but
+  its print is on one side.
 
 So the far arm of somebody who only walks past is that of the near one, and the back of somebody who
 never turns has the colours of the front. Eq. 2 is that of :mod:`gva_mi.fit.colors`, for Gaussians.
@@ -23,6 +29,7 @@ never turns has the colours of the front. Eq. 2 is that of :mod:`gva_mi.fit.colo
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +39,7 @@ from torch.nn.functional import normalize
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.held import head_weights
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.fit.renders import DRAWN
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import vertex_normals
@@ -44,13 +51,19 @@ if TYPE_CHECKING:
 
 SEEN = 32  # frames, at most, that eq. 1 is the mean of
 SMOOTH = 0.005  # λ, as a share of the mean of w
-AROUND, OPPOSITE = 8, 3  # neighbours j of each kind
+AROUND, OPPOSITE = 8, 3  # neighbours j of each kind; a guess counts as all those around
+TOP = 0.1  # share of what frames show of a head, by w: from the top down
+ROW, BESIDE = 0.01, 0.015  # metres: heights in rows, and how far above and below each one looks
 AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
 # What turns left into right, and front into back.
 LEFT_RIGHT, FRONT_BACK = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
 LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
 RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
 NEVER = 1e-7  # pixels: far less than any frame shows of a Gaussian
+HEAD = JOINTS.index("head")
+_TRUNK = [
+    JOINTS.index(k) for k in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")
+]
 
 
 @torch.no_grad()
@@ -71,12 +84,12 @@ def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int]
     some = [samples[k] for k in range(min(SEEN, len(samples)))]
     shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in some])
     w = shown.mean(0).double().numpy() + NEVER
-    from_pelvis = (G.means - rig.joints[0]).double().numpy()
-    head = (head_weights(G.weights) > 0.5).numpy()
-    a = neighbours(from_pelvis, normals.double().numpy(), head)
-    a *= SMOOTH * w.mean()
-    system = diags_array(w + a.sum(1)) - a
-    found = splu(system.tocsc()).solve(w[:, None] * G.sh.flatten(1).double().numpy())
+    f = G.sh.flatten(1).double().numpy()
+    places = Places.of(avatar, normals)
+    h, b = guesses(places, w, f)
+    a, b = (SMOOTH * w.mean() * x for x in (neighbours(places), b))
+    system = diags_array(w + b + a.sum(1)) - a
+    found = splu(system.tocsc()).solve(w[:, None] * f + b[:, None] * h)
     G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
 
 
@@ -105,13 +118,74 @@ def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
     return ((RIM - away) / (RIM + 1)).clamp_min(0).square()
 
 
-def neighbours(points: np.ndarray, normals: np.ndarray, head: np.ndarray) -> csr_array:
-    """Return a (N, N) of eq. 2, symmetric, of points and unit normals (N, 3) at rest.
+@dataclass(frozen=True)
+class Places:
+    """Where N Gaussians are on the body at rest, x to its left, y up and z ahead.
 
-    The origin lies between left and right, x points from one to the other, and z ahead. ``head``
-    (N,) bool are points whose front tells nothing of their back.
+    Attributes:
+        points: (N, 3) from the pelvis, metres.
+        normals: (N, 3) unit normals of the body beside them.
+        skull: (N,) bool, of the head above its joint, which is between the ears.
+        trunk: (N,) bool, from the hips to the collars.
+        limbs: (N,) bool, arms and legs.
     """
-    front_and_back = _front_and_back(points, normals, head)
+
+    points: np.ndarray
+    normals: np.ndarray
+    skull: np.ndarray
+    trunk: np.ndarray
+    limbs: np.ndarray
+
+    @staticmethod
+    @torch.no_grad()
+    def of(avatar: Avatar, normals: Tensor) -> Places:
+        """Find the places of an avatar's Gaussians; ``normals`` (N, 3) as above."""
+        G, joints = avatar.canonical, avatar.rig.joints
+        points = (G.means - joints[0]).double().numpy()
+        head = (head_weights(G.weights) > 0.5).numpy()
+        skull = head & (points[:, 1] > float((joints[HEAD] - joints[0])[1]))
+        trunk = ~head & (G.weights[:, _TRUNK].sum(1) > 0.5).numpy()
+        return Places(points, normals.double().numpy(), skull, trunk, ~head & ~trunk)
+
+
+def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return h (N, K) and b (N,) of eq. 2, of w (N,) and f (N, K).
+
+    A guess counts less if frames hardly show what it is of.
+    """
+    h, b, faint = f.copy(), np.zeros(len(w)), SMOOTH * w.mean()
+    height, ahead = places.points[:, 1], places.normals[:, 2]
+
+    def guess(of: np.ndarray, color: np.ndarray, source: np.ndarray, facing: np.ndarray) -> None:
+        shown = w[source].mean()
+        h[of], b[of] = color, AROUND * facing[of] * shown / (shown + faint)
+
+    if places.skull.any():
+        skull = np.flatnonzero(places.skull)
+        from_top = skull[np.argsort(-height[skull], kind="stable")]
+        shown = np.cumsum(w[from_top])
+        top = from_top[: 1 + np.searchsorted(shown, TOP * shown[-1])]
+        guess(skull, np.average(f[top], axis=0, weights=w[top]), top, (-ahead).clip(0))
+    row = np.floor(height / ROW)
+    for one in np.unique(row[places.trunk]):
+        beside = places.trunk & (np.abs(height - (one + 0.5) * ROW) < BESIDE)
+        median = weighted_median(f[beside], w[beside])
+        guess(places.trunk & (row == one), median, beside, np.abs(ahead))
+    return h, b
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the median of each column of values (n, K), whose rows count as weights (n,)."""
+    order = np.argsort(values, axis=0, kind="stable")
+    below = np.cumsum(weights[order], axis=0)
+    middle = (below < below[-1] / 2).sum(0)
+    return values[order[middle, range(len(middle))], range(len(middle))]
+
+
+def neighbours(places: Places) -> csr_array:
+    """Return a (N, N) of eq. 2, symmetric."""
+    points, normals = places.points, places.normals
+    front_and_back = _front_and_back(points, normals, places.limbs)
     return _around(points, normals) + _mirrored(points, normals) + front_and_back
 
 
@@ -131,13 +205,13 @@ def _mirrored(points: np.ndarray, normals: np.ndarray) -> csr_array:
     return _symmetric(there, _near(distance) * _alike(normals * LEFT_RIGHT, normals[there]))
 
 
-def _front_and_back(points: np.ndarray, normals: np.ndarray, head: np.ndarray) -> csr_array:
-    """Return the weights of points at the same x and y that face the other way."""
+def _front_and_back(points: np.ndarray, normals: np.ndarray, some: np.ndarray) -> csr_array:
+    """Return the weights, among some (N,) bool, of points at the same x and y that face away."""
     from scipy.spatial import cKDTree
 
     there = np.zeros((len(points), OPPOSITE), np.int64)
     weights = np.zeros(there.shape)
-    front, back = (np.flatnonzero(~head & (z > 0)) for z in (normals[:, 2], -normals[:, 2]))
+    front, back = (np.flatnonzero(some & (z > 0)) for z in (normals[:, 2], -normals[:, 2]))
     if min(len(front), len(back)) >= OPPOSITE:
         for these, those in ((front, back), (back, front)):
             distance, j = cKDTree(points[those, :2]).query(points[these, :2], k=OPPOSITE)

@@ -100,6 +100,14 @@ def test_splits_share_no_frame_and_lose_none():
         assert sorted(splits.train + splits.test) == list(range(count))
 
 
+@pytest.mark.parametrize("frames", [161, 300, 2000])
+def test_a_long_film_has_no_more_test_frames_than_are_worth_their_time(frames):
+    film = Splits.of_film(frames)
+    alone = sorted(set(film.test) - set(film.held_out_range))
+    assert len(film.held_out_range) == 16 and 13 <= len(alone) <= 16
+    assert max(np.diff(film.test)) <= frames / 16 + 1  # all over the film
+
+
 BAD = {
     "no subject": (lambda s: shutil.rmtree(s), "no such folder"),
     "no pictures": (lambda s: shutil.rmtree(s / "frames"), "neither frames"),

@@ -57,13 +57,13 @@ NOT_RUN = {
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
     "gva-mi study refine --held-out-set 20 --error-models film --out films": (
-        "renders and watches films: tests/study/test_filmed.py"
+        "an hour; tests/study/test_filmed.py renders and watches one film"
     ),
     "gva-mi study refine --cases limits --stage 1 --out limits": (
-        "renders and watches films: tests/study/test_filmed.py"
+        "an hour; tests/study/test_filmed.py renders and watches one film"
     ),
     "gva-mi study avatar --held-out-set 20 --error-models film --fit.steps 2000 --rows full "
-    "--out film-avatars": ("renders and watches films: tests/study/test_filmed.py"),
+    "--out film-avatars": ("an hour; tests/study/test_filmed.py renders and watches one film"),
     "gva-mi study multiview Demo_SinglePerson/videos --calibration "
     "Demo_SinglePerson/calibration/Calib_qualisys.toml --height 1.72": (
         "needs the films of Pose2Sim: tests/study/test_multiview.py"

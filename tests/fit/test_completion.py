@@ -8,10 +8,18 @@ import torch
 from samples.subjects import write_subject
 from torch.nn.functional import normalize
 
-from gva_mi.avatar.held import head_weights
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.data.video import load_video
-from gva_mi.fit.completion import AWAY, RIM, complete_colors, facing, neighbours
+from gva_mi.fit.completion import (
+    AWAY,
+    RIM,
+    Places,
+    complete_colors,
+    facing,
+    guesses,
+    neighbours,
+    weighted_median,
+)
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
 
@@ -50,12 +58,11 @@ def test_what_frames_show_stays_and_the_rest_has_the_colors_around_it(alike, cam
     colors = completed(avatar, n[:, 2] < -0.6, 0.0, camera, tmp_path)
     shown, back = n[:, 2] > 0.8, (n[:, 2] < -0.6).numpy()
     assert (colors - avatar.canonical.sh[:, 0])[shown].abs().median() < 0.02
-    head = head_weights(avatar.canonical.weights).numpy() > 0.5
-    from_pelvis = (avatar.canonical.means.detach() - avatar.rig.joints[0]).double().numpy()
-    a = neighbours(from_pelvis, n.double().numpy(), head)
+    places = Places.of(avatar, n)
+    a, back = neighbours(places), back & places.limbs
     means = a @ colors.double().numpy() / a.sum(1)[:, None]
     assert np.abs(means - colors.numpy())[back].max() < 1e-3
-    assert colors[back].abs().max() < 1.1  # of the noise, nothing is left
+    assert colors[n[:, 2] < -0.6].abs().max() < 1.1  # of the noise, nothing is left
 
 
 @pytest.mark.parametrize(
@@ -77,6 +84,32 @@ def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
         colors = completed(avatar, away > 0.6, turn, camera, tmp_path)
         error.append(float((colors - true)[there][:, channels].abs().mean()))
     assert error[0] < 0.7 * error[1]
+
+
+HAIR, SKIN, CLOTH, PRINT = np.eye(4)
+
+
+def test_a_back_that_no_frame_shows_has_hair_and_no_print(alike):
+    """The front of a head is hair above skin, that of the trunk a print on cloth."""
+    places = Places.of(*alike)
+    x, y = places.points[:, 0], places.points[:, 1]
+    head, front = ~places.trunk & ~places.limbs, places.normals[:, 2] > 0
+    hairline = np.quantile(y[places.skull & front], 0.8)
+    printed = places.trunk & (np.abs(x) < 0.05) & (np.abs(y - np.median(y[places.trunk])) < 0.1)
+    f = np.where(head[:, None], np.where(y[:, None] > hairline, HAIR, SKIN), CLOTH)
+    f[printed] = PRINT
+    h, b = guesses(places, np.where(front, 1.0, 1e-7), np.where(front[:, None], f, 9.0))
+    guessed = ~front & (b > 0.1)  # what no frame shows at any height is not
+    assert (places.skull & guessed).any() and (places.trunk & guessed & printed).any()
+    assert np.abs(h[places.skull & guessed] - HAIR).max() < 1e-4
+    assert (h[places.trunk & guessed] == CLOTH).all()
+    assert not b[places.limbs].any() and not b[head & front].any()
+
+
+def test_a_weighted_median_counts_rows_as_often_as_their_weights():
+    values, weights = np.random.default_rng(5).normal(size=(9, 3)), np.arange(9) % 4 + 1
+    often = np.median(np.repeat(values, weights, axis=0), axis=0)
+    assert sum(weights) == 21 and (weighted_median(values, weights) == often).all()
 
 
 def test_what_faces_the_camera_counts_fully_and_what_faces_away_not_at_all(camera):

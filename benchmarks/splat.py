@@ -30,8 +30,8 @@ STAGES = {  # a stage's name, and the function that is it
     "places of the pairs": (tiles.Lists, "places"),
     "sum and project, adjoint": (passes, "gaussians_adjoint"),
 }
-COUNTS = (1_000, 10_000, 100_000, 1_000_000)
-WIDTHS = (128, 256, 512, 1024, 2048)  # px, of square pictures
+COUNTS = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
+WIDTHS = (128, 256, 512, 1024, 2048, 4096)  # px, of square pictures
 SHARED = ((20_000, 512), (100_000, 512), (1_000_000, 1024))  # Gaussians and px, for more threads
 
 
@@ -160,7 +160,10 @@ def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
 
 
 def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
-    """Measure time and memory as the scene grows."""
+    """Measure time and memory as the scene grows.
+
+    A pair is a Gaussian and a tile of pixels that it reaches.
+    """
     scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
     scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
     scenes.append(("full HD", lambda: _wide(person(1_000_000, 1080), 1920)))
@@ -172,11 +175,30 @@ def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
         dr.detail.malloc_clear_statistics()
         work.both()
         memory = dr.detail.malloc_watermark(dr.JitBackend.LLVM) / 2**20
-        c, count = work.scene.camera, len(work.scene.gaussians)
+        c, count, pairs = work.scene.camera, len(work.scene.gaussians), _pairs(work)
         row = {"growth": name, "Gaussians": count, "pixels": f"{c.width}x{c.height}"}
-        figures = {"forward min ms": forward.minimum, "both min ms": both.minimum}
-        rows.append(row | figures | {"Dr.Jit's MiB": round(memory)})
+        row |= {"pairs": pairs, "forward min ms": forward.minimum, "both min ms": both.minimum}
+        row |= {"both ns a pair": 1e6 * both.minimum / max(1, pairs)}
+        row |= {"both ns a pixel": 1e6 * both.minimum / (c.width * c.height)}
+        rows.append(row | {"Dr.Jit's MiB": round(memory)})
     return Table("growth", rows)
+
+
+def _pairs(work: Work) -> int:
+    """Return how many pairs of a Gaussian and a tile a picture has."""
+    make, counts = tiles.make_lists, []
+
+    def counted(*args: object, **kwargs: object) -> tiles.Lists:
+        lists = make(*args, **kwargs)
+        counts.append(int(dr.sum(lists.counts)[0]))
+        return lists
+
+    try:
+        tiles.make_lists = counted
+        work.forward()
+    finally:
+        tiles.make_lists = make
+    return counts[0]
 
 
 def more_threads(person: Callable[[int, int], Scene], repeats: int) -> Table:

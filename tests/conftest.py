@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import sys
 
@@ -190,3 +191,19 @@ def video(subject):
     from gva_mi.data.video import load_video
 
     return load_video(subject)
+
+
+@pytest.fixture(scope="session")
+def doubled(subject, tmp_path_factory):
+    """The video whose pictures have each pixel four times."""
+    from gva_mi.data.cameras import CAMERAS, save_cameras
+    from gva_mi.data.pictures import read_image, write_image
+    from gva_mi.data.video import load_video
+
+    folder = shutil.copytree(subject, tmp_path_factory.mktemp("doubled") / "subject")
+    for part, channels in (("frames", 3), ("masks", 1)):
+        for file in (folder / part).glob("*.png"):
+            write_image(file, read_image(file, channels).repeat(2, 0).repeat(2, 1))
+    cameras = [c.resized(2 * c.width, 2 * c.height) for c in load_video(subject).cameras]
+    save_cameras(folder / CAMERAS, cameras)
+    return load_video(folder)

@@ -192,6 +192,15 @@ def person_extent(mask: np.ndarray, camera: Camera, points: np.ndarray, shown: s
     return mask_extent(mask).joined(points_extent(points, camera, shown))
 
 
+def block_means(image: np.ndarray, side: int) -> np.ndarray:
+    """Return the means (H // side, W // side, ...) of square blocks of an image (H, W, ...)."""
+    if side == 1:
+        return image
+    h, w = image.shape[0] // side, image.shape[1] // side
+    blocks = image[: h * side, : w * side].reshape(h, side, w, side, *image.shape[2:])
+    return blocks.mean((1, 3), dtype=np.float32)
+
+
 def gather(
     frames: Iterable[int],
     absent: Mapping[int, str],

@@ -16,6 +16,8 @@ from collections.abc import Collection, Container, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 
@@ -99,3 +101,10 @@ def load_splits(folder: Path, frames: int) -> Splits:
             reason = fault.format(wrong[0])
             raise InputError(f"{path}: {reason}; the video has frames 0 to {frames - 1}")
     return Splits(train, test, held_out)
+
+
+def spread(indices: Iterable[int], count: int) -> list[int]:
+    """Return at most ``count`` of some frame numbers, evenly spaced."""
+    indices = list(indices)
+    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
+    return [indices[k] for k in chosen]

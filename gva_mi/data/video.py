@@ -39,17 +39,20 @@ from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
 from gva_mi.data.cameras import CAMERAS, load_cameras
+from gva_mi.data.crop import block_means
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
 from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import mask_file, read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, require_sides, size_of_whole
-from gva_mi.data.splits import Splits, load_splits
+from gva_mi.data.splits import Splits, load_splits, spread
 from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1
 REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
+COUNTED = 16  # masks that tell how tall the person is in the pictures
+TALL = 300  # pixels of a person's height: tracking in larger pictures is hardly better
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ class Video:
     landmarks: Landmarks | None = None  # of all frames, where a network found them
     kind: str | None = None  # what stage 1 was prepared from, such as "film", if it is known
     fps: float | None = None  # frames a second of a prepared film, if they are known
+    shrink: int = 1  # pixels of a file, each way, that are one pixel here
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -113,9 +117,10 @@ class Video:
             return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
         path = self.folder / "frames" / f"{index:06d}.png"
         image = self._images[index] if self._images else read_image(path, 3)
-        mask = read_mask(self.folder / "masks", index)
+        image = block_means(image.astype(np.float32) / 255, self.shrink)
+        mask = self._mask(index)
         normals = self._normals_of(index, mask)((slice(None), slice(None)))
-        return Frame(index, image.astype(np.float32) / 255, mask, normals, camera, pose)
+        return Frame(index, image, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
         """Yield the frames of some indices, or all frames; files are read ahead."""
@@ -126,8 +131,11 @@ class Video:
     def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
         """Yield some frames without their pictures; none of them may be absent."""
         for k in indices:
-            mask = read_mask(self.folder / "masks", k)
+            mask = self._mask(k)
             yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
+
+    def _mask(self, index: int) -> np.ndarray:
+        return block_means(read_mask(self.folder / "masks", index), self.shrink)
 
     def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
         """Return a function that reads a part of a frame's normals, zero outside its mask."""
@@ -137,6 +145,27 @@ class Video:
             return None if found is None else found * (mask[part] > 0.5)[..., None]
 
         return normals
+
+    def shrunk(self, factor: int) -> Video:
+        """Return the video with pictures that are ``factor`` times smaller, without normals.
+
+        A pixel is the mean of those it stands for; what is left over at the right and below is cut.
+        """
+        if factor == 1:
+            return self
+        small = lambda c: c.cropped(0, 0, c.width // factor * factor, c.height // factor * factor)
+        cameras = [small(c).resized(c.width // factor, c.height // factor) for c in self.cameras]
+        return replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
+
+    def for_tracking(self) -> Video:
+        """Return the video with the smallest pictures that are enough to track a person in.
+
+        In them the person is :data:`TALL` pixels or more, by the median of some masks.
+        """
+        seen = spread((k for k in range(len(self)) if k not in self.absent), COUNTED)
+        rows = [np.flatnonzero((outline.mask > 0.5).any(1)) for outline in self.outlines(seen)]
+        height = np.median([row[-1] + 1 - row[0] for row in rows])
+        return self.shrunk(max(1, int(height // TALL)))
 
     @property
     def size(self) -> tuple[int, int]:
@@ -169,7 +198,7 @@ class Video:
         path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
         if path is None or not path.exists():
             return None
-        mask = read_image(path, 1).astype(np.float32) / 255
+        mask = block_means(read_image(path, 1).astype(np.float32) / 255, self.shrink)
         require_sides(f"{path}:", mask, *self.size)
         return mask
 
@@ -259,10 +288,3 @@ def _why_absent(mask_file: Path, width: int, height: int) -> str | None:
         return "its mask is empty"
     faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
     return None if (mask > 0.5).any() else faint
-
-
-def spread(indices: Iterable[int], count: int) -> list[int]:
-    """Return at most ``count`` of some frame numbers, evenly spaced."""
-    indices = list(indices)
-    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
-    return [indices[k] for k in chosen]

@@ -40,7 +40,8 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.cameras import depths
 from gva_mi.data.crop import Box, Extent
-from gva_mi.data.video import Video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Video
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
 from gva_mi.fit.cutouts import Person, background_of, within
 from gva_mi.jit.exclusive import exclusive

@@ -42,7 +42,8 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.data.crop import Box
-from gva_mi.data.video import Frame, Video, load_video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Frame, Video, load_video
 from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame

@@ -15,7 +15,8 @@ import torch
 
 from gva_mi.data.normals import normal_colors
 from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.video import Video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Video
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.principal_axes import with_axes

@@ -18,7 +18,8 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
 from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.video import Frame, Video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Frame, Video
 from gva_mi.fit.camera_paths import CameraPath, shots
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import Camera, Gaussians, look_at, render

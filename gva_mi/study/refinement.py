@@ -29,7 +29,8 @@ from gva_mi.core.atomic import atomic_files
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.pictures import in_8_bits, write_image
-from gva_mi.data.video import REFINED_POSES, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import REFINED_POSES
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.study.measure import Evaluation, PoseFigures

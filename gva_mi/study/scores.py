@@ -23,7 +23,7 @@ from torch import Tensor
 
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.crop import bounds
+from gva_mi.data.crop import block_means, bounds
 from gva_mi.fit.feature_networks import RAND_SEED, RAND_WIDTH
 from gva_mi.fit.perceptual import (
     FeatureMetric,
@@ -133,9 +133,7 @@ def _for_networks(
     seen = []
     for image in both:
         image = image.repeat(times, 0).repeat(times, 1).astype(np.float32)
-        height, width = (side // by for side in image.shape[:2])
-        means = image.reshape(height, by, width, by, 3).mean((1, 3)) if by > 1 else image
-        seen.append(torch.from_numpy(means / np.float32(255)))
+        seen.append(torch.from_numpy(block_means(image, by) / np.float32(255)))
     return (seen[0], seen[1]), (rows * times // by, columns * times // by)
 
 

@@ -16,7 +16,8 @@ from gva_mi.body.pose import BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.check.files import shrunk, small_size
 from gva_mi.data.joints import count_in_mask, joints_seen
-from gva_mi.data.video import Video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
 FRAMES = 8  # that are read

@@ -10,7 +10,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.check.files import SubjectFiles
 from gva_mi.data.check.frames import CheckedFrames, SilhouetteRenderer
 from gva_mi.data.check.silhouettes import SilhouetteCheck
-from gva_mi.data.video import spread
+from gva_mi.data.splits import spread
 from gva_mi.mesh.overlay import OUTLINE, outlined, strip
 
 SHOWN = 6  # frames

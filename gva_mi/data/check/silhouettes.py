@@ -24,7 +24,7 @@ import numpy as np
 from gva_mi.data.check.frames import CheckedFrames, SilhouetteRenderer
 from gva_mi.data.check.hypotheses import COARSE, MIRRORED, Hypothesis
 from gva_mi.data.check.problems import Problem, doubt, error
-from gva_mi.data.video import spread
+from gva_mi.data.splits import spread
 
 RENDERED = 48  # frames, evenly spaced
 BLOCKS = 12  # stretches of these whose errors are taken for independent

@@ -18,7 +18,7 @@ from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.footage import pictures
 from gva_mi.data.importers.lens import undistort
 from gva_mi.data.pictures import require_sides, write_image
-from gva_mi.data.video import spread
+from gva_mi.data.splits import spread
 from gva_mi.data.views import VIEWS, save_views
 from gva_mi.splat import Camera
 

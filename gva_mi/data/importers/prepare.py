@@ -46,8 +46,8 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import require_sides, write_image
-from gva_mi.data.splits import SPLITS
-from gva_mi.data.video import POSES, spread
+from gva_mi.data.splits import SPLITS, spread
+from gva_mi.data.video import POSES
 from gva_mi.splat import Camera
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average

@@ -23,7 +23,7 @@ from gva_mi.data.matting.camera import ShrunkPicture, camera_motion
 from gva_mi.data.matting.grid import WorkGrid
 from gva_mi.data.matting.scene import FilmScene, GridPicture
 from gva_mi.data.pictures import write_image
-from gva_mi.data.video import spread
+from gva_mi.data.splits import spread
 
 GATHERED = 48  # pictures that the plate and the colours are gathered from
 COMPARED = 6  # pictures that show whether the camera moves at all

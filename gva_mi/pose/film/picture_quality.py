@@ -23,7 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.core.console import Progress
-from gva_mi.data.video import Frame, Video, spread
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Frame, Video
 
 SHOWN = 24  # frames that are looked at
 TALL = 400  # pixels: a taller person is measured at this height, so that fine detail is no matter

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 from tyro.conf import Positional
 
 from gva_mi.body.pose import save_poses
-from gva_mi.cli.arguments import Flat, Switch, nth_person
+from gva_mi.cli.arguments import Flat, Switch, given, nth_person
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
-from gva_mi.pose.film.solver import CAMERA_HEIGHTS
-from gva_mi.pose.stature import PERSON_HEIGHTS
+from gva_mi.pose.film.prepare_film import FilmOptions, FilmSource, motion_of_film
 
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
 
@@ -26,9 +23,9 @@ def motion(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
+    film: Flat[FilmSource] = FilmSource(),  # noqa: B008 (frozen)
     *,
-    height: Annotated[float, PERSON_HEIGHTS] | None = None,
-    camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None,
+    lens: str | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -39,10 +36,9 @@ def motion(
             film, whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.
-        height: of a film's person, metres; without it an average one, so that steps may be too
-            long or too short.
-        camera_height: of the lens of a film above the floor, metres: it shows how far the camera
-            looks down.
+        film: of a film.
+        lens: of a film: focal length, as 26mm of 35 mm film or in pixels; without it, what the film
+            records, else a fitted one.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright, and hands that are components of a PCA are its own.
         overwrite: replace an existing file.
@@ -51,11 +47,12 @@ def motion(
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
     target = TargetBody.read(body)
+    of_film = [*given(film).values(), *(["--lens"] if lens else [])]
     if source.suffix.lower() in FILMS:
-        film = FilmOptions(height=height, camera_height=camera_height)
-        found = _of_film(source, film, target, options)
-    elif given := [n for n, x in (("height", height), ("camera-height", camera_height)) if x]:
-        raise InputError(f"motion: --{given[0]} is for films ({', '.join(FILMS)}); got {source}")
+        known = FilmOptions(**vars(film))
+        found = _of_film(source, known, lens, target, options)
+    elif of_film:
+        raise InputError(f"motion: {of_film[0]} is for films ({', '.join(FILMS)}); got {source}")
     else:
         found = read_motion(source, target, options)
     save_poses(out, found.pose, found.shape, stage=1)
@@ -64,12 +61,13 @@ def motion(
     say(f"{len(found.pose)} poses: {out}")
 
 
-def _of_film(film: Path, known: FilmOptions, body: TargetBody, options: MotionOptions) -> Motion:
+def _of_film(
+    film: Path, known: FilmOptions, lens: str | None, body: TargetBody, options: MotionOptions
+) -> Motion:
     """Return the motion of one person in a film."""
+    person = nth_person(options.person)
     with bar("motion") as progress:
-        found = motion_of_film(
-            film, known, body.model, person=nth_person(options.person), progress=progress,
-        )  # fmt: skip
+        found = motion_of_film(film, known, body.model, person=person, lens=lens, progress=progress)
     solved, fps = found.solved, found.pictures.fps
     motion = motion_of_poses(str(film), solved.pose, solved.shape, fps, body, options)
     return replace(motion, notes=(*motion.notes, *found.notes))

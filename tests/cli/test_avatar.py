@@ -135,6 +135,7 @@ SENTENCES = {
     "a camera of a motion": (
         ("motion", "m.npz", "o.npz", "--camera-height", 1.2), "--camera-height is for films",
     ),
+    "a lens of a motion": (("motion", "m.npz", "o.npz", "--lens", "26mm"), "--lens is for films"),
     "no picture": (("avatar", "{film}", "--out", "me", "--start", 9), "leave no picture"),
 }  # fmt: skip
 

@@ -55,17 +55,14 @@ _LINES = (
 
 
 @options_of("film")
-class FilmOptions:
-    """Options of a film."""
+class FilmSource:
+    """What is known of a film, and which part of it is used."""
 
     # The person's height, metres; without it, that of an average person, uncertain by 5 percent,
     # and so are all distances.
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
     camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None
-    # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
-    # folder of pictures, their rate.
-    fps: Annotated[float, Within(1, 240)] | None = None
     # The shorter side of the pictures, to which larger ones are scaled down.
     side: Annotated[int, Within(64, 4320, unit="pixels")] = 1080
     # Where the used part of the film starts.
@@ -77,6 +74,15 @@ class FilmOptions:
     keypoints: Path | None = None
     # Folder of the networks' files; without it GVA_MI_WEIGHTS or the cache, which pip fills.
     weights: Path | None = None
+
+
+@options_of("film")
+class FilmOptions(FilmSource):
+    """Options of a film."""
+
+    # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
+    # folder of pictures, their rate.
+    fps: Annotated[float, Within(1, 240)] | None = None
 
 
 @dataclass(frozen=True)

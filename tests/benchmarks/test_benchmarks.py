@@ -39,6 +39,29 @@ def test_a_benchmark_runs(name):
         assert all(time > 0 for time in times)
 
 
+def test_growth_counts_the_pairs_of_a_picture(monkeypatch):
+    splat = import_module("benchmarks.splat")
+    monkeypatch.setattr(splat, "COUNTS", (40,))
+    monkeypatch.setattr(splat, "WIDTHS", ())
+    monkeypatch.setattr(splat, "_wide", lambda scene, width: scene)
+    twice = lambda n, size: person_scene(np.random.default_rng(0), min(n, 300), 48)
+    few, many = splat._growth(twice, 1).rows
+    assert 0 < few["pairs"] < many["pairs"]
+    assert few["both ns a pair"] == pytest.approx(1e6 * few["both min ms"] / few["pairs"])
+
+
+def test_a_picture_of_a_step_adds_its_stages_up(tmp_path):
+    bars = import_module("benchmarks.step_picture")
+    times = {"pose": 1.0, "splatting": 4.0, f"{bars.LOSS}, with VGG": 8.0}
+    times[f"{bars.LOSS}, without"] = 2.0
+    rows = [{"": name, "min ms": ms} for name, ms in times.items()]
+    (tmp_path / "a.json").write_text(json.dumps([{"title": "a step", "rows": rows}]))
+    found = bars.stages_of(tmp_path / "a.json")
+    assert found[bars.LOSS] == 8 / 4 + 2 * 3 / 4 and sum(found.values()) == 8.5
+    bars.draw({"a": tmp_path / "a.json"}, tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 1000
+
+
 def test_the_count_of_threads_is_restored(monkeypatch):
     splat, before = import_module("benchmarks.splat"), dr.thread_count()
     monkeypatch.setattr(splat, "SHARED", ((300, 48),))

@@ -56,5 +56,7 @@ def draw(files: dict[str, Path], out: Path) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 4:
+        sys.exit("usage: python -m benchmarks.step_picture BEFORE.json NOW.json OUT.png")
     before, now, out = map(Path, sys.argv[1:])
     draw({"before": before, "now": now}, out)

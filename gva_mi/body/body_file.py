@@ -56,7 +56,7 @@ def read_body(path: Path) -> dict[str, np.ndarray]:
     """Read the arrays of a body file, on SMPL-X's 55 joints, with the numbers of shape directions
     that are betas and expressions, ``num_betas`` and ``num_expressions``.
 
-    The built-in body is read and checked once: a program that works on many videos shares it.
+    The built-in body is read and checked once a process. Its arrays are shared: do not change them.
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.

@@ -79,6 +79,7 @@ class BodyModel(nn.Module):
         these numbers are missing.
         """
         super().__init__()
+        # Copies: bodies may share the arrays.
         tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype, copy=True)
         directions = as_rows(arrays["shapedirs"])
         split = int(arrays.get("num_betas", 10))

@@ -36,7 +36,7 @@ def motion(
             film, whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.
-        film: of a film.
+        film: of a film: what is known of it, and which part of it is used.
         lens: of a film: focal length, as 26mm of 35 mm film or in pixels; without it, what the film
             records, else a fitted one.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when

@@ -46,13 +46,11 @@ from gva_mi.data.landmarks import Landmarks, open_landmarks
 from gva_mi.data.masks import mask_file, read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, require_sides, size_of_whole
-from gva_mi.data.splits import Splits, load_splits, spread
+from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
 
 POSES = "poses.npz"  # of stage 1
 REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
-COUNTED = 16  # masks that tell how tall the person is in the pictures
-TALL = 300  # pixels of a person's height: tracking in larger pictures is hardly better
 
 
 @dataclass(frozen=True)
@@ -156,16 +154,6 @@ class Video:
         small = lambda c: c.cropped(0, 0, c.width // factor * factor, c.height // factor * factor)
         cameras = [small(c).resized(c.width // factor, c.height // factor) for c in self.cameras]
         return replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
-
-    def for_tracking(self) -> Video:
-        """Return the video with the smallest pictures that are enough to track a person in.
-
-        In them the person is :data:`TALL` pixels or more, by the median of some masks.
-        """
-        seen = spread((k for k in range(len(self)) if k not in self.absent), COUNTED)
-        rows = [np.flatnonzero((outline.mask > 0.5).any(1)) for outline in self.outlines(seen)]
-        height = np.median([row[-1] + 1 - row[0] for row in rows])
-        return self.shrunk(max(1, int(height // TALL)))
 
     @property
     def size(self) -> tuple[int, int]:

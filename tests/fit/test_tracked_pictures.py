@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.photometric import PhotometricOptions, fit_poses
+from gva_mi.fit.photometric import PhotometricOptions, fit_poses, shrunk_to_tall
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def tall(video, monkeypatch):
     """The person's height in the video, pixels, which is enough."""
     rows = [np.flatnonzero((frame.mask > 0.5).any(1)) for frame in video.frames()]
     height = np.median([row[-1] + 1 - row[0] for row in rows])
-    monkeypatch.setattr("gva_mi.data.video.TALL", height)
+    monkeypatch.setattr("gva_mi.fit.photometric.TALL", height)
     return height
 
 
@@ -30,10 +30,10 @@ def test_a_shrunk_video_has_the_means_of_blocks_and_sees_the_same(video, doubled
 
 def test_the_smallest_pictures_are_taken_that_are_enough(video, doubled, tall, monkeypatch):
     for enough, shrink in ((2.1 * tall, 1), (tall, 2), (tall / 1.9, 3)):
-        monkeypatch.setattr("gva_mi.data.video.TALL", enough)
-        assert doubled.for_tracking().shrink == shrink
+        monkeypatch.setattr("gva_mi.fit.photometric.TALL", enough)
+        assert shrunk_to_tall(doubled).shrink == shrink
     monkeypatch.undo()
-    assert doubled.for_tracking() is doubled
+    assert shrunk_to_tall(doubled) is doubled
 
 
 def test_tracking_fits_large_pictures_like_small_ones(known, video, doubled, tall):

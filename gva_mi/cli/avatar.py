@@ -29,6 +29,7 @@ from gva_mi.data.check import check_subject
 from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.importers.footage import files_of
+from gva_mi.data.importers.prepare_options import MaskOptions
 from gva_mi.data.landmarks import LANDMARKS, Landmarks
 from gva_mi.data.splits import SPLITS, Splits
 from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
@@ -69,6 +70,7 @@ def avatar(
     film: Positional[Path],
     film_options: Flat[FilmOptions] = FilmOptions(),  # noqa: B008 (frozen)
     choice: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
+    own_masks: Flat[MaskOptions] = MaskOptions(),  # noqa: B008 (frozen)
     *,
     out: Path,
     person: Annotated[int, Within(1, MOST_PEOPLE)] | None = None,
@@ -85,6 +87,7 @@ def avatar(
         film: a film of one person who turns round once, or a folder of its pictures.
         film_options: of the film.
         choice: how much work the avatar is worth.
+        own_masks: masks that come from another program.
         out: folder for the subject (out/subject), the run (out/run), films and the page
             (out/report.html).
         person: where there are several, the number from the left; without it, the largest.
@@ -96,7 +99,7 @@ def avatar(
     if not film.exists():
         raise InputError(f"{film}: no such film or folder of pictures")
     load_body(body)  # a bad file is refused before any work
-    work = _Work(film, film_options, choice, out, person, lens, body)
+    work = _Work(film, film_options, choice, own_masks, out, person, lens, body)
     with folder_lock(out, "gva-mi avatar"):
         source = hash_files(files_of(film) or [film])
         StepFolder(out, MARKER, source, overwrite).follow(work.steps())
@@ -111,6 +114,7 @@ class _Work:
     film: Path
     options: FilmOptions
     choice: AvatarEffort
+    own_masks: MaskOptions
     out: Path
     person: int | None
     lens: str | None
@@ -133,8 +137,9 @@ class _Work:
         refined, findings = subject / REFINED_POSES, subject / FINDINGS
         fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
         measured = [run / run_folder.METRICS, run / run_folder.REPORT]
-        film = [asdict(self.options), self.person, self.lens]
-        yield Step("prepare", film, [self.film, *body], [subject / PREPARED], self.prepare)
+        film = [asdict(self.options), asdict(self.own_masks), self.person, self.lens]
+        sources = [self.film, *body, *filter(None, vars(self.own_masks).values())]
+        yield Step("prepare", film, sources, [subject / PREPARED], self.prepare)
         yield Step("check", None, prepared, [findings], self.check)
         yield Step("refine", self.refine_options, prepared, [refined], self.refine)
         wanted = self.choice.test_frames
@@ -165,7 +170,7 @@ class _Work:
         with atomic_dir(self.subject, PREPARED) as folder, bar("prepare") as progress:
             notes = prepare_film(
                 folder, self.film, self.options, self.body, person=self.person, lens=self.lens,
-                progress=progress,
+                own_masks=self.own_masks, progress=progress,
             )  # fmt: skip
         for note in notes:
             say(f"{self.film}: {note}")

@@ -19,7 +19,7 @@ from gva_mi.data.importers.prepare_options import PrepareOptions
 from gva_mi.data.importers.target import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
 
-OF_FILMS = ("body", "person", "lens")  # of PrepareOptions
+OF_FILMS = ("body", "person", "lens", "masks", "sam_checkpoint")  # of PrepareOptions
 _HELP = (
     f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
     f"data set: {', '.join(DATASETS)}; "
@@ -64,7 +64,7 @@ def prepare(
         if kind == FILM:
             notes = prepare_film(
                 folder, source, film, options.body, person=nth_person(options.person),
-                lens=options.lens, progress=progress,
+                lens=options.lens, own_masks=options, progress=progress,
             )  # fmt: skip
         else:
             notes = prepare_folder(folder, kind, source, options, body, progress)

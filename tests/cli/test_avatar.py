@@ -11,7 +11,8 @@ from gva_mi.body.smplx import load_body
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.importers.keypoints import LAYOUTS
 from gva_mi.data.landmarks import Landmarks
-from gva_mi.data.pictures import write_film
+from gva_mi.data.networks.segment_anything import MaskGuess, SegmentAnything
+from gva_mi.data.pictures import read_image, write_film
 from gva_mi.data.video import load_video
 
 FRAMES = 12
@@ -118,12 +119,50 @@ def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
     assert np.median(off) < 2.0
 
 
+@pytest.mark.slow
+def test_own_masks_take_the_place_of_those_found(filmed, tmp_path, cli):
+    """A subject's masks are written as they are given, for every second picture of the film."""
+    film, height = filmed
+    given = ("prepare", "film", film, tmp_path / "s", "--height", height, "--fps", 5)
+    own = film.parent / "masks"
+    assert f"masks of {own}" in cli.works(*given, "--masks", own)
+    found = sorted((tmp_path / "s/masks").iterdir())
+    assert len(found) == FRAMES // 2
+    for k, path in enumerate(found):
+        assert np.array_equal(read_image(path, 1), read_image(own / f"{2 * k:06d}.png", 1))
+
+
+@pytest.mark.slow
+def test_segment_anything_helps_to_find_the_masks(filmed, tmp_path, cli, monkeypatch):
+    """With the person's true outlines as its guesses, masks are better than without."""
+    film, height = filmed
+    true = [read_image(film.parent / f"truth/masks/{k:06d}.png", 1) > 127 for k in range(FRAMES)]
+
+    class Knowing:
+        def __init__(self):
+            self.left = iter(true)
+
+        def find(self, image, prompt, before):
+            x, y = np.floor(prompt.points[0]).astype(int)
+            mask = next(self.left)
+            assert mask[y, x]  # the pelvis
+            return MaskGuess(mask, None, None)
+
+    monkeypatch.setattr(SegmentAnything, "load", staticmethod(lambda path: Knowing()))
+    off = {}
+    for name, more in (("alone", ()), ("both", ("--masks", "sam", "--sam-checkpoint", tmp_path))):
+        cli.works("prepare", "film", film, tmp_path / name, "--height", height, *more)
+        found = [read_image(tmp_path / f"{name}/masks/{k:06d}.png", 1) > 127 for k in range(FRAMES)]
+        off[name] = sum((a != b).sum() for a, b in zip(found, true, strict=True))
+    assert off["both"] < 0.9 * off["alone"]
+
+
 SENTENCES = {
     "no film": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such film or folder of pictures"),
     "no body": (("avatar", "{film}", "--out", "me", "--body", "b.npz"), "b.npz: no such file"),
     "height": (("avatar", "{film}", "--out", "me", "--height", 175), "from 0.4 to 2.6 metres"),
     "not of films": (
-        ("prepare", "film", "{film}", "me", "--masks", "m"), "--masks is not for a film",
+        ("prepare", "film", "{film}", "me", "--frames", "m"), "--frames is not for a film",
     ),
     "of films": (
         ("prepare", "wham", "w.pkl", "me", "--height", 1.7), "--height is for a film; got wham",
@@ -131,6 +170,9 @@ SENTENCES = {
     "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 to 20"),
     "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
+    "no weights": (
+        ("avatar", "{film}", "--out", "me", "--masks", "sam"), "--masks sam needs --sam-checkpoint",
+    ),
     "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for films"),
     "a camera of a motion": (
         ("motion", "m.npz", "o.npz", "--camera-height", 1.2), "--camera-height is for films",

@@ -28,24 +28,24 @@ HELD = 0.5  # of the person's points: a mask with fewer is doubtful
 def write_masks(
     folder: Path,
     network: SegmentAnything,
+    picture: Callable[[int], np.ndarray],
     prompts: Sequence[Prompt | None],
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write ``masks/`` beside ``frames/``, each guided by the mask before; return notes.
+    """Write masks into a folder, each guided by the mask before; return notes.
 
-    A frame without a prompt gets no mask.
+    ``picture`` gives a frame (H, W, 3) 8-bit. A frame without a prompt gets no mask.
     """
     before: MaskGuess | None = None
     none, doubtful = [], []
     for k, prompt in enumerate(prompts):
         if prompt is not None:
-            image = read_image(folder / "frames" / f"{k:06d}.png", 3)
-            before = network.find(image, prompt, before)
+            before = network.find(picture(k), prompt, before)
         if prompt is None or not before.mask.any():
             before = None
             none.append(k)
         else:
-            write_image(folder / "masks" / f"{k:06d}.png", before.mask * np.uint8(255))
+            write_image(folder / f"{k:06d}.png", before.mask * np.uint8(255))
             x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
             if before.mask[y, x].mean() < HELD:
                 doubtful.append(k)

@@ -45,7 +45,7 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
-from gva_mi.data.pictures import require_sides, write_image
+from gva_mi.data.pictures import read_image, require_sides, write_image
 from gva_mi.data.splits import SPLITS, spread
 from gva_mi.data.video import POSES
 from gva_mi.splat import Camera
@@ -68,7 +68,7 @@ def prepare_folder(
     are for ``body``.
     """
     where = str(source)
-    mask_network, normal_network = options.networks()
+    mask_network, normal_network = options.mask_network(), options.normal_network()
     body = body.for_source(source)
     kind, capture, size = _capture(kind, source, options, body)
     capture, first, of_numbers = _numbered(kind, capture, options.first)
@@ -97,7 +97,8 @@ def prepare_folder(
     if mask_network:
         prompts = prompts_of(track, others, body.joints, size)
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
-        more += write_masks(out, mask_network, seen, progress)
+        picture = lambda k: read_image(out / "frames" / f"{k:06d}.png", 3)
+        more += write_masks(out / "masks", mask_network, picture, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     save_cameras(out / CAMERAS, cameras)
     pose, shape, of_body = _poses(track, body)

@@ -18,16 +18,33 @@ Spread = Annotated[float, Within(0, 1000, "low")]
 
 
 @options_of("prepare")
-class PrepareOptions:
+class MaskOptions:
+    """Masks that come from another program."""
+
+    # Masks of the person: a film, a folder of pictures, or a .npy (T, H, W), one for each frame.
+    # Or the word sam, with --sam-checkpoint. A film and a data set have masks without it.
+    masks: Path | None = None
+    sam_checkpoint: Path | None = None  # folder of Segment Anything or SAM 2, which makes the masks
+
+    def __post_init__(self) -> None:
+        if self.masks == SAM and self.sam_checkpoint is None and not SAM.exists():
+            raise InputError(f"--masks sam needs --sam-checkpoint; expected {GET}")
+        if self.sam_checkpoint is not None and self.masks != SAM:
+            raise InputError("--sam-checkpoint makes masks, so it needs --masks sam")
+
+    def mask_network(self) -> SegmentAnything | None:
+        """Return the network that makes the masks, read before any work is done."""
+        return SegmentAnything.load(self.sam_checkpoint) if self.sam_checkpoint else None
+
+
+@options_of("prepare")
+class PrepareOptions(MaskOptions):
     """Options of ``prepare`` beside the source."""
 
     # The body of the poses and of all later steps, in SMPL-X's format; or the word puppet for the
     # built-in one, which keeps rotations and no shape, and is a film's default.
     body: Path | None = None
     frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
-    # A film, a folder of pictures, or a .npy (T, H, W), one mask per frame; a data set has its own.
-    # Or the word sam, with --sam-checkpoint.
-    masks: Path | None = None
     # The estimator's name of the person; without it, chosen by the masks. In a film the number from
     # the left; without it, the largest.
     person: str | None = None
@@ -52,7 +69,6 @@ class PrepareOptions:
     views: tuple[str, ...] = ()
     # Frames that each of these cameras contributes, evenly spaced.
     view_frames: Annotated[int, Within(1, 100_000)] = 8
-    sam_checkpoint: Path | None = None  # folder of Segment Anything or SAM 2, which makes the masks
     # A folder of maps, one per frame by the last number in its name; or a network, .onnx, that
     # takes pictures (1, 3, h, w), and perhaps normals of the posed body, as ICON's does.
     normals: Path | None = None
@@ -65,6 +81,7 @@ class PrepareOptions:
     normals_output: str | None = NormalsSpec.output  # the network's output, if it has several
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.hands is None and (self.hands_zero, self.wrists) != ("flat", "body"):
             raise InputError("prepare: --hands-zero and --wrists need --hands")
         if self.normals is not None and self.normals_convention is None:
@@ -77,23 +94,18 @@ class PrepareOptions:
                 raise InputError(
                     f"prepare: --normals-{name} is for a network, and {self.normals} is a folder"
                 )
-        if self.masks == SAM and self.sam_checkpoint is None and not SAM.exists():
-            raise InputError(f"prepare: --masks sam needs --sam-checkpoint; expected {GET}")
-        if self.sam_checkpoint is not None and self.masks != SAM:
-            raise InputError("prepare: --sam-checkpoint makes masks, so it needs --masks sam")
 
     @property
     def has_maps(self) -> bool:
         """Whether the normals are maps in a folder, and not a network."""
         return self.normals is not None and self.normals.is_dir()
 
-    def networks(self) -> tuple[SegmentAnything | None, NormalNetwork | None]:
-        """The networks that make masks and normals, read before any work is done."""
-        masks = SegmentAnything.load(self.sam_checkpoint) if self.sam_checkpoint else None
+    def normal_network(self) -> NormalNetwork | None:
+        """Return the network that makes the normals, read before any work is done."""
         if self.normals is None or self.has_maps:
-            return masks, None
+            return None
         spec = NormalsSpec(
             self.normals_convention, self.normals_size, self.normals_mean, self.normals_std,
             self.normals_output,
         )  # fmt: skip
-        return masks, NormalNetwork(self.normals, spec)
+        return NormalNetwork(self.normals, spec)

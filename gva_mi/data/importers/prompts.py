@@ -40,15 +40,18 @@ def prompts_of(
     """
     theirs = [pixels_by_frame(other, joints, 55) for other in others]
     return [
-        _prompt(pixels, [seen[frame] for seen in theirs if frame in seen], size)
+        prompt_at(pixels, [seen[frame] for seen in theirs if frame in seen], size)
         for frame, pixels in pixels_by_frame(track, joints, 55).items()
     ]
 
 
-def _prompt(
+def prompt_at(
     pixels: np.ndarray, others: Sequence[np.ndarray], size: tuple[int, int]
 ) -> Prompt | None:
-    """Make a prompt from the joints (55, 2) of the person and of others; picture size (W, H)."""
+    """Return a prompt by the joints (55, 2) of the person and of others; picture size (W, H).
+
+    None if the person is outside the picture.
+    """
     with np.errstate(invalid="ignore"):  # behind the camera
         top = pixels[_HEAD] + HEAD * (pixels[_HEAD] - pixels[_NECK])
     known = np.concatenate([pixels, top[None]])

@@ -29,10 +29,15 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
+from gva_mi.data.importers.by_networks import write_masks
 from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
+from gva_mi.data.importers.own_masks import WithMasks, write_own_masks
+from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.importers.prompts import prompt_at
 from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
+from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
@@ -119,6 +124,7 @@ def prepare_film(
     *,
     person: int | None = None,
     lens: str | None = None,
+    own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
     progress: Progress | None = None,
 ) -> list[str]:
     """Write a subject's folder of a film; return notes on what was found and done.
@@ -130,9 +136,10 @@ def prepare_film(
         body: file of the body that poses are for; None: the built-in body.
         person: the N-th from the left where there are several; None: the largest.
         lens: a focal length as ``--lens`` takes it; None: what the film records, else fitted.
+        own_masks: the user's, or the network that helps to find them.
         progress: called as the work goes on.
     """
-    model = load_body(body)
+    model, network = load_body(body), own_masks.mask_network()
     with tempfile.TemporaryDirectory(dir=out, prefix=".") as folder:
         rough = _Stored(Path(folder), ".npy", read_array)
         keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
@@ -144,7 +151,18 @@ def prepare_film(
         stored = _Stored(out / "frames", ".png", lambda path: read_image(path, 3))
         write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
         rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
-        notes = film_masks(stored, rough, out / "masks", part_of_progress(progress, 6, 4, 10))
+        more = part_of_progress(progress, 6, 4, 10)
+        if own_masks.masks is not None and network is None:
+            numbers, size = motion.pictures.numbers, pictures[0].shape[1::-1]
+            notes = write_own_masks(out / "masks", own_masks.masks, numbers, size, rough, more)
+        else:
+            probabilities, notes = rough, []
+            if network is not None:
+                guesses = Path(folder) / "guesses"
+                picture, prompts = stored.__getitem__, motion.prompts(model)
+                notes = write_masks(guesses, network, picture, prompts)
+                probabilities = WithMasks(rough, guesses)
+            notes += film_masks(stored, probabilities, out / "masks", more)
     solved, watched = motion.solved, motion.watched
     save_poses(out / POSES, solved.pose, solved.shape, stage=1)
     save_cameras(out / CAMERAS, [solved.camera] * len(pictures))
@@ -203,6 +221,17 @@ class SolvedMotion:
         if not self.upright:
             notes.append(_LINES)
         return notes
+
+    def prompts(self, body: BodyModel) -> list[Prompt | None]:
+        """Return where the person is in each picture, for a network of masks."""
+        size = self.pictures.pictures[0].shape[1::-1]
+        joints = body(self.solved.pose, self.solved.shape).joints.detach().double().numpy()
+        seen = np.isfinite(self.watched.landmarks.pixels).any((1, 2))
+        where = self.solved.camera.project
+        return [
+            prompt_at(where(x), (), size) if shown else None
+            for x, shown in zip(joints, seen, strict=True)
+        ]
 
 
 def motion_of_film(

@@ -1,0 +1,100 @@
+"""Masks of a film that its user brings: in the place of those found here, or beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
+from gva_mi.data.importers import footage
+from gva_mi.data.masks import BARELY, require_person
+from gva_mi.data.pictures import in_8_bits, read_image, write_image
+
+CERTAIN = 0.95  # probability from which a pixel is the person's for the network
+HELD = 0.5  # share of such pixels that lie in the masks, at least, in most frames
+SHAPE = 0.01  # largest relative difference of a mask's width by height from the film's
+
+
+def write_own_masks(
+    folder: Path,
+    source: Path,
+    numbers: Sequence[int],
+    size: tuple[int, int],
+    probabilities: Sequence[np.ndarray],
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write the masks of a film's used pictures into a folder, and return notes.
+
+    Args:
+        folder: of the masks, ``000000.png`` and so on.
+        source: what :func:`.footage.masks` reads, a mask for each picture of the film.
+        numbers: T numbers of the used pictures in the film, ascending.
+        size: (W, H) of the used pictures, which may be smaller than the masks.
+        probabilities: T of the person (H, W) 8-bit by a network, to tell masks of another film.
+        progress: called after each used picture.
+    """
+    used = {number: k for k, number in enumerate(numbers)}
+    counts, held, read = np.zeros(256, np.int64), [], 0
+    for read, mask in enumerate(footage.masks(source), 1):
+        if (k := used.get(number := read - 1)) is None:
+            continue
+        mask = _in_size(f"{source}: mask {number}", mask, size)
+        write_image(folder / f"{k:06d}.png", mask)
+        counts += np.bincount(mask.ravel(), minlength=256)
+        person = probabilities[k] > 255 * CERTAIN
+        if person.any():
+            held.append((mask[person] > BARELY).mean())
+        if progress:
+            progress(k + 1, len(numbers))
+    if read <= numbers[-1]:
+        raise InputError(
+            f"{source}: holds {read} masks, but picture {numbers[-1]} of the film is used; "
+            "expected a mask for each picture of the film, in their order"
+        )
+    require_person(str(source), counts)
+    if held and np.median(held) < HELD:
+        raise InputError(
+            f"{source}: its masks do not lie on the person of the film; expected a mask for each "
+            "picture of the film, in their order, of its upright pictures"
+        )
+    return [f"masks of {source}"]
+
+
+def _in_size(where: str, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a mask (h, w) 8-bit in the size (W, H) of the used pictures."""
+    from PIL import Image
+
+    height, width = mask.shape
+    if abs(width / height / (size[0] / size[1]) - 1) > SHAPE:
+        raise InputError(
+            f"{where}: {width}x{height}, but the film's pictures are {size[0]}x{size[1]}"
+        )
+    if (width, height) == size:
+        return mask
+    return np.asarray(Image.fromarray(mask).resize(size, Image.Resampling.BOX))
+
+
+class WithMasks(Sequence[np.ndarray]):
+    """A network's probabilities and another's masks as two witnesses: their odds are multiplied.
+
+    Where they contradict each other, the colours of the film decide.
+    """
+
+    def __init__(self, probabilities: Sequence[np.ndarray], folder: Path) -> None:
+        """Take masks of a folder; a picture without one keeps its probability."""
+        self._probabilities, self._folder = probabilities, folder
+
+    def __len__(self) -> int:
+        return len(self._probabilities)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        found = self._probabilities[index]
+        path = self._folder / f"{index:06d}.png"
+        if not path.exists():
+            return found
+        shares = (x.astype(np.float32) / 255 for x in (found, read_image(path, 1)))
+        P, Q = (x.clip(1 - CERTAIN, CERTAIN) for x in shares)
+        return in_8_bits(P * Q / (P * Q + (1 - P) * (1 - Q)))

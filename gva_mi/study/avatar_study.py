@@ -60,6 +60,7 @@ class AvatarStudyOptions:
     frames: VideoFrames = 80  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
     novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
+    lens: bool = True  # of films, the focal length is given, as most phones record it
     refine: SequenceOptions = field(default_factory=SequenceOptions)
     fit: FitOptions = field(default_factory=FitOptions)
 
@@ -84,7 +85,8 @@ class AvatarStudy(Study):
 
     @property
     def _filming(self) -> Filming:
-        return Filming(self.folder, self.options.frames, self.options.size, self.options.novel)
+        options = self.options
+        return Filming(self.folder, options.frames, options.size, options.novel, options.lens)
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, refine each case, then fit each variant."""

@@ -31,18 +31,18 @@ from gva_mi.splat import Camera
 ALL = 240.0  # pictures a second, more than any of these films has: every picture is used
 
 
-def watch_take(take: Path, out: Path, body: BodyModel) -> None:
+def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> None:
     """Write a copy of a synthetic subject with what its film gives: pictures, masks and poses.
 
     The film is the compressed one, ``film.mp4``; the steps are those of ``gva-mi prepare film``.
-    The height and the focal length are known. A camera that was held by hand is taken for
-    one that stands, as in any film: then the true poses are those that the first camera would have
-    seen so.
+    The height is known. A camera that was held by hand is taken for one that stands, as in any
+    film: then the true poses are those that the first camera would have seen so.
 
     Args:
         take: a folder that ``gva-mi synth --scene room`` made.
         out: the new folder, which must not exist; it appears when it is complete.
         body: the body that the poses move.
+        lens: whether the focal length is known, as most phones record it; else it is found.
     """
     truth = load_ground_truth(take / "truth", body)
     camera = truth.cameras[0]
@@ -59,7 +59,7 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
             take / "film.mp4",
             FilmOptions(height=height_of(truth), fps=ALL),
             body,
-            lens=str(camera.fx),
+            lens=str(camera.fx) if lens else None,
             on_silhouette=lambda k, silhouette: seen.update({k: in_8_bits(silhouette)}),
         )
         pictures, solved = motion.pictures.pictures, motion.solved
@@ -69,7 +69,8 @@ def watch_take(take: Path, out: Path, body: BodyModel) -> None:
         motion.watched.landmarks.save(folder / LANDMARKS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)
-        save_cameras(folder / CAMERAS, [camera] * len(pictures))
+        found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
+        save_cameras(folder / CAMERAS, [found] * len(pictures))
         write_json(folder / PREPARED, {"kind": FILM})
 
 

@@ -43,6 +43,7 @@ class RefineStudyOptions:
     frames: VideoFrames = 64  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
     known: bool = False  # the subject's height and the focal length are given
+    lens: bool = True  # of films, the focal length is given, as most phones record it
     refine: SequenceOptions = field(default_factory=SequenceOptions)
 
 
@@ -54,10 +55,15 @@ class RefineStudy(Study):
     variants: Sequence[str] = (REFINED,)
     kind = "refine"
 
+    @property
+    def _filming(self) -> Filming:
+        options = self.options
+        return Filming(self.folder, options.frames, options.size, lens=options.lens)
+
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, then refine each case."""
         options, cases = self.options, [case for case, _ in missing]
-        filming, frames = Filming(self.folder, options.frames, options.size), options.frames
+        filming, frames = self._filming, options.frames
         measured = [
             Work(10 * frames, partial(figures, filming.subject(x), x, variant, self.body, options))
             for x, variant in missing

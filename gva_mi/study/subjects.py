@@ -27,13 +27,15 @@ class Filming:
     frames: int  # of each video
     size: int  # pixels, width and height of the pictures
     novel: int = 0  # pictures of novel poses, and as many of novel views
+    lens: bool = True  # whether the focal length of films is known
 
     def subject(self, case: StudyCase) -> Path:
         """Return the folder of a case's video, existing or not.
 
         A film's masks and poses are results of this program, so its folder names their version.
         """
-        made = f"{FILM}{RESULTS_VERSIONS['refine']}" if case.noise == FILM else case.noise
+        film = f"{FILM}{RESULTS_VERSIONS['refine']}{'' if self.lens else '-anylens'}"
+        made = film if case.noise == FILM else case.noise
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
     def film(
@@ -45,7 +47,7 @@ class Filming:
             if not take.exists():
                 make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
             if not subject.exists() and case.noise == FILM:
-                watch_take(take, subject, body)
+                watch_take(take, subject, body, self.lens)
             elif not subject.exists():
                 degrade(take, subject, case.noise, case.draw, body)
             require_same_body(subject, body)

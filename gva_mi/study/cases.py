@@ -21,7 +21,8 @@ from gva_mi.synthetic import SynthOptions
 NO_NORMALS = "no normals"  # counts as an error model of its own
 TITLES = {  # of what is unusual in a take
     "motion": "{}", "figure": "{}", "outfit": "{} clothes", "bare": "bare", "scene": "{}",
-    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels",
+    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels", "strands": "loose hair",
+    "shutter": "motion blur",
 }  # fmt: skip
 
 
@@ -39,6 +40,8 @@ class Take:
     camera: str = "stands"  # or held by hand
     frames: int | None = None  # of the video; None: as many as the study says
     size: int | None = None  # width and height of the pictures, pixels; None: as the study says
+    strands: bool = False  # loose strands of hair
+    shutter: float = 0.0  # share of the time between frames that the shutter is open
 
     @property
     def person(self) -> str:
@@ -61,7 +64,7 @@ class Take:
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
             outfit=self.outfit, frames=self.frames or frames, size=self.size or size,
             clothes=not self.bare, hair=not self.bare, novel_poses=novel, novel_views=novel,
-            scene=self.scene,
+            scene=self.scene, strands=self.strands, shutter=self.shutter,
         )  # fmt: skip
         held = self.camera != "stands"  # for which no errors are invented
         return replace(made, camera=self.camera, noise=0.0) if held else made
@@ -173,7 +176,7 @@ LIMITS = tuple(
     for k, changed in enumerate((
         {}, {"motion": "half"}, {"motion": "still"}, {"motion": "everyday"}, {"frames": 30},
         {"frames": 120}, {"frames": 300}, {"size": 256}, {"size": 1024}, {"outfit": "foreign"},
-        {"camera": "held"},
+        {"camera": "held"}, {"strands": True}, {"shutter": 0.5},
     ))
 )  # fmt: skip
 

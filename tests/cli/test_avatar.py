@@ -170,6 +170,7 @@ SENTENCES = {
     "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 to 20"),
     "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
+    "no masks": (("avatar", "{film}", "--out", "me", "--masks", "m"), "m: no such film or folder"),
     "no weights": (
         ("avatar", "{film}", "--out", "me", "--masks", "sam"), "--masks sam needs --sam-checkpoint",
     ),

@@ -11,7 +11,7 @@ Beside the files of every subject (:mod:`gva_mi.data.video`) it holds
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +30,7 @@ from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.importers.by_networks import write_masks
+from gva_mi.data.importers.footage import mask_meaning
 from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.importers.own_masks import WithMasks, write_own_masks
@@ -41,6 +42,7 @@ from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import SPLITS, Splits
+from gva_mi.data.stored_pictures import StoredPictures
 from gva_mi.data.video import POSES
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
@@ -140,21 +142,24 @@ def prepare_film(
         progress: called as the work goes on.
     """
     model, network = load_body(body), own_masks.mask_network()
+    given = own_masks.masks if network is None else None
+    if given is not None:
+        mask_meaning(given)  # what cannot be read is refused before any work
     with tempfile.TemporaryDirectory(dir=out, prefix=".") as folder:
-        rough = _Stored(Path(folder), ".npy", read_array)
+        rough = StoredPictures(Path(folder), ".npy", read_array)
         keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
         motion = motion_of_film(
             film, options, model, person=person, lens=lens, on_silhouette=keep,
             progress=part_of_progress(progress, 0, 6, 10),
         )  # fmt: skip
         pictures = motion.pictures.pictures
-        stored = _Stored(out / "frames", ".png", lambda path: read_image(path, 3))
+        stored = StoredPictures(out / "frames", ".png", lambda path: read_image(path, 3))
         write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
         rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
         more = part_of_progress(progress, 6, 4, 10)
-        if own_masks.masks is not None and network is None:
+        if given is not None:
             numbers, size = motion.pictures.numbers, pictures[0].shape[1::-1]
-            notes = write_own_masks(out / "masks", own_masks.masks, numbers, size, rough, more)
+            notes = write_own_masks(out / "masks", given, numbers, size, rough, more)
         else:
             probabilities, notes = rough, []
             if network is not None:
@@ -183,23 +188,6 @@ def prepare_film(
     about["body"] = {"name": name, "file": file} | fingerprint(model)
     write_json(out / PREPARED, about)
     return record.notes
-
-
-class _Stored(Sequence[np.ndarray]):
-    """Pictures in the files of a folder, 000000.png and so on, read one by one."""
-
-    def __init__(self, folder: Path, suffix: str, read: Callable[[Path], np.ndarray]) -> None:
-        self._folder, self._suffix, self._read, self.count = folder, suffix, read, 0
-
-    def __len__(self) -> int:
-        return self.count
-
-    def __getitem__(self, index: int) -> np.ndarray:
-        return self._read(self.path(index))
-
-    def path(self, index: int) -> Path:
-        """Return a picture's file."""
-        return self._folder / f"{index:06d}{self._suffix}"
 
 
 @dataclass(frozen=True)

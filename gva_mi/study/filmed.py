@@ -69,6 +69,8 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         motion.watched.landmarks.save(folder / LANDMARKS)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         save_poses(folder / POSES, pose, solved.shape, stage=1)
+        if not lens:  # beside the estimate that the subject has
+            save_cameras(folder / "truth" / CAMERAS, [camera] * len(pictures))
         found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
         save_cameras(folder / CAMERAS, [found] * len(pictures))
         write_json(folder / PREPARED, {"kind": FILM})

@@ -12,10 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-
-from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PictureSide, options_of
@@ -29,6 +25,7 @@ from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import Study, Work
 from gva_mi.study.filmed import height_of
 from gva_mi.study.measure import ERRORS, Evaluation, PoseFigures, mask_iou
+from gva_mi.study.similarity import zoomed
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.tables import MILLIMETRES
 from gva_mi.synthetic.options import VideoFrames
@@ -135,11 +132,6 @@ def refine_case(
 
 def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
     """Give a video the true focal length; its poses follow, as by ``prepare --lens``."""
-    longer = truth.cameras[0].fx / video.cameras[0].fx
-    cameras, pose = [camera.zoomed(longer) for camera in video.cameras], video.pose
-    T = torch.from_numpy(np.stack([camera.T_camera_world for camera in cameras]))
-    R, t = (x.to(pose.transl.dtype) for x in (T[:, :3, :3], T[:, :3, 3]))
-    axis = R[:, 2]  # optical axis, in the world: along it the pelvis moves
-    depth = ((body.rest(video.shape).joints[0] + pose.transl) * axis).sum(1) + t[:, 2]
-    transl = pose.transl + (longer - 1) * depth[:, None] * axis
-    return replace(video, cameras=cameras, pose=Pose(pose.rotations, transl, pose.expression))
+    pelvis, zoom = body.rest(video.shape).joints[0], truth.cameras[0].fx / video.cameras[0].fx
+    pose, cameras = zoomed(video.pose, pelvis, video.cameras, zoom)
+    return replace(video, cameras=list(cameras), pose=pose)

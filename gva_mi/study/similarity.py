@@ -23,11 +23,15 @@ The avatar stays as it is; true poses and cameras are transformed into its world
     4. camera      R_c (s R x + t) + t_c  ~  (R_c R) x + (R_c t + t_c) / s    pictures have no scale
     5. root        Rᵀ R*_root, with the pelvis at Rᵀ (y_pelvis - t) / s + Rᵀ R*_root o
 
+A focal length that was estimated wrongly, f instead of f*, puts the person f / f* times as far
+away. So true cameras first get the focal length f, and true poses that distance (:func:`zoomed`).
+
 Only evaluation uses it, and the strict figures are reported beside.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,6 +59,7 @@ class Similarity:
     rotation: np.ndarray  # (3, 3)
     translation: np.ndarray  # (3,) metres
     stance: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) o, metres
+    zoom: float = 1.0  # f / f*
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Transform points (..., 3) from the avatar's world to the true one."""
@@ -104,10 +109,13 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     truth, frames = truth_of(video, body), video.splits.train
     if truth is None:
         return None
+    zoom = video.cameras[0].fx / truth.cameras[0].fx
+    pelvis = truth.body.rest(truth.shape).joints[0]
+    true_pose, true_cameras = zoomed(truth.pose, pelvis, truth.cameras, zoom)
     found = posed_joints(rig, video.pose[frames])
-    true = truth.body(truth.pose[frames], truth.shape).joints
+    true = truth.body(true_pose[frames], truth.shape).joints
     x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))
-    given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, truth.cameras))
+    given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, true_cameras))
     placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
     static = all(np.allclose(T, T[0], atol=1e-9) for T in placed)
     flat = x.reshape(-1, 3), y.reshape(-1, 3)
@@ -115,7 +123,32 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
     root = to_matrix(video.pose.rotations[frames, 0].double()).numpy()
     z = np.stack([camera.T_camera_world[2, :3] for camera in given])
-    return replace(whole, stance=_stance(off, root, z))
+    return replace(whole, stance=_stance(off, root, z), zoom=zoom)
+
+
+def zoomed(
+    pose: Pose, pelvis: Tensor, cameras: Sequence[Camera], zoom: float
+) -> tuple[Pose, Sequence[Camera]]:
+    """Return cameras of a focal length ``zoom`` times as long, and poses so much farther away.
+
+    The pelvis moves along the camera's axis, and stays where it is in the picture. A sagittal
+    length does not: a longer lens shows it flatter.
+
+    Args:
+        pose: T frames.
+        pelvis: (3,) of the body at rest, metres.
+        cameras: T of them.
+        zoom: 1 returns what was given.
+    """
+    if zoom == 1:
+        return pose, cameras
+    T = torch.from_numpy(np.stack([camera.T_camera_world for camera in cameras]))
+    R, t = (x.to(pose.transl) for x in (T[:, :3, :3], T[:, :3, 3]))
+    axis = R[:, 2]  # of the camera, in the world
+    depth = ((pelvis + pose.transl) * axis).sum(1) + t[:, 2]
+    transl = pose.transl + (zoom - 1) * depth[:, None] * axis
+    moved = Pose(pose.rotations, transl, pose.expression)
+    return moved, [camera.zoomed(zoom) for camera in cameras]
 
 
 def _stance(off: np.ndarray, root: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -162,11 +195,12 @@ def in_avatars_world(similarity: Similarity, source: Video, rig: Rig, body: Body
         rig: the avatar's rest body.
         body: the fitted body model.
     """
-    pelvis = body.rest(Shape(source.shape.betas)).joints[0].double()
+    pelvis = body.rest(Shape(source.shape.betas)).joints[0]
+    pose, cameras = zoomed(source.pose, pelvis, source.cameras, similarity.zoom)
     return replace(
         source,
-        pose=similarity.pose(source.pose, pelvis, rig.joints[0].double()),
-        cameras=[similarity.camera(camera) for camera in source.cameras],
+        pose=similarity.pose(pose, pelvis.double(), rig.joints[0].double()),
+        cameras=[similarity.camera(camera) for camera in cameras],
     )
 
 

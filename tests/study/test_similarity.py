@@ -29,6 +29,7 @@ from gva_mi.study.similarity import (
     in_avatars_world,
     posed_joints,
     similarity_to_truth,
+    zoomed,
 )
 
 TURN = roma.rotvec_to_rotmat(torch.tensor([0.1, -0.4, 0.2], dtype=torch.float64)).numpy()
@@ -141,6 +142,24 @@ def test_novel_poses_in_the_avatars_world_show_the_same_pictures(moved, known, b
         low = 0 if region == "black" else 50
         assert row.psnr > low and strict[region].psnr > low
         assert row.psnr == pytest.approx(strict[region].psnr, rel=0.15)
+
+
+def test_a_wrong_lens_is_undone(moved, known, body):
+    """Poses that a longer lens puts farther away: pictures of the true camera are found again."""
+    video, _ = moved
+    pelvis = known.rig.joints[0]
+    pose, cameras = zoomed(video.pose, pelvis, video.cameras, 1.4)
+    center = lambda some: (pelvis + some.transl).double().numpy()
+    for k, (long, short) in enumerate(zip(cameras, video.cameras, strict=True)):
+        seen = long.project(center(pose)[k])
+        np.testing.assert_allclose(seen, short.project(center(video.pose)[k]), atol=1e-3)
+    longer = replace(video, pose=pose, cameras=list(cameras))
+    found = similarity_to_truth(known.rig, longer, body)
+    assert found.zoom == pytest.approx(1.4) and found.scale == pytest.approx(1, abs=1e-5)
+    source = load_video(video.truth / "novel_pose")
+    aligned = in_avatars_world(found, source, known.rig, body)
+    before, after = (v.cameras[0].project(center(v.pose)[0]) for v in (source, aligned))
+    np.testing.assert_allclose(after, before, atol=0.01)
 
 
 def test_no_similarity_without_ground_truth(video, known, body):

@@ -64,6 +64,10 @@ NOT_RUN = {
     ),
     "gva-mi study avatar --held-out-set 23 --error-models film --fit.steps 2000 --rows full "
     "--out film-avatars": ("an hour; tests/study/test_filmed.py renders and watches one film"),
+    "gva-mi study avatar --held-out-set 24 --error-models film --fit.steps 2000 --rows full "
+    "--no-lens --out any-lens": (
+        "an hour; tests/study/test_filmed.py renders and watches one film"
+    ),
     "gva-mi study multiview Demo_SinglePerson/videos --calibration "
     "Demo_SinglePerson/calibration/Calib_qualisys.toml --height 1.72": (
         "needs the films of Pose2Sim: tests/study/test_multiview.py"

@@ -52,3 +52,8 @@ def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_bod
     assert video.kind == "film" and len(video) == len(video.landmarks) == 12
     assert video.normals is None
     assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120
+    watch_take(tmp_path / "take", tmp_path / "any", built_in_body, lens=False)
+    found, true = (load_video(tmp_path / name).cameras[0].fx for name in ("any", "filmed"))
+    assert found != true and found == pytest.approx(true, rel=0.5)
+    kept = load_ground_truth(tmp_path / "any/truth", built_in_body).cameras[0]
+    assert kept.fx == pytest.approx(true)

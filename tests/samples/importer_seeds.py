@@ -38,7 +38,7 @@ def importers():
 
     def prepared(kind, write):
         def read(folder, _=None):
-            options = PrepareOptions(Path("puppet"), views=("all",))
+            options = PrepareOptions(body=Path("puppet"), views=("all",))
             with TemporaryDirectory() as out:
                 prepare_folder(Path(out), kind, folder, options, built_in)
 

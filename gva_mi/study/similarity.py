@@ -59,7 +59,7 @@ class Similarity:
     rotation: np.ndarray  # (3, 3)
     translation: np.ndarray  # (3,) metres
     stance: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) o, metres
-    zoom: float = 1.0  # f / f*
+    zoom: float = 1.0  # f / f*, the given focal length by the true one
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Transform points (..., 3) from the avatar's world to the true one."""
@@ -131,8 +131,8 @@ def zoomed(
 ) -> tuple[Pose, Sequence[Camera]]:
     """Return cameras of a focal length ``zoom`` times as long, and poses so much farther away.
 
-    The pelvis moves along the camera's axis, and stays where it is in the picture. A sagittal
-    length does not: a longer lens shows it flatter.
+    The pelvis moves along the camera's axis to ``zoom`` times its depth, and keeps its place in the
+    picture. What lies before or behind it looks flatter through a longer lens.
 
     Args:
         pose: T frames.

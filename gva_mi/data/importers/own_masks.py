@@ -13,7 +13,7 @@ from gva_mi.data.importers import footage
 from gva_mi.data.masks import BARELY, require_person
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 
-CERTAIN = 0.95  # probability from which a pixel is the person's for the network
+CERTAIN = 0.95  # probability of certainty: no witness is believed beyond it
 HELD = 0.5  # share of such pixels that lie in the masks, at least, in most frames
 SHAPE = 0.01  # largest relative difference of a mask's width by height from the film's
 
@@ -78,9 +78,10 @@ def _in_size(where: str, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 class WithMasks(Sequence[np.ndarray]):
-    """A network's probabilities and another's masks as two witnesses: their odds are multiplied.
+    """A network's probabilities P and another's masks Q: their odds are multiplied.
 
-    Where they contradict each other, the colours of the film decide.
+    The result is ``P Q / (P Q + (1 - P) (1 - Q))``. It is near a half where they contradict each
+    other, and there the colours of the film decide.
     """
 
     def __init__(self, probabilities: Sequence[np.ndarray], folder: Path) -> None:

@@ -49,7 +49,7 @@ class OneCamera:
 
 @dataclass(frozen=True)
 class BoneFound:
-    """How a network's depths along a bone follow the true ones: eq. 2 of landmark_noise.
+    """How a network's depths along a bone follow the true ones: eq. 3 of landmark_noise.
 
     Its ``gain`` and ``bias`` (mm) by least squares over all films, ``error`` (mm) what is left, and
     what stage 1 takes them to be.

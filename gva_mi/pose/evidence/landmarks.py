@@ -1,12 +1,13 @@
 """Landmarks of a network as evidence: where the body's points lie in the picture.
 
-1. ``r_kp = (π_k(y_kp) - u_kp) / σ_kp``,   ``y_kp = T_k,joint(p) (x_p(β) + o_p)``
+1. ``r_kp = S_kp (π_k(y_kp) - u_kp) / σ_kp``,   ``y_kp = T_k,joint(p) (x_p(β) + o_p)``
 2. ``L_k = Σ_p n_p (ν + 2) / 2m · log(1 + |r_kp|² / ν)``
 3. ``E(o) = Σ_p |o_p|² / 2 loose_p²``
 4. ``L_k += f_k |A_k - A_k^stage1|² / 4 m σ_A²``: where the face was seen
 
-with the landmark ``u`` in pixels and its standard deviation ``σ``, the camera's projection ``π``,
-and the point ``x`` of the body at rest (:mod:`gva_mi.pose.film.rig`). Offsets ``o`` are unknown and
+with the landmark ``u`` in pixels, its standard deviation ``σ`` and aspect ``S``
+(:mod:`gva_mi.pose.film.landmark_noise`), the camera's projection ``π``, and the point ``x`` of the
+body at rest (:mod:`gva_mi.pose.film.rig`). Offsets ``o`` are unknown and
 the same in all frames: a network's hip or shoulder is not the joint of the body. A landmark's error
 lasts, so ``m`` frames count as one, and the points of a hand, or of the face, err together, so they
 count as few: each as ``n`` of a point.
@@ -49,6 +50,7 @@ class SeenLandmarks:
         rig: of the P landmarks.
         pixels: (T, P, 2), zero where there is none.
         precision: (T, P) 1 / σ, zero where there is none.
+        aspect: (T, P, 2, 2) ``S``.
         count: (P,) ``n``.
         K: (T, 3, 3) of the cameras.
         T_camera_world: (T, 4, 4).
@@ -60,6 +62,7 @@ class SeenLandmarks:
     rig: LandmarkRig
     pixels: Tensor
     precision: Tensor
+    aspect: Tensor
     count: Tensor
     K: Tensor
     T_camera_world: Tensor
@@ -87,12 +90,13 @@ class SeenLandmarks:
         rig = LandmarkRig.of(body, landmarks.names)
         T_camera_world = torch.from_numpy(np.stack([c.T_camera_world for c in cameras])).float()
         head, faces = _heads(landmarks, body, T_camera_world, *stage1)
-        sigma = LandmarkNoise.of(landmarks, rig.names).pixels
+        noise = LandmarkNoise.of(landmarks, rig.names)
         pixels = torch.from_numpy(landmarks.pixels[:, landmarks.indices(rig.names)]).float()
         return SeenLandmarks(
             rig,
-            torch.where(sigma.isfinite()[..., None], pixels, 0),
-            1 / sigma,
+            torch.where(noise.pixels.isfinite()[..., None], pixels, 0),
+            1 / noise.pixels,
+            noise.aspect,
             independent_points(rig.names, hands_together=True),
             torch.from_numpy(np.stack([c.K for c in cameras])).float(),
             T_camera_world,
@@ -123,7 +127,8 @@ class SeenLandmarks:
         seen = y @ T[:, :3, :3].mT + T[:, None, :3, 3]
         image = seen @ self.K[frames].mT
         found = image[..., :2] / image[..., 2:].clamp_min(NEAREST)
-        off = (found - self.pixels[frames]).square().sum(-1) * self.precision[frames].square()
+        off = (self.aspect[frames] @ (found - self.pixels[frames])[..., None])[..., 0]
+        off = off.square().sum(-1) * self.precision[frames].square()
         nats = (FREEDOM + 2) / (2 * self.memory) * torch.log1p(off / FREEDOM)
         turned = (T_world_rest[:, _HEAD, :3, :3] - self.head[frames]).square().sum((1, 2))
         of_head = self.faces[frames] * turned / (4 * self.memory * HEAD**2)
@@ -150,4 +155,4 @@ def _heads(
 
 
 _HEAD = JOINTS.index("head")
-_OF_FRAMES = ("pixels", "precision", "K", "T_camera_world", "head", "faces")
+_OF_FRAMES = ("pixels", "precision", "aspect", "K", "T_camera_world", "head", "faces")

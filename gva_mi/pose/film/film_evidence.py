@@ -3,15 +3,16 @@
 With points ``X`` in the camera's axes (:mod:`gva_mi.pose.film.posed_points`) and errors in units of
 their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame costs
 
-1. ``t_2((π(X_p) - x_p) / σ_p)``                                 pixels, of every landmark
+1. ``t_2(S_p (π(X_p) - x_p) / σ_p)``                             pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
 3. ``-log p(up · X_q + floor)``                                  soles stand or swing
 4. ``t_2(off_trunk / σ_u)``                                      the trunk is upright, on average
 5. ``min_s t_2(off_balance / σ_b, s / σ_s)``                     the body's mass is above the feet
 
 divided by ``m``, the frames that count as one
-(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``off`` and ``s`` are those of
-:mod:`gva_mi.pose.film.upright`, ``t_d`` is that of Student's t distribution in d dimensions,
+(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``S`` is the aspect of that noise, ``off``
+and ``s`` are those of :mod:`gva_mi.pose.film.upright`, ``t_d`` is that of Student's t distribution
+in d dimensions,
 ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
@@ -64,6 +65,7 @@ class FilmEvidence:
         K: (3, 3) the camera, pixels.
         pixels: (T, P, 2) landmarks.
         precision: (T, P) ``1 / σ²``; zero without a landmark.
+        aspect: (T, P, 2, 2) ``S``.
         bones: (K, 2) and ``gain`` (K,).
         deep: (T, K) ``s (m_j - m_i) - bias``, and ``deep_precision`` (T, K).
         metric: (T, P, 3) ``s m``, of the body alone; NaN elsewhere.
@@ -76,6 +78,7 @@ class FilmEvidence:
     K: Tensor
     pixels: Tensor
     precision: Tensor
+    aspect: Tensor
     bones: Tensor
     gain: Tensor
     deep: Tensor
@@ -86,7 +89,7 @@ class FilmEvidence:
 
     def of(self, some: slice) -> FilmEvidence:
         """Select frames."""
-        names = ("pixels", "precision", "deep", "deep_precision", "metric", "memory")
+        names = "pixels", "precision", "aspect", "deep", "deep_precision", "metric", "memory"
         return replace(self, **{name: getattr(self, name)[some] for name in names})
 
     def rows(self, state: FilmState, derive: bool) -> Iterator[EvidenceRows]:
@@ -135,6 +138,7 @@ class FilmEvidence:
         f = torch.stack([self.K[0, 0], self.K[1, 1]]) * state.focal.exp()
         rays = X[..., :2] / z
         r = torch.where(self.precision[..., None] > 0, f * rays + self.K[:2, 2] - self.pixels, 0)
+        r = (self.aspect @ r[..., None])[..., 0]
         energy, weights = self._t(r, self.precision, 2)
         weights = weights[..., None].expand(-1, -1, 2).flatten(1)
         if D is None:
@@ -143,7 +147,7 @@ class FilmEvidence:
         J = (own[:, :, :2] - rays[..., None] * own[:, :, 2:]) * (f / z)[..., None]
         if self.free.camera:
             J[..., self.free.per_frame + self.free.first_of_camera] = f * rays
-        return EvidenceRows(energy, r.flatten(1), weights, J.flatten(1, 2))
+        return EvidenceRows(energy, r.flatten(1), weights, (self.aspect @ J).flatten(1, 2))
 
     def _depths(self, posed: PosedPoints, D: Tensor | None) -> EvidenceRows:
         i, j = self.bones.unbind(1)
@@ -256,6 +260,7 @@ def film_evidence(
         double(K),
         double(pixels),
         double(noise.pixels) ** -2 * independent_points(rig.names, hands_together=False).double(),
+        double(noise.aspect),
         noise.bones,
         double(noise.gain),
         double(deep),

@@ -36,7 +36,8 @@ def test_the_depth_is_that_of_landmarks_that_sit_beside_the_joints(built_in_body
     sure = torch.full(X.shape[:2], PIXELS**-2, dtype=torch.float64)
     gain = torch.full((len(bones),), GAIN, dtype=torch.float64)
     evidence = FilmEvidence(
-        Free([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure, torch.tensor(bones), gain,
+        Free([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure,
+        torch.eye(2).double().expand(*sure.shape, 2, 2), torch.tensor(bones), gain,
         GAIN * deep, torch.full_like(deep, DEPTH**-2), X,
         memory=torch.ones(len(X), dtype=torch.float64),
     )  # fmt: skip

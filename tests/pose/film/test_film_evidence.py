@@ -30,6 +30,7 @@ def test_pulls_are_the_slopes_of_the_energy(built_in_body):
     evidence = FilmEvidence(
         free, film_points(built_in_body, rig, more=True), K,
         30 * random(FRAMES, len(NAMES), 2), torch.full((FRAMES, len(NAMES)), 0.01).double(),
+        torch.eye(2) + 0.3 * random(FRAMES, len(NAMES), 2, 2),
         torch.tensor(BONES), torch.ones(2).double(), 0.2 * random(FRAMES, 2),
         torch.full((FRAMES, 2), 50.0).double(), random(FRAMES, len(NAMES), 3),
         memory=torch.tensor([1.0, 2.5, 7.0]).double(),

@@ -9,6 +9,7 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import (
+    LONG,
     PERSON,
     LandmarkNoise,
     frames_alike,
@@ -79,6 +80,27 @@ def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):
     assert (noise.depth[1, of_hand] > 0.29).all()
     noise.pixels[1, hand], noise.depth[1, of_hand] = usual.pixels[1, hand], usual.depth[1, of_hand]
     assert torch.equal(noise.pixels, usual.pixels) and torch.equal(noise.depth, usual.depth)
+
+
+def test_the_ends_of_a_limb_slide_along_it(standing):
+    names = list(standing.names)
+    arm = ("shoulder", "elbow", "wrist")
+    shoulder, elbow, wrist = (names.index(f"left_{name}") for name in arm)
+    end_on = replace(standing, pixels=standing.pixels.copy())
+    end_on.pixels[1, wrist] = end_on.pixels[1, elbow]
+    noise = LandmarkNoise.of(end_on, names)
+    precision = noise.aspect @ noise.aspect  # σ² Σ⁻¹
+    limb = torch.from_numpy(standing.pixels[0, elbow] - standing.pixels[0, shoulder]).float()
+    u = limb / limb.norm()
+    across = u.flip(0) * torch.tensor([1.0, -1.0])
+    for point in (shoulder, elbow):
+        assert torch.allclose(precision[0, point] @ u, u / LONG**2)
+        assert torch.allclose(precision[0, point] @ across, across)
+    round_ = (precision == torch.eye(2)).all((2, 3))
+    assert round_[1, wrist] and not round_[0, wrist]
+    ends = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    slide = [name.endswith(ends) and "hand" not in name for name in names]
+    assert torch.equal(~round_[0], torch.tensor(slide))
 
 
 def test_frames_that_look_alike_count_as_one(standing):

@@ -15,23 +15,3 @@
 ``gestures``        hand poses
 ==================  ================================================================
 """
-
-from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape, load_poses, save_poses
-from gva_mi.body.skinning import skin_points
-from gva_mi.body.smplx import BodyModel, Posed, Rest, load_body
-
-__all__ = [
-    "JOINTS",
-    "PARENTS",
-    "BodyModel",
-    "Pose",
-    "Posed",
-    "Rest",
-    "Shape",
-    "joint_transforms",
-    "load_body",
-    "load_poses",
-    "save_poses",
-    "skin_points",
-]

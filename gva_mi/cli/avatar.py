@@ -38,12 +38,10 @@ from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.pose.film.film_check import check_film
 from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord, prepare_film
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.film_report import write_film_report
+from gva_mi.study.film_report import FINDINGS, write_film_report
 
 MARKER = "avatar.json"
 SUBJECT, RUN = "subject", "run"  # folders in the command's folder
-FINDINGS = "film_check.json"  # in the subject's folder
-
 
 QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
     "draft": (8, 4, 500),
@@ -223,7 +221,7 @@ class _Work:
         trained = run_folder.under_trained_poses(video, self.run)
         with bar("report") as progress:
             model, title = load_body(self.body), self.title
-            write_film_report(self.out, self.run, trained, model, title, FINDINGS, progress)
+            write_film_report(self.out, self.run, trained, model, title, progress)
 
     def refined(self) -> tuple[Video, Path]:
         """Open the video under its refined poses; return also their file."""

@@ -18,17 +18,28 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.cli.driving import motion_of
-from gva_mi.cli.gaussian_files import COMPRESSED, SAVE, save_gaussians
 from gva_mi.cli.series import HASH, hash_of, series
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, options_of
 from gva_mi.fit.run_folder import body_of_run, load_avatar
+from gva_mi.splat import Gaussians
+from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats import LOAD
+from gva_mi.splat.formats.compressed_ply import save_compressed_ply
+from gva_mi.splat.formats.ply import save_ply
+from gva_mi.splat.formats.splat import save_splat
+from gva_mi.splat.formats.spz import save_spz
+from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
+from gva_mi.splat.principal_axes import with_axes
 
 MARKER = "export.json"  # every folder of exports holds it
+COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
+SAVE = {
+    ".ply": save_ply, COMPRESSED: save_compressed_ply, ".splat": save_splat, ".spz": save_spz,
+}  # fmt: skip
 
 
 @options_of("export")
@@ -67,10 +78,10 @@ class _Export:
         return motion_of(self.run, self.avatar, self.options.poses, self.options.fps, self.body)
 
     @torch.no_grad()
-    def save_gaussians(self, path: Path, pose: Pose) -> None:
+    def save(self, path: Path, pose: Pose) -> None:
         """Write the avatar's Gaussians in one pose, in the axes of files."""
         gaussians, degree = self.avatar(pose), self.options.sh_degree
-        save_gaussians(path, _suffix(path), gaussians, path, degree, in_world=True)
+        _save_gaussians(path, _suffix(path), gaussians, path, degree, in_world=True)
 
 
 def export(
@@ -140,7 +151,35 @@ def _converted(source: Path, options: ExportOptions, suffix: str, out: Path) -> 
             f"expected such a name and no other option than --sh-degree, got {out}"
         )
     gaussians = LOAD[source.suffix.lower()](source)
-    return lambda: save_gaussians(out, suffix, gaussians, source, options.sh_degree)
+    return lambda: _save_gaussians(out, suffix, gaussians, source, options.sh_degree)
+
+
+def _save_gaussians(
+    path: Path,
+    suffix: str,
+    gaussians: Gaussians,
+    source: Path,
+    degree: int | None,
+    in_world: bool = False,
+) -> None:
+    """Write Gaussians, without those that hold NaN or infinite numbers.
+
+    Args:
+        path: of the file.
+        suffix: its kind, in :data:`SAVE`.
+        gaussians: torch tensors, in the axes of files (:mod:`gva_mi.splat.axes`).
+        source: of the Gaussians, for messages.
+        degree: of their spherical harmonics; None: as they are.
+        in_world: they are in the world's axes instead.
+    """
+    kept = finite_ones(source, gaussians)
+    if len(kept) < len(gaussians):
+        lost = len(gaussians) - len(kept)
+        say(f"{path}: {lost} of {len(gaussians)} Gaussians hold NaN or infinite numbers: left out")
+    if gaussians.antialiased and suffix != ".spz":
+        say(f"{path}: {source} is to be drawn antialiased (Mip-Splatting), as only a .spz can say")
+    kept = half_turned(with_axes(kept)) if in_world else kept
+    SAVE[suffix](path, kept if degree is None else with_degree(kept, degree))
 
 
 def _gaussians(job: _Export) -> Work:
@@ -150,7 +189,7 @@ def _gaussians(job: _Export) -> Work:
         if frame >= len(motion):
             raise InputError(f"export: frame {frame} is not there, the poses have {len(motion)}")
         pose = motion[frame]
-    return lambda: job.save_gaussians(job.out, pose)
+    return lambda: job.save(job.out, pose)
 
 
 def _surface(job: _Export) -> Work:
@@ -180,7 +219,7 @@ def _folder(job: _Export) -> Work:
         names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
         with names as missing, bar("export") as progress:
             for done, name in enumerate(missing, 1):
-                job.save_gaussians(job.out / name, motion[frame_of[name]])
+                job.save(job.out / name, motion[frame_of[name]])
                 progress(done, len(missing))
 
     return work

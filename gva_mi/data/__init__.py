@@ -14,7 +14,6 @@
 ``joints``          a posed body's joints in the world, a picture and a mask
 ``views``           what other cameras saw, for evaluation
 ``ground_truth``    ground truth of a synthetic video
-``identity``        hashes of a video
 ``fingerprint``     whether a subject is used with its own body
 ``networks/``       networks that see a person in pictures
 ``matting/``        masks of a film that hold at the person's outline

@@ -37,8 +37,7 @@ from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
-from gva_mi.core.provenance import versions
-from gva_mi.data.identity import differing, identity
+from gva_mi.core.provenance import hash_arrays, hash_files, versions
 from gva_mi.data.video import Video
 from gva_mi.splat import Gaussians
 
@@ -50,6 +49,7 @@ METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 # and binding Gaussians to the outer skin.
 LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
+PARTS = ("frames", "masks", "cameras", "poses", "splits")  # of a video, each of which is hashed
 
 
 def prepare(
@@ -97,8 +97,36 @@ def require_none_begun(out: Path, overwrite: bool) -> None:
         )
 
 
+def identity(video: Video) -> dict[str, str]:
+    """Return a hash of each of :data:`PARTS`; poses are those the video was opened with.
+
+    Poses trained on one video mean nothing in another, even one with as many frames. Files are
+    hashed as they are: a re-encoded video is another video, even if the encoding is lossless.
+    """
+    folder, pose = video.folder, video.pose
+    pictures = sorted((folder / "frames").glob("*.png")) or [folder / "video.mp4"]
+    cameras = [x for c in video.cameras for x in (c.K, c.T_camera_world, [c.width, c.height])]
+    poses = [pose.rotations, pose.transl, pose.expression, video.shape.betas]
+    splits = [video.splits.train, [-1], video.splits.test]
+    return {
+        "frames": hash_files(pictures),
+        "masks": hash_files(sorted(p for p in (folder / "masks").glob("*") if p.is_file())),
+        "cameras": hash_arrays(cameras),
+        "poses": hash_arrays(x.detach().numpy() for x in poses),
+        "splits": hash_arrays(splits),
+    }
+
+
+def differing(known: Mapping[str, str], video: Video) -> list[str]:
+    """Return the :data:`PARTS` in which a video differs from a record; none if that is empty."""
+    if not known:
+        return []
+    found = identity(video)
+    return [part for part in PARTS if found[part] != known.get(part)]
+
+
 def other_parts(run: Path, video: Video) -> list[str]:
-    """Return which of ``identity.PARTS`` differ between a video and that of a run.
+    """Return which of :data:`PARTS` differ between a video and that of a run.
 
     A run without a record of its video matches any.
     """

@@ -22,8 +22,8 @@ Both minimise evidence + prior, and each side has one interface:
 ``corrections.py`` holds the unknowns, and ``optimize.py`` optimises them.
 """
 
-from gva_mi.pose.refine import Refined, refine
+from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import SingleFrameOptions
 
-__all__ = ["Refined", "SequenceOptions", "SingleFrameOptions", "refine"]
+__all__ = ["SequenceOptions", "SingleFrameOptions", "refine"]

@@ -32,10 +32,6 @@ from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose.displacement import hand_vertices
 
-NAMES = (  # of errors, in the order of files
-    "body", "hands", "feet", "body_aligned", "hands_aligned", "feet_aligned", "joints",
-    "fingers", "pelvis_depth", "ankles_depth", "wrists_depth",
-)  # fmt: skip
 _BODY_JOINTS = 22
 _TOGETHER = 16  # frames that are measured at a time
 
@@ -55,10 +51,10 @@ def pose_errors(
     """Measure estimated poses of the fitted body, some frames at a time.
 
     Returns:
-        Errors (T,), millimetres: ``body``, ``hands``, ``feet`` (eq. 1), the same with ``_aligned``
-        (eq. 2), ``fingers`` (eq. 3), ``joints`` (eq. 1 over the 22 joints
-        of the body), ``pelvis_depth``, ``ankles_depth``, ``wrists_depth`` (eq. 4, mean of both
-        sides).
+        Errors (T,), millimetres, in the order of files: ``body``, ``hands``, ``feet`` (eq. 1), the
+        same with ``_aligned`` (eq. 2), ``joints`` (eq. 1 over the 22 joints of the body),
+        ``fingers`` (eq. 3), ``pelvis_depth``, ``ankles_depth``, ``wrists_depth`` (eq. 4, mean of
+        both sides).
     """
     points = _Points.of(body, truth.foreign)
     axes = torch.from_numpy(np.stack([c.T_camera_world[2, :3] for c in truth.cameras]))
@@ -68,9 +64,8 @@ def pose_errors(
             some = slice(start, start + _TOGETHER)
             x = body(found[0][some], found[1])
             y = truth.body(truth.pose[some], truth.shape)
-            parts.append(points.errors(x, y) | _joint_errors(x, y, axes[some].to(x.joints)))
-    whole = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
-    return {name: 1e3 * whole[name] for name in NAMES if name in whole}
+            parts.append(points.errors(x, y) | _depths(x, y, axes[some].to(x.joints)))
+    return {name: 1e3 * torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
 def means(errors: dict[str, Tensor]) -> dict[str, float]:
@@ -113,6 +108,7 @@ class _Points:
         return (
             dict(zip(names, free.T, strict=True))
             | dict(zip((f"{name}_aligned" for name in names), put.T, strict=True))
+            | {"joints": _joints_apart(x, y).norm(dim=2).mean(1)}
             | {"fingers": fingers.norm(dim=2).mean(1)}
         )
 
@@ -125,12 +121,14 @@ class _Points:
         return torch.cat(parts, 1)
 
 
-def _joint_errors(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:
-    """Evaluate eq. 1 and 4 on joints, each (T,), metres; ``axes`` (T, 3) are the cameras'."""
-    apart = (x.joints - y.joints)[:, :_BODY_JOINTS]
-    deep = torch.einsum("tjc,tc->tj", apart, axes)
+def _joints_apart(x: Posed, y: Posed) -> Tensor:
+    return (x.joints - y.joints)[:, :_BODY_JOINTS]
+
+
+def _depths(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:
+    """Evaluate eq. 4, each (T,), metres; ``axes`` (T, 3) are the cameras'."""
+    deep = torch.einsum("tjc,tc->tj", _joints_apart(x, y), axes)
     return {
-        "joints": apart.norm(dim=2).mean(1),
         "pelvis_depth": deep[:, 0],
         "ankles_depth": deep[:, _ANKLES].mean(1),
         "wrists_depth": deep[:, WRISTS].mean(1),

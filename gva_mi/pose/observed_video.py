@@ -86,7 +86,6 @@ class ObservedVideo:
     coarse: CoarseBody
     pose: Pose  # stage 1 at the known height, with swapped limbs fixed
     shape: Shape
-    cameras: Sequence[Camera]
     options: RefineOptions
     evidence: SpillCache[MaskAndNormals]
     pictures: SpillCache[FinePicture]  # of the frames that have evidence, if there are close-ups
@@ -145,7 +144,7 @@ class ObservedVideo:
         seconds = time.perf_counter() - begin
         errors = known_errors(video, options) if in_sequence else None
         known = evidence, pictures, kept, held_out, landmarks, errors, swapped, seconds
-        return ObservedVideo(compared, pose, shape, video.cameras, options, *known)
+        return ObservedVideo(compared, pose, shape, options, *known)
 
     @property
     def clips(self) -> list[range]:

@@ -33,6 +33,7 @@ from gva_mi.study.page import Picture, Section, Table, animation
 from gva_mi.study.report import write_report
 from gva_mi.synthetic.motion import perform
 
+FINDINGS = "film_check.json"  # on the film, in the subject's folder
 TURNTABLE = "turntable"
 DRIVEN = ("walk", "dance")  # motions of gva_mi.synthetic.motion
 FPS = 20  # frames a second of the films
@@ -56,7 +57,6 @@ def write_film_report(
     video: Video,
     body: BodyModel,
     title: str,
-    findings: str,
     progress: Progress | None = None,
 ) -> None:
     """Write the page ``out/report.html``, and films of the avatar beside it.
@@ -67,12 +67,11 @@ def write_film_report(
         video: opened with the poses that the avatar was trained under.
         body: the fitted body model.
         title: heading of the page.
-        findings: name of the file of the film's findings in the video's folder.
         progress: called after each rendered picture.
     """
     avatar, record = run_folder.load_avatar(run), FilmRecord.load(video.folder)
     films = list(_films(out, avatar, video, progress))
-    better = _better(_problems(video.folder / findings), record.notes)
+    better = _better(_problems(video.folder / FINDINGS), record.notes)
     first = [Section("The avatar", _MOVES, films, columns=3), better]
     subtitle = f"{record.frames} frames at {record.fps:.3g} a second. {_height(record)}"
     where = out / run_folder.REPORT, run

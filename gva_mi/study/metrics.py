@@ -102,7 +102,7 @@ def protocol_of(
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """All figures of a run; some are None in files of older versions."""
+    """All figures of a run."""
 
     rows: tuple[SplitScores, ...]
     refinement: PoseFigures  # all None if the poses were not refined by this program

@@ -24,17 +24,17 @@ DEPTHS = {
 }
 
 
-def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = None) -> Table:
+def errors_table(figures: PoseFigures, trained: Mapping[str, float]) -> Table:
     """List the known errors at stage 1 and after refinement.
 
     Args:
         figures: of the refinement.
         trained: errors of poses trained with the avatar, by the names of
-            :mod:`gva_mi.pose.errors`, millimetres; None: no such column.
+            :mod:`gva_mi.pose.errors`, millimetres.
     """
-    rows, further = [], lambda text: [] if trained is None else [text]
+    rows = []
     for name, title in (LENGTHS | DEPTHS).items():
-        change, later, signed = figures.change(name), (trained or {}).get(name), name in DEPTHS
+        change, later, signed = figures.change(name), trained.get(name), name in DEPTHS
         if change is None and later is None:
             continue
         values = ("–", "–", "–")
@@ -44,12 +44,12 @@ def errors_table(figures: PoseFigures, trained: Mapping[str, float] | None = Non
             grew = grew if share is None else f"{100 * share:+.0f} %"
             values = (*(number(x, 1, signed) for x in change), grew)
         title = title.format(points=figures["points"] or "vertices")
-        rows.append([f"{title}, mm", *values, *further(number(later, 1, signed)), "–"])
+        rows.append([f"{title}, mm", *values, number(later, 1, signed), "–"])
     if iou := figures.change("iou"):
         values = (number(x, 3) for x in iou)
         grew, limit = number(iou[1] - iou[0], 3, sign=True), figures["iou_truth"]
-        rows.append(["silhouette IoU", *values, grew, *further("–"), number(limit, 3)])
-    head = ("", "stage 1", "refined", "change", *further("trained"), "ground-truth pose")
+        rows.append(["silhouette IoU", *values, grew, "–", number(limit, 3)])
+    head = ("", "stage 1", "refined", "change", "trained", "ground-truth pose")
     return Table(head, rows)
 
 

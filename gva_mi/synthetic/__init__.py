@@ -27,8 +27,7 @@
 
 from gva_mi.synthetic.estimates import describe_errors
 from gva_mi.synthetic.options import SynthOptions
-from gva_mi.synthetic.people import STUDY
 from gva_mi.synthetic.provenance import degrade, remake_subject
 from gva_mi.synthetic.subject_folder import make_subject
 
-__all__ = ["STUDY", "SynthOptions", "degrade", "describe_errors", "remake_subject", "make_subject"]
+__all__ = ["SynthOptions", "degrade", "describe_errors", "remake_subject", "make_subject"]

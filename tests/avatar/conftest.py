@@ -5,9 +5,10 @@ import pytest
 import torch
 import trimesh
 
-from gva_mi.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.body import JOINTS, BodyModel, Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.smplx import BodyModel
 
 WITH_RESIDUAL = AvatarOptions(residual=ResidualOptions(enabled=True))
 RADII = np.array([0.8, 0.9, 0.3])  # metres

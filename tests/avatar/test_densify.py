@@ -5,7 +5,7 @@ import torch
 
 from gva_mi.avatar.canonical import PARAMETERS
 from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify
-from gva_mi.body import Pose
+from gva_mi.body.pose import Pose
 from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
 
 NO_STEPS = SplatOptions(alpha_min=1e-9)  # a cut-off that moves would spoil differences

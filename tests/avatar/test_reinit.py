@@ -8,12 +8,12 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 
-from gva_mi.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions
 from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, resample, wanted_density
 from gva_mi.avatar.rig import Rig
-from gva_mi.body import Shape, load_body
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 from gva_mi.splat.kernels.sh import C0
 

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar import skin_weights
 from gva_mi.avatar.skin_weights import CLOSE, Skin, SkinningOptions, diffused
-from gva_mi.body import JOINTS
+from gva_mi.body.pose import JOINTS
 
 LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
 

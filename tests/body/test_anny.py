@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body import JOINTS, Shape, load_body
 from gva_mi.body.anny import FILE, _between, _regressor, anny_body
+from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 
 

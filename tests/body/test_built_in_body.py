@@ -9,8 +9,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gva_mi.body import JOINTS, Pose, Shape, load_body
 from gva_mi.body.built_in import BUILT_IN_BODY, EXPRESSIONS
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.smplx import load_body
 from gva_mi.synthetic.body_generator.anatomy import joint_positions
 from gva_mi.synthetic.body_generator.generate import generate
 from gva_mi.synthetic.body_generator.rig import MIRRORED

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body import Pose, Shape, load_body
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smpl import SMPL, SMPLH
+from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 
 F64 = torch.float64

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body import JOINTS, Pose, Shape, load_body
 from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smpl import SMPLX
+from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 
 F64 = torch.float64

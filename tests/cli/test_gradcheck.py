@@ -9,7 +9,7 @@ from samples.scenes import scene as random_scene
 
 from gva_mi.cli.gradcheck import PICTURE, REPORT, GradcheckOptions, gradcheck
 from gva_mi.core.errors import InputError
-from gva_mi.gradcheck import Comparison, Report
+from gva_mi.gradcheck.engine import Comparison, Report
 from gva_mi.splat.formats.spz import save_spz
 from gva_mi.splat.scene import Scene
 

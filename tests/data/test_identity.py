@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gva_mi.data.identity import PARTS, differing, identity
 from gva_mi.data.pictures import write_image
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import load_video
+from gva_mi.fit.run_folder import PARTS, differing, identity
 
 
 @pytest.fixture

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gva_mi.gradcheck import Comparison, RendererReport, Report
-from gva_mi.gradcheck.engine import write_reports
-from gva_mi.gradcheck.splat import Maps
+from gva_mi.gradcheck.engine import Comparison, Report, write_reports
+from gva_mi.gradcheck.splat import Maps, RendererReport
 
 
 def row(method="adjoint f32", error=1e-7):

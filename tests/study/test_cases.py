@@ -7,8 +7,8 @@ import pytest
 
 from gva_mi.data.fingerprint import FILM
 from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, held_out
-from gva_mi.synthetic import STUDY
 from gva_mi.synthetic.error_models.models import ERROR_MODELS
+from gva_mi.synthetic.people import STUDY
 
 BOTH = pytest.mark.parametrize(
     "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]

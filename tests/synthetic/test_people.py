@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from gva_mi.synthetic import STUDY
+from gva_mi.synthetic.people import STUDY
 
 
 def test_the_seven_subjects_differ_and_cover_the_hard_cases():

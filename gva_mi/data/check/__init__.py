@@ -6,6 +6,5 @@ maps.
 """
 
 from gva_mi.data.check.check import check_subject
-from gva_mi.data.check.problems import CheckReport, Problem
 
-__all__ = ["CheckReport", "Problem", "check_subject"]
+__all__ = ["check_subject"]

@@ -27,7 +27,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.importers.lens import in_pixels, pinhole_K
+from gva_mi.data.importers.lens import centred, in_pixels
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.arm_depths import with_arm_depths
 from gva_mi.pose.film.body_prior import (
@@ -78,14 +78,12 @@ class KnownOfFilm:
             uncertain by 5 %. It is not found: depths that networks take for smaller than they are
             would shrink the person.
         focal: focal length, pixels; without it a prior around the main cameras of phones.
-        centre: principal point, pixels; without it the middle of the picture.
         lines: the direction up by lines of the room, for that focal length or for :data:`LENS`.
         camera_height: of the lens above the floor, metres.
     """
 
     height: float | None = None
     focal: float | None = None
-    centre: tuple[float, float] | None = None
     lines: Vertical | None = None
     camera_height: float | None = None
 
@@ -98,8 +96,7 @@ class KnownOfFilm:
 
     def K(self, size: tuple[int, int]) -> np.ndarray:
         """Return the camera to start from, for pictures of a width and height, pixels."""
-        centre = self.centre or (size[0] / 2, size[1] / 2)
-        return pinhole_K(self.focal or in_pixels(LENS, size), centre)
+        return centred(self.focal or in_pixels(LENS, size), size)
 
 
 def solve_film(

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.formats.amass import save_amass
-from gva_mi.body import Pose, Shape
+from gva_mi.body.pose import Pose, Shape
 
 
 def test_keys_and_order_are_those_of_amass(tmp_path):

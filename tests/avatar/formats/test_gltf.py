@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from gva_mi.avatar.formats.gltf import save_gltf, surface_colors
-from gva_mi.body import joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.skinning import skin_points, strongest
 
 DTYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
@@ -161,8 +161,6 @@ def test_skinning_by_the_file_is_the_avatars(read, known, motion, frame):
 
 
 def test_consecutive_rotations_take_the_short_way(known, tmp_path):
-    from gva_mi.body import Pose
-
     rotations = torch.zeros(8, 55, 3)
     rotations[:, 0, 1] = torch.linspace(-6, 6, 8)
     save_gltf(tmp_path / "a.glb", known, Pose(rotations, torch.zeros(8, 3), torch.zeros(8, 10)))

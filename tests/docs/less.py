@@ -56,7 +56,7 @@ NOT_RUN = {
     "gva-mi evaluate me/run me/subject --fit-poses": FILMED,
     "gva-mi motion dance.mp4 dance.npz": FILMED,
     "gva-mi render me/run --poses dance.npz --video --out dance": FILMED,
-    "gva-mi study refine --held-out-set 23 --error-models film --out films": (
+    "gva-mi study refine --held-out-set 25 --error-models film --out films": (
         "an hour; tests/study/test_filmed.py renders and watches one film"
     ),
     "gva-mi study refine --cases limits --stage 1 --out limits": (

@@ -9,6 +9,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.pose.evidence.landmarks import HEAD, MEMORY, SeenLandmarks
+from gva_mi.pose.film.landmark_noise import LONG
 from gva_mi.pose.film.rig import LandmarkRig
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
@@ -64,6 +65,23 @@ def test_a_landmark_that_is_not_known_pulls_at_nothing(body, true_pose, camera, 
     far = float(loss_of(lost, body, true_pose, camera))
     lost.pixels[:, at] = np.nan
     assert far > 0.1 > 1e-4 > float(loss_of(lost, body, true_pose, camera))
+
+
+def test_a_point_may_slide_along_its_limb(body, true_pose, camera, landmarks):
+    """As far off along the limb as LONG times across it costs the same."""
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS, (true_pose, SHAPE))
+    knee, hip = (seen.rig.names.index(f"left_{name}") for name in ("knee", "hip"))
+    u = torch.nn.functional.normalize(seen.pixels[:, knee] - seen.pixels[:, hip], dim=1)
+    across = u.flip(1) * torch.tensor([1.0, -1.0])
+
+    def loss(step):
+        pixels = seen.pixels.clone()
+        pixels[:, knee] += step
+        moved, T = replace(seen, pixels=pixels), body(true_pose, SHAPE).T_world_rest
+        return moved.losses(range(len(T)), T, SHAPE, torch.zeros_like(seen.rig.rest))
+
+    assert (loss(5 * across) > 0.01).all()
+    torch.testing.assert_close(loss(5 * LONG * u), loss(5 * across), rtol=1e-3, atol=1e-5)
 
 
 def test_the_order_of_names_does_not_matter(body, true_pose, camera, landmarks):

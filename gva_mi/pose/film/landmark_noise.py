@@ -13,9 +13,10 @@ no more than usual. So this distance, beyond what the body's wrist may be off, i
 
 A knee may be taken for a point higher or lower on the leg, but hardly for one beside the leg: on
 rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
-across it. Bones of the fitted body are not quite as long as those of the person either, and then a
-limb that seems too short would bend toward the camera. So with the direction ``u`` of the limb in
-the picture, the points at its ends have the covariance
+across it, shoulders and hips alike in all directions. So with the direction ``u`` of the limb in
+the picture, the points at its ends have the covariance of (2). Shoulders and hips are among them,
+and ``LONG`` is 2, because poses of twelve rendered films were better so. That may be due to bones
+of the fitted body that are not as long as the person's.
 
 2. ``Σ = σ² (1 + (LONG² - 1) u uᵀ)``
 

@@ -43,6 +43,9 @@ def test_pulls_are_the_slopes_of_the_energy(built_in_body):
         expected = torch.cat([slopes[:, :F].flatten(), slopes[:, F:].sum(0)])
         found = torch.stack([_slope(terms, state, k) for k in range(len(expected))])
         torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-4)
+    double = replace(evidence, aspect=2 * evidence.aspect, precision=evidence.precision / 4)
+    energy = lambda terms: sum(row.energy for row in terms.rows(state, derive=False))
+    torch.testing.assert_close(energy(double), energy(evidence))  # only S / σ counts
 
 
 def _slope(evidence, state, column):

@@ -114,9 +114,9 @@ def test_importing_loads_no_optional_package():
 
 
 def test_files_and_functions_are_short():
-    """At most 290 lines a file, and 60 a function below its signature and docstring."""
+    """At most 450 lines a file, and 60 a function below its signature and docstring."""
     long = [f"{n}: {len(p.read_text().splitlines())}" for n, p in MODULES.items()
-            if len(p.read_text().splitlines()) > 290]  # fmt: skip
+            if len(p.read_text().splitlines()) > 450]  # fmt: skip
     for name, tree in TREES.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):

@@ -32,7 +32,7 @@ from torch.nn.functional import pad
 from gva_mi.avatar.lbs_transforms import SparseWeights
 from gva_mi.avatar.skin_weights import Skin
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Within, options_of
+from gva_mi.core.options import InnerShare, PythonOnly, Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
@@ -165,11 +165,11 @@ class SeedOptions:
     count: Count = 0
     # 0: the same colour in any light; 1: linear in the light's direction.
     sh_degree: Annotated[int, Within(0, 1)] = 1
-    opacity: InnerShare = 0.9  # opacity of every new Gaussian
+    opacity: PythonOnly[InnerShare] = 0.9  # opacity of every new Gaussian
     # Standard deviation in the tangent plane / distance of neighbours.
-    overlap: Annotated[float, Within(0, 100, "low")] = 0.7
+    overlap: PythonOnly[Annotated[float, Within(0, 100, "low")]] = 0.7
     # Standard deviation along the normal / in the tangent plane.
-    flatness: Annotated[float, Within(0, 100, "low")] = 0.25
+    flatness: PythonOnly[Annotated[float, Within(0, 100, "low")]] = 0.25
 
     def __post_init__(self) -> None:
         require_count("fit", self.count)

@@ -52,7 +52,7 @@ from gva_mi.avatar.spread_limbs import SpreadLimbs
 from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
 from gva_mi.body.pose import EYES
 from gva_mi.body.skinning import finger_weights
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 
 # In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
@@ -71,20 +71,22 @@ class ReinitOptions:
     # Gaussians afterwards, within a few percent; 0: as many as before.
     count: Count = 0
     # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
-    surface: Literal["offset", "alpha"] = "offset"
+    surface: PythonOnly[Literal["offset", "alpha"]] = "offset"
     # The mean distance of a floater to its neighbours exceeds the mean of all by so many standard
     # deviations.
-    floater_sigmas: Annotated[float, Within(0, 1000)] = 2.0
+    floater_sigmas: PythonOnly[Annotated[float, Within(0, 1000)]] = 2.0
     # Gaps narrower than twice this are closed, metres; at least the points' spacing.
-    alpha: Annotated[float, Within(0.004, 1)] = 0.015
+    alpha: PythonOnly[Annotated[float, Within(0.004, 1)]] = 0.015
     # The body inside lies so far below its surface.
-    filler_depth: Annotated[float, Within(0, 1)] = 0.012
-    smoothing: Annotated[int, Within(0, 1000)] = 10  # steps of Taubin's, or Laplace's filter
+    filler_depth: PythonOnly[Annotated[float, Within(0, 1)]] = 0.012
+    # Steps of Taubin's, or Laplace's filter.
+    smoothing: PythonOnly[Annotated[int, Within(0, 1000)]] = 10
     # Density in the face / elsewhere, minus 1.
     face_gain: Annotated[float, Within(0, 1000)] = 5.0
     # Standard deviation of the logarithm of a size.
-    scale_jitter: Annotated[float, Within(0, 5)] = 0.1
-    random: bool = False  # any orientation, and no flat side, instead of discs in the surface
+    scale_jitter: PythonOnly[Annotated[float, Within(0, 5)]] = 0.1
+    # Any orientation, and no flat side, instead of discs in the surface.
+    random: PythonOnly[bool] = False
 
     def __post_init__(self) -> None:
         require_count("fit", self.count)

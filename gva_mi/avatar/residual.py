@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.so3 import to_matrix
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 
 OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts of a millimetre
 
@@ -39,10 +39,11 @@ class ResidualOptions:
     """The size of the network."""
 
     enabled: bool = False  # mu' = mu
-    code: Annotated[int, Within(1, 4096)] = 8  # numbers that describe what bends around a point
+    # Numbers that describe what bends around a point.
+    code: PythonOnly[Annotated[int, Within(1, 4096)]] = 8
     # L; the finest wavelength is 2^(1 - L) of the body's height.
-    frequencies: Annotated[int, Within(1, 24)] = 4
-    width: Annotated[int, Within(1, 4096)] = 32  # of both hidden layers
+    frequencies: PythonOnly[Annotated[int, Within(1, 24)]] = 4
+    width: PythonOnly[Annotated[int, Within(1, 4096)]] = 32  # of both hidden layers
 
 
 class PoseResidual(nn.Module):

@@ -37,7 +37,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.skinning import strongest
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -53,10 +53,11 @@ class SkinningOptions:
     """How Gaussians take their skinning weights from the outer skin."""
 
     # Of eq. 1; with 1 a skirt lags behind the legs; 0: weights are not diffused.
-    spread: Annotated[float, Within(0, 4)] = 0.5
-    neighbours: Annotated[int, Within(1, 11)] = 6  # vertices that a point takes its weights from
+    spread: PythonOnly[Annotated[float, Within(0, 4)]] = 0.5
+    # Vertices that a point takes its weights from.
+    neighbours: PythonOnly[Annotated[int, Within(1, 11)]] = 6
     # P of Eq. 5, joints of a point; where legs and trunk share a hem, 4 are too few.
-    joints: Annotated[int, Within(1, 55)] = 8
+    joints: PythonOnly[Annotated[int, Within(1, 55)]] = 8
 
 
 @dataclass(frozen=True)

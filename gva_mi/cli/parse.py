@@ -21,27 +21,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin,
 
 from gva_mi.cli.presets import with_preset
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Within
+from gva_mi.core.options import Within, python_only
 
 if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec
 
 NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
-
-# Constants of the method, by dataclass: the command line does not show them, Python sets them.
-PYTHON_ONLY: dict[str, tuple[str, ...]] = {
-    "SplatOptions": (
-        "alpha_min", "alpha_max", "transmittance_min", "near", "far", "radius_min", "depth",
-    ),
-    "SkinningOptions": ("spread", "neighbours", "joints"),
-    "SeedOptions": ("opacity", "overlap", "flatness"),
-    "ResidualOptions": ("code", "frequencies", "width"),
-    "Rates": ("means_end", "quats", "log_scales", "logit_opacities", "light"),
-    "ReinitOptions": (
-        "floater_sigmas", "alpha", "filler_depth", "smoothing", "scale_jitter", "surface", "random",
-    ),
-    "PoseOptions": ("step", "largest_turn", "translation_lr", "part"),
-}  # fmt: skip
 
 # The options of its steps that `gva-mi study avatar` takes.
 OF_STUDY = {"FitOptions": ("steps",), "SequenceOptions": ("passes", "size")}
@@ -131,7 +116,7 @@ def _registry(refusals: Refusals, words: Sequence[str]) -> ConstructorRegistry:
             asked.clear()
         type_of = lambda f: (
             _with_ranges(f.type, refusals)
-            if _is_shown(info.type.__name__, f.name, words)
+            if _is_shown(info.type, f.name, words)
             else Annotated[f.type, Fixed]
         )
         fields = tuple(dataclasses.replace(f, type=type_of(f)) for f in spec.fields)
@@ -140,11 +125,11 @@ def _registry(refusals: Refusals, words: Sequence[str]) -> ConstructorRegistry:
     return registry
 
 
-def _is_shown(kind: str, field: str, words: Sequence[str]) -> bool:
+def _is_shown(kind: type, field: str, words: Sequence[str]) -> bool:
     """Return whether a field of a dataclass is an option of a command, given by its first words."""
-    if list(words[:2]) == ["study", "avatar"] and kind in OF_STUDY:
-        return field in OF_STUDY[kind]
-    return field not in PYTHON_ONLY.get(kind, ())
+    if list(words[:2]) == ["study", "avatar"] and kind.__name__ in OF_STUDY:
+        return field in OF_STUDY[kind.__name__]
+    return field not in python_only(kind)
 
 
 def _with_ranges(hint: Any, refusals: Refusals) -> Any:  # noqa: ANN401

@@ -6,6 +6,7 @@
 
 The command line shows the range in ``--help`` and refuses other numbers; :func:`options_of` does
 the same for options made in Python. Both ends are finite, so NaN and infinity are in no range.
+A field that is ``PythonOnly[...]`` is no option of a command.
 """
 
 from __future__ import annotations
@@ -62,6 +63,13 @@ class Within:
             raise InputError(f"{where}: {name} must be {self}, got {number}")
 
 
+class _Mark:
+    """See :data:`PythonOnly`."""
+
+
+_PYTHON_ONLY = _Mark()
+PythonOnly = Annotated[T, _PYTHON_ONLY]  # a constant of the method: no option of a command
+
 Share = Annotated[float, Within(0, 1)]
 InnerShare = Annotated[float, Within(0, 1, "low high")]
 Weight = Annotated[float, Within(0, 1e6)]
@@ -105,6 +113,14 @@ def require_ranges(where: str, options: object) -> None:
             within.require(where, name, one)
             if kind is int and one != int(one):
                 raise InputError(f"{where}: {name} must be a whole number, got {one}")
+
+
+@functools.cache
+def python_only(kind: type) -> frozenset[str]:
+    """Return the names of a dataclass's fields that only Python sets."""
+    return frozenset(
+        name for name, hint in _hints(kind).items() if _PYTHON_ONLY in get_args(hint)[1:]
+    )
 
 
 def ranges(hint: Any) -> Iterator[tuple[Any, Within]]:  # noqa: ANN401

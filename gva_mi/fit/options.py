@@ -10,7 +10,7 @@ from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Rate, Seed, Share, Within, options_of
+from gva_mi.core.options import InnerShare, PythonOnly, Rate, Seed, Share, Within, options_of
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
 
@@ -38,15 +38,15 @@ class Rates:
     """
 
     means: FallingRate = 4e-3  # metres, at the first step; falls exponentially to means_end
-    means_end: FallingRate = 1e-5  # metres, at the last step
-    quats: Rate = 1e-3
-    log_scales: Rate = 5e-3
-    logit_opacities: Rate = 5e-2
+    means_end: PythonOnly[FallingRate] = 1e-5  # metres, at the last step
+    quats: PythonOnly[Rate] = 1e-3
+    log_scales: PythonOnly[Rate] = 5e-3
+    logit_opacities: PythonOnly[Rate] = 5e-2
     sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
     # Share of the slopes' difference from Lambert's law that each step takes away (decoupled weight
     # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: Share = 0.0
-    light: Rate = 2e-3  # direction of the light
+    light: PythonOnly[Rate] = 2e-3  # direction of the light
     strength: Rate = 5e-3  # of the light, see gva_mi.fit.lambert
     residual: Rate = 1e-3  # weights of the pose-conditioned MLP
 

@@ -38,7 +38,7 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import WRISTS, Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.core.options import Metres, Turn, Within, options_of
+from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
 from gva_mi.fit.faces import Face
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
@@ -62,12 +62,14 @@ class PoseOptions:
     # Steps of the fit per step of the poses.
     every: Annotated[int, Within(1, 1_000_000)] = 8
     prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
-    step: Metres = 0.003  # metres that a joint moves the skin beyond it, in a first step
-    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
-    translation_lr: Metres = 0.002  # metres in a first step
+    # Metres that a joint moves the skin beyond it, in a first step.
+    step: PythonOnly[Metres] = 0.003
+    # Radians in such a step; limits joints with short lever arms.
+    largest_turn: PythonOnly[Turn] = 0.03
+    translation_lr: PythonOnly[Metres] = 0.002  # metres in a first step
     # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
     expression_lr: Annotated[float, Within(0, 1)] = 0.03
-    part: Annotated[int, Within(2, 10_000)] = 240  # frames that share a prior
+    part: PythonOnly[Annotated[int, Within(2, 10_000)]] = 240  # frames that share a prior
 
 
 class TrainedPoses:

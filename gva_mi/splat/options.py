@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, Share, Within, options_of
+from gva_mi.core.options import InnerShare, PythonOnly, Share, Within, options_of
 
 Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
 
@@ -16,17 +16,20 @@ Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
 class SplatOptions:
     """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3."""
 
-    alpha_min: InnerShare = 1 / 255  # a Gaussian is skipped in pixels where its alpha is below
-    alpha_max: InnerShare = 0.999  # alpha is clamped to it
-    transmittance_min: Share = 1e-4  # a pixel stops before its transmittance falls to this
+    alpha_min: PythonOnly[InnerShare] = (
+        1 / 255
+    )  # a Gaussian is skipped in pixels where its alpha is below
+    alpha_max: PythonOnly[InnerShare] = 0.999  # alpha is clamped to it
+    # A pixel stops before its transmittance falls to this.
+    transmittance_min: PythonOnly[Share] = 1e-4
     # Added to the diagonal of the 2D covariance, square pixels.
     blur: Annotated[float, Within(0, 1e6)] = 0.3
-    near: Distance = 0.01  # metres; nearer Gaussians are not drawn
-    far: Distance = 1e10  # metres
+    near: PythonOnly[Distance] = 0.01  # metres; nearer Gaussians are not drawn
+    far: PythonOnly[Distance] = 1e10  # metres
     # Pixels; a Gaussian that reaches no further in x and y is not drawn.
-    radius_min: Annotated[float, Within(0, 1e6)] = 0.0
+    radius_min: PythonOnly[Annotated[float, Within(0, 1e6)]] = 0.0
     antialiased: bool = False  # reduce the opacity by the area that the blur adds
-    depth: bool = True  # make the depth image too; pictures without it are faster
+    depth: PythonOnly[bool] = True  # make the depth image too; pictures without it are faster
 
     def __post_init__(self) -> None:
         if not self.alpha_min < self.alpha_max:

@@ -14,7 +14,6 @@ from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
-from gva_mi.cli.refine import refine_videos
 from gva_mi.cli.steps import Step, StepFolder
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
@@ -39,6 +38,7 @@ from gva_mi.pose.film.film_check import check_film
 from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord, prepare_film
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.film_report import FINDINGS, write_film_report
+from gva_mi.study.refinement import describe, refine_videos
 
 MARKER = "avatar.json"
 SUBJECT, RUN = "subject", "run"  # folders in the command's folder
@@ -190,7 +190,11 @@ class _Work:
     def refine(self, again: bool) -> None:
         """Refine the poses."""
         model, video = load_body(self.body), load_video(self.subject)
-        list(refine_videos([video], model, self.refine_options, workers=usual_workers()))
+        with bar("refine") as progress:
+            how = self.refine_options, progress, usual_workers()
+            for evaluation in refine_videos([video], model, *how):
+                for line in describe(evaluation):
+                    say(line)
 
     def split(self, again: bool) -> None:
         """Choose the frames that are left out of training."""

@@ -10,7 +10,6 @@ from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, poses_of
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
-from gva_mi.cli.refine import refine_videos
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import start_folder
 from gva_mi.core.lock import folder_lock
@@ -21,6 +20,7 @@ from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.refinement import describe, refine_videos
 from gva_mi.synthetic import SynthOptions, make_subject
 from gva_mi.synthetic.options import VideoFrames
 
@@ -71,7 +71,12 @@ def demo(
             make_subject(subject, synth_options, model, progress)
         if not options.no_refine:
             way = SequenceOptions(seed=options.seed)
-            list(refine_videos([load_video(subject)], model, way, workers=workers))
+            with bar("refine") as progress:
+                for evaluation in refine_videos(
+                    [load_video(subject)], model, way, progress, workers
+                ):
+                    for line in describe(evaluation):
+                        say(line)
         poses = poses_of(subject)
         video = load_video(subject, poses)
         avatar = fit_video(video, model, fit_options, out)

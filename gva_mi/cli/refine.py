@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from tyro.conf import Positional
 
-from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, body_of, warn_if_outside_masks
 from gva_mi.cli.presets import Preset
-from gva_mi.core.console import bar, listed, say
+from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Weight, Workers
-from gva_mi.core.provenance import versions
-from gva_mi.core.workers import local_executor
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.ground_truth import GroundTruth, truth_of
-from gva_mi.data.video import REFINED_POSES, Video, load_video
+from gva_mi.data.video import REFINED_POSES, load_video
 from gva_mi.fit.paper import REFINE
-from gva_mi.pose.job import RefineOptions
-from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
-from gva_mi.pose.prior.ground import ContactStats
-from gva_mi.pose.prior.inference import AXES
-from gva_mi.pose.refine import refine_all
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import Steps
-from gva_mi.study.measure import Evaluation
-from gva_mi.study.refinement import OVERLAYS, write_record
+from gva_mi.study.refinement import describe, refine_videos
 
 
 def refine(
@@ -88,68 +76,8 @@ def refine(
         for subject in subjects:
             held.enter_context(folder_lock(subject, "gva-mi refine"))
             require_room(subject / REFINED_POSES, overwrite)
-        executor = held.enter_context(local_executor(workers))
+        progress = held.enter_context(bar("refine"))
         way = printed if preset == "paper" else options
-        for evaluation in refine_videos(videos, model, way, executor, workers):
-            for line in _summary(evaluation):
+        for evaluation in refine_videos(videos, model, way, progress, workers):
+            for line in describe(evaluation):
                 say(line)
-
-
-def refine_videos(
-    videos: Sequence[Video],
-    model: BodyModel,
-    options: RefineOptions,
-    executor: Executor | None = None,
-    workers: int = 1,
-) -> Iterator[Evaluation]:
-    """Refine videos and write each result into its subject's folder as soon as it is ready."""
-    truths = [_truth(video, model) for video in videos]
-    for video in videos:
-        if video.normals is None:
-            say(f"{video.folder}: no normals, the refinement uses the silhouettes alone")
-    with bar("refine") as progress:
-        tasks = [(video, options) for video in videos]
-        found = refine_all(tasks, model, progress, executor, workers)
-        for video, truth, refined in zip(videos, truths, found, strict=True):
-            for frame, reason in refined.kept.items():
-                say(f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}")
-            evaluation = Evaluation(video, model, options, refined, truth)
-            write_record(evaluation, versions())
-            yield evaluation
-
-
-def describe_prior(
-    noise: Mapping[str, Stage1ErrorModel], contact: ContactStats | None
-) -> Iterator[str]:
-    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
-    if not noise:
-        return
-    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
-    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
-    moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
-    yield f"stage 1     errs by {turns}; by {places}{moving}"
-    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
-    lasts = sorted({noise[name].memory for name in GROUPS})
-    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
-    if contact is not None:
-        stands = f"soles stand {contact.share:.0%} of the time"
-        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
-
-
-def _truth(video: Video, model: BodyModel) -> GroundTruth | None:
-    """Read the ground truth; one that cannot be used costs the figures and not the refinement."""
-    try:
-        return truth_of(video, model)
-    except InputError as error:
-        say(f"{error}; the refinement goes on and is not measured")
-        return None
-
-
-def _summary(evaluation: Evaluation) -> Iterator[str]:
-    """Yield the lines that summarise a refinement and name its files."""
-    folder, refined = evaluation.video.folder, evaluation.refined
-    for limbs, frames in refined.swapped.items():
-        yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
-    yield from describe_prior(refined.noise, refined.contact)
-    yield from evaluation.measured.means.lines()
-    yield f"poses: {folder / REFINED_POSES}; overlays: {folder / OVERLAYS}"

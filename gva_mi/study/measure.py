@@ -158,6 +158,7 @@ class Evaluation:
     options: RefineOptions
     refined: Refined | None  # None: stage 1 alone is measured
     truth: GroundTruth | None = None  # of a synthetic subject
+    truth_problem: str | None = None  # why a ground truth that is there cannot be used
 
     @cached_property
     def measured(self) -> FrameFigures:

@@ -18,6 +18,7 @@ exchanged left and right before the refinement.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -25,20 +26,97 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import save_poses
+from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_files
-from gva_mi.core.errors import expecting
+from gva_mi.core.console import Progress, listed
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_json
+from gva_mi.core.provenance import versions
+from gva_mi.core.workers import local_executor
+from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.splits import spread
-from gva_mi.data.video import REFINED_POSES
+from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
+from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
+from gva_mi.pose.prior.ground import ContactStats
+from gva_mi.pose.prior.inference import AXES
+from gva_mi.pose.refine import refine_all
 from gva_mi.study.measure import Evaluation, PoseFigures
 from gva_mi.study.regions import person_box
 
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
 SHOWN = 8  # frames in the picture
 MARGIN = 0.1  # around the person, a share of the longer side
+
+
+def refine_videos(
+    videos: Sequence[Video],
+    body: BodyModel,
+    options: RefineOptions,
+    progress: Progress | None = None,
+    workers: int = 1,
+) -> Iterator[Evaluation]:
+    """Refine videos, and write each result into its subject's folder as soon as it is ready.
+
+    Args:
+        videos: under their stage-1 poses.
+        body: the body that all poses move.
+        options: whose type chooses the method, as for :func:`gva_mi.pose.refine.refine`.
+        progress: called as ``progress(done, total, **figures)`` as the work goes on.
+        workers: processes on this machine; any number gives the same bits.
+    """
+    truths = [_truth(video, body) for video in videos]
+    with local_executor(workers) as executor:
+        found = refine_all([(x, options) for x in videos], body, progress, executor, workers)
+        for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
+            evaluation = Evaluation(video, body, options, refined, truth, problem)
+            write_record(evaluation, versions())
+            yield evaluation
+
+
+def _truth(video: Video, body: BodyModel) -> tuple[GroundTruth | None, str | None]:
+    """Read the ground truth. If it cannot be used, return why: only the figures need it."""
+    try:
+        return truth_of(video, body), None
+    except InputError as error:
+        return None, str(error)
+
+
+def describe(evaluation: Evaluation) -> Iterator[str]:
+    """Yield lines for the user about a refinement, its figures and its files."""
+    video, refined = evaluation.video, evaluation.refined
+    if evaluation.truth_problem:
+        yield f"{evaluation.truth_problem}; the refinement is not measured"
+    if video.normals is None:
+        yield f"{video.folder}: no normals, the refinement used the silhouettes alone"
+    for frame, reason in refined.kept.items():
+        yield f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}"
+    for limbs, frames in refined.swapped.items():
+        yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
+    yield from describe_prior(refined.noise, refined.contact)
+    yield from evaluation.measured.means.lines()
+    yield f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}"
+
+
+def describe_prior(
+    noise: Mapping[str, Stage1ErrorModel], contact: ContactStats | None
+) -> Iterator[str]:
+    """Yield lines for the user on stage 1's errors and foot contact, if they were inferred."""
+    if not noise:
+        return
+    turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
+    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
+    moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
+    yield f"stage 1     errs by {turns}; by {places}{moving}"
+    white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
+    lasts = sorted({noise[name].memory for name in GROUPS})
+    yield f"            white {white}; the rest lasts {lasts[0]:g} to {lasts[-1]:g} frames"
+    if contact is not None:
+        stands = f"soles stand {contact.share:.0%} of the time"
+        yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
 def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:

@@ -6,10 +6,10 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.cli.refine import describe_prior
 from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats, Ground, Soles
 from gva_mi.pose.prior.inference import AXES
+from gva_mi.study.refinement import describe_prior
 from gva_mi.synthetic.motion import perform, times
 
 MEAN = Shape(torch.zeros(10))

@@ -13,11 +13,11 @@ from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.avatar.skin_weights import SkinningOptions
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, from_json, ranges, require_ranges
-from gva_mi.fit.camera_paths import CameraPath
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.poses import PoseOptions
+from gva_mi.fit.renders import CameraPath
 from gva_mi.pose import SequenceOptions, SingleFrameOptions
 from gva_mi.splat import SplatOptions
 

@@ -26,8 +26,7 @@ from gva_mi.data.pictures import (
     write_film,
     write_image,
 )
-from gva_mi.fit.camera_paths import CameraPath, CameraShot, shots
-from gva_mi.fit.renders import over, render_shots, to_rgba
+from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 
 MARKER = "render.json"  # every folder of renders holds it

@@ -21,7 +21,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_json, start_folder
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.provenance import hash_arrays, program_digest, versions
-from gva_mi.fit.camera_paths import CameraShot
+from gva_mi.fit.renders import CameraShot
 
 HASH = "made_of"  # its name in the marker
 

@@ -13,15 +13,16 @@ from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
-from gva_mi.fit.photometric import PhotometricOptions, fit_poses
-from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_pictures, source_of
-from gva_mi.fit.tracking import (
+from gva_mi.fit.photometric import (
     TRACKED_POSES,
+    PhotometricOptions,
+    fit_poses,
     known_poses,
     lines_of,
     measure_tracking,
     write_tracking,
 )
+from gva_mi.fit.run_folder import TRAINED_POSES, load_avatar, other_pictures, source_of
 
 
 def track(

@@ -1,24 +1,67 @@
-"""First colours of the body's surface, as the training frames show it.
+"""Colours that no gradient finds: the first ones of the surface, and those of what no frame shows.
 
-    Σ_k w_vk (I_k(π_k(x_vk)) - c_v) = λ (Δ c)_v,     w_vk = S_k(π_k(x_vk)) · max(0, -n_vk · d_vk)²
+A fit starts from the colours c of the body's vertices v that the training frames k show:
 
-where vertex v of the body, posed as in frame k, stands at x with normal n, d is the direction from
-the camera to it, π the projection, I the picture, S the mask, and Δ the uniform Laplacian. Surfaces
-seen from the front count fully, grazing ones hardly. If a limb hides a vertex in some frames, the
-other frames outweigh them, and the fit corrects the rest. What no frame shows takes the colours
-around it: the fit hardly changes it, and the person may turn round in a later motion.
+    1. Σ_k w_vk (I_k(π_k(x_vk)) - c_v) = λ (Δ c)_v,    w_vk = S_k(π_k(x_vk)) max(0, -n_vk · d_vk)²
 
-From grey, Adam's steps of constant size would take hundreds of iterations to reach black or white.
+with x the posed vertex, n its normal, d the direction from the camera to it, π the projection, I
+the picture, S the mask, and Δ the uniform Laplacian. Surfaces seen from the front count fully,
+grazing ones hardly. If a limb hides a vertex in some frames, the other frames outweigh them, and
+the fit corrects the rest. What no frame shows takes the colours around it. From grey, Adam's steps
+of constant size would take hundreds of iterations to reach black or white.
+
+Once a fit is over, colours that it hardly saw are completed, because it changes them at random. A
+frame teaches a Gaussian as much as the frame shows of it, in pixels, and less at a grazing angle:
+
+    2. w_i = mean over frames of  max(0, (s - n_i · d_i) / (s + 1))² Σ_p T_ip α_ip
+
+with the normal n of the body beside it, the direction d from the camera to it, and its share T α of
+pixel p of the mask (Eq. 1-3). Colours c, and their changes with the light, replace those of the
+fit, f, by the solution of
+
+    3. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
+
+What frames show keeps its colour. The rest takes that of the j that face the same way
+
+* around i,
+* at the place of i in a mirror: people are alike on the left and on the right,
+* before or behind i, on arms and legs: trousers end at one height,
+
+and, where b_i is not zero, that of a guess h_i,
+
+* of the back of a head: as the highest part of it that frames show, hair or a hat,
+* of chest and back: the median of what frames show at that height. A shirt is red all around, but
+  its print is on one side.
+
+So the far arm of somebody who only walks past is that of the near one, and the back of somebody who
+never turns has the colours of the front.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.held import head_weights
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.video import Frame, Video
+from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
+from gva_mi.splat import Camera, render
+from gva_mi.splat.kernels.sh import C0
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 
 GREY = 0.5  # colour of the whole person if no frame shows it
 SMOOTH = 0.01  # λ, frames
@@ -64,3 +107,194 @@ def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tens
     facing = -(normals @ T[:3, :3].T * toward).sum(1)
     mask = torch.from_numpy(frame.mask)[row, column]
     return image[row, column], (mask * inside * facing.clamp_min(0).square())[:, None]
+
+
+SEEN = 32  # frames, at most, that eq. 2 is the mean of
+SMOOTH = 0.005  # λ, as a share of the mean of w
+AROUND, OPPOSITE = 8, 3  # neighbours j of each kind; a guess counts as all those around
+TOP = 0.1  # share of what frames show of a head, by w: from the top down
+ROW, BESIDE = 0.01, 0.015  # metres: heights in rows, and how far above and below each one looks
+AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
+# What turns left into right, and front into back.
+LEFT_RIGHT, FRONT_BACK = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
+LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
+RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
+NEVER = 1e-7  # pixels: far less than any frame shows of a Gaussian
+HEAD = JOINTS.index("head")
+_TRUNK = [
+    JOINTS.index(k) for k in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")
+]
+
+
+@torch.no_grad()
+def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int], Pose]) -> None:
+    """Replace the colours of an avatar by the solution of eq. 3.
+
+    Args:
+        avatar: whose ``canonical.sh`` (N, K, 3) changes.
+        samples: of the training frames.
+        poses: of each frame, by its number.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    G, rig = avatar.canonical, avatar.rig
+    on_body = vertex_normals(rig.vertices, rig.faces)
+    normals = normalize(avatar.skin.beneath_points(G.means, on_body), dim=1)
+    some = [samples[k] for k in range(min(SEEN, len(samples)))]
+    shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in some])
+    w = shown.mean(0).double().numpy() + NEVER
+    f = G.sh.flatten(1).double().numpy()
+    places = Places.of(avatar, normals)
+    h, b = guesses(places, w, f)
+    a, b = (SMOOTH * w.mean() * x for x in (neighbours(places), b))
+    system = diags_array(w + b + a.sum(1)) - a
+    found = splu(system.tocsc()).solve(w[:, None] * f + b[:, None] * h)
+    G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
+
+
+def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tensor:
+    """Return what one frame shows of each Gaussian (N,), pixels, weighted by its angle (eq. 2)."""
+    G = avatar.canonical
+    with torch.enable_grad():  # a picture's derivative by a Gaussian's colour is Σ T α
+        sh = torch.zeros_like(G.sh, requires_grad=True)
+        gaussians = avatar.animate(pose, sh).gaussians
+        target = sample.target(gaussians)
+        image = render(gaussians, target.camera, DRAWN)
+        total = (image.color * target.composite()[2][..., None]).sum()
+        (by_sh,) = torch.autograd.grad(total, sh)
+    T_world_rest = avatar.posed_skeleton(pose).T_world_rest
+    A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5
+    turned = (A.view(-1, 3, 3) * normals[:, None]).sum(2)
+    angle = facing(turned, gaussians.means, sample.camera)
+    return by_sh[:, 0].mean(1) / C0 * angle
+
+
+def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
+    """Return max(0, (s - n · d) / (s + 1))² (N,) of normals (N, 3) at places (N, 3), metres."""
+    T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
+    ahead = places + T[:3, :3].T @ T[:3, 3]
+    away = (normalize(normals, dim=1) * normalize(ahead, dim=1)).sum(1)
+    return ((RIM - away) / (RIM + 1)).clamp_min(0).square()
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where N Gaussians are on the body at rest, x to its left, y up and z ahead.
+
+    Attributes:
+        points: (N, 3) from the pelvis, metres.
+        normals: (N, 3) unit normals of the body beside them.
+        skull: (N,) bool, of the head above its joint, which is between the ears.
+        trunk: (N,) bool, from the hips to the collars.
+        limbs: (N,) bool, arms and legs.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    skull: np.ndarray
+    trunk: np.ndarray
+    limbs: np.ndarray
+
+    @staticmethod
+    @torch.no_grad()
+    def of(avatar: Avatar, normals: Tensor) -> Places:
+        """Find the places of an avatar's Gaussians; ``normals`` (N, 3) as above."""
+        G, joints = avatar.canonical, avatar.rig.joints
+        points = (G.means - joints[0]).double().numpy()
+        head = (head_weights(G.weights) > 0.5).numpy()
+        skull = head & (points[:, 1] > float((joints[HEAD] - joints[0])[1]))
+        trunk = ~head & (G.weights[:, _TRUNK].sum(1) > 0.5).numpy()
+        return Places(points, normals.double().numpy(), skull, trunk, ~head & ~trunk)
+
+
+def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return h (N, K) and b (N,) of eq. 3, of w (N,) and f (N, K).
+
+    A guess counts less if frames hardly show what it is of.
+    """
+    h, b, faint = f.copy(), np.zeros(len(w)), SMOOTH * w.mean()
+    height, ahead = places.points[:, 1], places.normals[:, 2]
+
+    def guess(of: np.ndarray, color: np.ndarray, source: np.ndarray, facing: np.ndarray) -> None:
+        shown = w[source].mean()
+        h[of], b[of] = color, AROUND * facing[of] * shown / (shown + faint)
+
+    if places.skull.any():
+        skull = np.flatnonzero(places.skull)
+        from_top = skull[np.argsort(-height[skull], kind="stable")]
+        shown = np.cumsum(w[from_top])
+        top = from_top[: 1 + np.searchsorted(shown, TOP * shown[-1])]
+        guess(skull, np.average(f[top], axis=0, weights=w[top]), top, (-ahead).clip(0))
+    row = np.floor(height / ROW)
+    for one in np.unique(row[places.trunk]):
+        beside = places.trunk & (np.abs(height - (one + 0.5) * ROW) < BESIDE)
+        median = weighted_median(f[beside], w[beside])
+        guess(places.trunk & (row == one), median, beside, np.abs(ahead))
+    return h, b
+
+
+def weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the median of each column of values (n, K), whose rows count as weights (n,)."""
+    order = np.argsort(values, axis=0, kind="stable")
+    below = np.cumsum(weights[order], axis=0)
+    middle = (below < below[-1] / 2).sum(0)
+    return values[order[middle, range(len(middle))], range(len(middle))]
+
+
+def neighbours(places: Places) -> csr_array:
+    """Return a (N, N) of eq. 3, symmetric."""
+    points, normals = places.points, places.normals
+    front_and_back = _front_and_back(points, normals, places.limbs)
+    return _around(points, normals) + _mirrored(points, normals) + front_and_back
+
+
+def _around(points: np.ndarray, normals: np.ndarray) -> csr_array:
+    """Return the weights of the nearest points."""
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(points).query(points, k=min(AROUND + 1, len(points)))[1][:, 1:]
+    return _symmetric(nearest, _alike(normals, normals[nearest]))
+
+
+def _mirrored(points: np.ndarray, normals: np.ndarray) -> csr_array:
+    """Return the weights of points at the mirrored place."""
+    from scipy.spatial import cKDTree
+
+    distance, there = cKDTree(points).query(points * LEFT_RIGHT, k=min(OPPOSITE, len(points)))
+    return _symmetric(there, _near(distance) * _alike(normals * LEFT_RIGHT, normals[there]))
+
+
+def _front_and_back(points: np.ndarray, normals: np.ndarray, some: np.ndarray) -> csr_array:
+    """Return the weights, among some (N,) bool, of points at the same x and y that face away."""
+    from scipy.spatial import cKDTree
+
+    there = np.zeros((len(points), OPPOSITE), np.int64)
+    weights = np.zeros(there.shape)
+    front, back = (np.flatnonzero(some & (z > 0)) for z in (normals[:, 2], -normals[:, 2]))
+    if min(len(front), len(back)) >= OPPOSITE:
+        for these, those in ((front, back), (back, front)):
+            distance, j = cKDTree(points[those, :2]).query(points[these, :2], k=OPPOSITE)
+            there[these] = those[j]
+            turned = normals[these] * FRONT_BACK
+            weights[these] = _near(distance) * _alike(turned, normals[those[j]])
+    return _symmetric(there, weights)
+
+
+def _near(distance: np.ndarray) -> np.ndarray:
+    """Return how much points count by their distance from the opposite place, metres."""
+    return np.exp(-((distance / AWAY) ** 2))
+
+
+def _alike(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return cosines (N, K), at least LEAST, between normals (N, 3) and others (N, K, 3)."""
+    return np.maximum(np.einsum("ik,ijk->ij", normals, others), LEAST)
+
+
+def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
+    """Return the mean of a matrix (N, N), of values (N, K) in some columns, and its transpose."""
+    from scipy.sparse import csr_array
+
+    N, K = columns.shape
+    a = csr_array((values.ravel(), columns.ravel(), np.arange(0, N * K + 1, K)), shape=(N, N))
+    return (a + a.T) / 2

@@ -27,13 +27,16 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.nn.functional import conv2d
 
 from gva_mi.core.options import Weight, options_of
-from gva_mi.fit.ssim import ssim
 from gva_mi.splat import Image
 
 if TYPE_CHECKING:
     from gva_mi.fit.samples import SampleTarget
+
+SSIM_SIDE, SSIM_SIGMA = 11, 1.5  # pixels, of the window of Wang et al. (2004)
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values in [0, 1]
 
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 
@@ -91,3 +94,26 @@ def render_losses(
         alpha = (image.alpha - target.composite()[2]).abs().sum() / target.area
     shift = residual.abs().mean() if options.residual and residual.numel() else zero
     return Losses(target.error(image), perceptual, shift, alpha, similarity)
+
+
+def ssim(image: Tensor, target: Tensor) -> Tensor:
+    """Return the structural similarity of two images (H, W, C) in [0, 1], a scalar.
+
+    With means a, b, u, v, w of x, y, x², y², x y over a Gaussian window inside the image, it is the
+    mean of L K over pixels and channels, where
+
+        L = (2 a b + C1) / (a² + b² + C1),    K = (2 (w - a b) + C2) / (u - a² + v - b² + C2)
+
+    Differentiable in ``image``; ``target`` is constant. Both sides must be at least 11 pixels.
+    """
+    if min(image.shape[:2]) < SSIM_SIDE:
+        raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
+    off = torch.arange(SSIM_SIDE, dtype=image.dtype) - SSIM_SIDE // 2
+    window = torch.exp(-0.5 * (off / SSIM_SIGMA) ** 2)[None, None, None]
+    window = window / window.sum()
+    x, y = image.movedim(2, 0), target.detach().movedim(2, 0)
+    products = torch.stack([x, y, x * x, y * y, x * y]).flatten(0, 1)[:, None]
+    a, b, u, v, w = conv2d(conv2d(products, window), window.mT).unflatten(0, (5, -1))
+    L = (2 * a * b + SSIM_C1) / (a * a + b * b + SSIM_C1)
+    K = (2 * (w - a * b) + SSIM_C2) / (u - a * a + v - b * b + SSIM_C2)
+    return (L * K).mean()

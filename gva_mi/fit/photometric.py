@@ -3,12 +3,28 @@
 A fixed avatar is a better judge of poses than a bare body because it has the person's clothes and
 colours. All frames together descend (:mod:`gva_mi.pose.optimize`) on
 
-    L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
+    1. L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
-where ``L_k`` compares frame ``k`` with the avatar in front of it
-(:mod:`gva_mi.fit.picture_evidence`), and ``E`` is the energy of the rotations δ of all joints and
-of the shifts τ under their prior (:mod:`gva_mi.pose.corrections`, with the initial poses as its
-stage 1). Jaw and expression are corrected along (:mod:`gva_mi.fit.faces`).
+where ``E`` is the energy of the rotations δ of all joints and of the shifts τ under their prior
+(:mod:`gva_mi.pose.corrections`, with the initial poses as its stage 1). Jaw and expression are
+corrected along (:mod:`gva_mi.fit.poses`). ``L_k`` compares the avatar with the picture of a frame:
+
+    2. P   = C + (1 - A) I
+    3. L_k = (|P - I| + λα |A - S| + λs (1 - SSIM(P, I))) · H W / Σ S
+
+=============  ==================  =============================================================
+symbol         code name           meaning
+=============  ==================  =============================================================
+C (H, W, 3)    ``image.color``     the render on black, which is what the avatar adds
+A (H, W)       ``image.alpha``     how much of the picture the avatar covers
+I (H, W, 3)    ``self.picture``    the picture, cut to the person's surroundings
+S (H, W)       ``self.mask``       the mask; dividing by its sum makes weights independent of the
+                                   person's size
+=============  ==================  =============================================================
+
+with ``|·|`` a mean over the image. If the picture were cut out by its mask instead, as in the
+paper's Eq. 9, outlines and poses would follow the mask's errors: the loss falls, but the avatar
+comes no closer to the person. Eq. 2 uses the mask only to say where an avatar should be.
 
 Initial poses are those the avatar was trained under, or others of the same person: an avatar from
 one video tracks its person through another. Tracked poses are fitted to the pictures they are
@@ -17,33 +33,173 @@ evaluated on, so scores of test frames under them have a separate row.
 Pictures of a tall person are shrunk first, to :data:`TALL` pixels of height or a little more: poses
 are as good, and take half the time or less. A long video is cut into overlapping clips
 (:mod:`gva_mi.pose.clips`), which are fitted separately because distant frames share no unknowns.
+
+Tracking writes two files into the subject's folder::
+
+    poses_photometric.npz   poses of all frames, and the displaced surface's offsets
+    photometric.json        figures, errors, frames that keep their pose, options, versions
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose
-from gva_mi.body.smplx import Rest
+from gva_mi.body.pose import Pose, Shape, load_poses, save_poses
+from gva_mi.body.smplx import BodyModel, Rest
+from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
+from gva_mi.core.files import write_json
+from gva_mi.core.options import Metres, Weight, Within, options_of
+from gva_mi.core.provenance import versions
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.threads import one_torch_thread
-from gva_mi.data.crop import gather
+from gva_mi.data.crop import NoEvidence, gather, person_extent
+from gva_mi.data.ground_truth import GroundTruth, truth_of
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
-from gva_mi.data.video import Frame, Video
-from gva_mi.fit.faces import Face
-from gva_mi.fit.picture_evidence import PhotometricOptions, PictureAndMask, PictureEvidence
+from gva_mi.data.video import POSES, Frame, Video
+from gva_mi.fit.losses import ssim
+from gva_mi.fit.poses import Face
+from gva_mi.fit.renders import DRAWN
 from gva_mi.pose.clips import cut, join
-from gva_mi.pose.optimize import descend, worse_frames
+from gva_mi.pose.errors import means, pose_errors
+from gva_mi.pose.optimize import (
+    DescentOptions,
+    Learn,
+    PartFrames,
+    Passes,
+    PriorWeight,
+    descend,
+    worse_frames,
+)
 from gva_mi.pose.optimizer import lever_arms
+from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
+from gva_mi.splat import Camera, render
+
+MARGIN = 0.1  # share of the box around the person, added on each side
+SMALLEST_SIDE = 16  # pixels of that box
+
+
+@options_of("track")
+class PhotometricOptions(DescentOptions):
+    """Options of photometric tracking."""
+
+    passes: Passes = 10  # how often every frame is visited
+    alpha: Weight = 0.5  # λα, weight of the avatar's outline against the mask
+    ssim: Weight = 0.1  # λs, weight of 1 - SSIM
+    learn: Learn = 3  # passes before the prior is fitted to the corrections
+    prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
+    step: Metres = 0.0005  # metres that a joint moves the skin beyond it, in a first step
+    translation_lr: Metres = 0.0003  # metres in a first step
+    # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
+    expression_lr: Annotated[float, Within(0, 1)] = 0.02
+    part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
+
+    command: ClassVar[str] = "track"
+    decay: ClassVar[float] = 0.1
+
+
+@dataclass(frozen=True)
+class PictureAndMask:
+    """One frame, cut to the person, kept as 8 bits to save memory."""
+
+    camera: Camera  # of this part
+    picture: Tensor  # (H, W, 3) uint8
+    mask: Tensor  # (H, W) uint8
+
+    @staticmethod
+    def of(frame: Frame, points: np.ndarray) -> PictureAndMask:
+        """Cut a frame to the box around its mask and some points (N, 3) of the world.
+
+        Raises:
+            NoEvidence: the mask is empty, or the camera does not see the points.
+        """
+        extent = person_extent(frame.mask, frame.camera, points, "its avatar")
+        box = extent.box(MARGIN, np.array([frame.camera.width, frame.camera.height]))
+        if min(box.width, box.height) < SMALLEST_SIDE:
+            raise NoEvidence("it shows too little of the person")
+        return PictureAndMask(
+            box.cut_camera(frame.camera),
+            torch.from_numpy(in_8_bits(box.cut(frame.image))),
+            torch.from_numpy(in_8_bits(box.cut(frame.mask))),
+        )
+
+    def loss(self, avatar: Avatar, pose: Pose, weights: PhotometricOptions) -> Tensor:
+        """Return the loss of a pose of one frame (eq. 3)."""
+        picture, mask = self.picture.float() / 255, self.mask.float() / 255
+        image = render(avatar(pose), self.camera, DRAWN)
+        over = image.color + (1 - image.alpha)[..., None] * picture
+        loss = (over - picture).abs().mean()
+        if weights.alpha:
+            loss = loss + weights.alpha * (image.alpha - mask).abs().mean()
+        if weights.ssim:
+            loss = loss + weights.ssim * (1 - ssim(over, picture))
+        return loss * mask.numel() / mask.sum()
+
+
+class PictureEvidence:
+    """Pictures of some frames under one avatar: a :class:`gva_mi.pose.optimize.Evidence`.
+
+    The avatar is fixed, so frames share no unknowns; the leaves beside their poses are their faces.
+
+    Attributes:
+        face: corrections of jaw and expression.
+    """
+
+    soles: None = None
+    distance_shown: bool = True  # the avatar's size shows it
+    surface_known: bool = True  # the avatar is the surface
+    unseen: Sequence[int] = ()
+
+    def __init__(
+        self,
+        avatar: Avatar,
+        seen: Mapping[int, PictureAndMask],
+        options: PhotometricOptions,
+        face: Face,
+        arms: Tensor,
+    ) -> None:
+        """Compare poses with some frames, at least one, by number; ``face`` is of the same frames.
+
+        ``arms`` (J,) are lever arms of the person's joints, metres.
+        """
+        self._avatar, self._seen, self._options = avatar, seen, options
+        self.face, self._arms = face, arms
+        self.frames = sorted(seen)
+        self.camera = seen[self.frames[0]].camera
+        self.anatomy = Anatomy.of(avatar.rig.joints)
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """Return the mean of eq. 3 over some frames in these poses, with their faces."""
+        pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
+        losses = [
+            self._seen[k].loss(self._avatar, pose[i], self._options) for i, k in enumerate(frames)
+        ]
+        return torch.stack(losses).mean()
+
+    @property
+    def shared(self) -> Sequence[tuple[Tensor, float]]:
+        """The leaves of the faces."""
+        return self.face.leaves(self._arms, self._options)
+
+    def enable_details(self) -> None:
+        """Fit the prior of the faces to their corrections; pictures are complete from the start."""
+        self.face = self.face.with_updated_prior(self.face.found())
+
+    def energy(self) -> Tensor | float:
+        """Return the energy of the faces."""
+        return self._options.prior_weight * self.face.energy()
+
 
 COUNTED = 16  # masks that tell how tall the person is in the pictures
 TALL = 300  # pixels: poses that are fitted to a taller person are hardly better
@@ -182,3 +338,77 @@ def _losses(
     for k, picture in seen.items():
         losses[k] = picture.loss(avatar, pose[k], options)
     return losses
+
+
+TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
+REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
+
+
+def known_poses(video: Video, body: BodyModel) -> tuple[GroundTruth, tuple[Pose, Shape]] | None:
+    """Return ground truth and stage-1 poses of a video, before the work; None without truth."""
+    truth = truth_of(video, body)
+    return None if truth is None else (truth, load_poses(video.folder / POSES, len(video)))
+
+
+def measure_tracking(
+    video: Video,
+    body: BodyModel,
+    found: FittedPoses,
+    known: tuple[GroundTruth, tuple[Pose, Shape]] | None,
+) -> dict[str, Any]:
+    """Compare tracked poses with the initial ones of the video, and with ground truth if known.
+
+    Returns:
+        ``figures``: mean losses and seconds; ``errors_mm``: mean errors by stage and region.
+    """
+    stages: dict[str, tuple[Pose, Shape]] = {}
+    if known is not None:
+        truth, stage_1 = known
+        start, tracked = ((pose, video.shape) for pose in (video.pose, found.pose))
+        stages = {"stage 1": stage_1, "start": start, "tracked": tracked}
+    figures = {
+        "loss_start": float(found.losses_before.nanmean()),
+        "loss": float(found.losses.nanmean()),
+        "seconds_per_frame": found.seconds_per_frame,
+    }
+    errors = {k: means(pose_errors(body, poses, truth)) for k, poses in stages.items()}
+    return {"figures": figures, "errors_mm": errors}
+
+
+def lines_of(tracking: dict[str, Any]) -> Iterator[str]:
+    """Yield the main figures of :func:`measure_tracking`, one per line."""
+    figures, errors = tracking["figures"], tracking["errors_mm"]
+    for name, region in REGIONS.items() if errors else ():
+        lengths = (f"{stage} {mm[region]:.1f}" for stage, mm in errors.items())
+        yield f"{name:<11} {' → '.join(lengths)} mm"
+    yield f"loss        {figures['loss_start']:.4f} → {figures['loss']:.4f}"
+
+
+def write_tracking(
+    video: Video,
+    found: FittedPoses,
+    tracking: dict[str, Any],
+    options: PhotometricOptions,
+    offsets: Tensor | None,
+    sources: dict[str, Path],
+) -> None:
+    """Write both files atomically: the record is only there with its own poses.
+
+    ``offsets`` (V, 3) displace the rest surface that goes with the poses, metres; ``sources`` are
+    the files used: ``start``, the initial poses, and ``avatar``.
+    """
+    record = tracking | {
+        "kept": found.kept,
+        **{name: str(path) for name, path in sources.items()},
+        "options": asdict(options),
+        "versions": versions(),
+    }
+    with atomic_files(video.folder / TRACKED_POSES, TRACKING) as unfinished:
+        save_poses(
+            unfinished / TRACKED_POSES,
+            found.pose,
+            video.shape,
+            stage=2,
+            offsets=offsets,
+        )
+        write_json(unfinished / TRACKING, record)

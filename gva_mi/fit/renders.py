@@ -1,19 +1,143 @@
-"""Renders of an avatar as 8-bit pictures, and the pictures they are compared with."""
+"""Renders of an avatar as 8-bit pictures, and cameras around a person to render them from.
+
+A video does not say which way is up in the world. So cameras circle around the person's own upright
+
+    u = Σ_k R_k e_y / |·|      R_k: rotation of the root in frame k of the motion
+
+because bodies stand along y at rest. They start where the person faces in the first frame, look at
+the middle of the motion, and stand far enough away to see all of it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.rig import Rig
+from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
+from gva_mi.body.skinning import skin_points
 from gva_mi.core.console import Progress
-from gva_mi.data.pictures import in_8_bits
+from gva_mi.core.options import Within, options_of
+from gva_mi.data.pictures import MOST_PIXELS, in_8_bits, require_size
 from gva_mi.data.video import Frame
-from gva_mi.fit.camera_paths import CameraShot
-from gva_mi.splat import Camera, Gaussians, SplatOptions, render
+from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at, render
+
+Kind = Literal["turntable", "orbit", "static"]
+_TURN = 72  # default number of pictures of a turntable
+_FOCAL = 2.0  # focal length / longer side of the picture: little perspective, as in a portrait
+_MARGIN = 1.1  # room in the picture for hair and hems outside the body
+_EVERY = 16  # every 16th vertex measures the person
+
+
+@options_of("cameras")
+class CameraPath:
+    """Options of a path of cameras around the person.
+
+    A turntable shows one pose from all around. An orbit goes round once while the motion plays. A
+    static camera does not move.
+    """
+
+    path: Kind | None = None  # none: static, or a turntable if no poses are given
+    # Pictures; 0: 72 of a turntable, otherwise one per frame of the motion.
+    frames: Annotated[int, Within(0, 100_000)] = 0
+    # Angle of the first camera from the direction that the person faces.
+    turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
+    # Angle of the cameras above the middle of the person.
+    elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
+    distance: Annotated[float, Within(0.01, 100)] = 1.0  # factor; 1: the whole motion fits
+    # Width and height, pixels.
+    size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
+        512,
+        640,
+    )
+
+    def __post_init__(self) -> None:
+        require_size("cameras", *self.size)
+
+    def or_usual(self, moving: bool) -> CameraPath:
+        """Fill in a missing ``path``: static for a motion, else a turntable."""
+        return replace(self, path=self.path or ("static" if moving else "turntable"))
+
+
+@dataclass(frozen=True)
+class CameraShot:
+    """One picture of a path: a frame and a camera."""
+
+    frame: int  # of the motion
+    camera: Camera
+
+
+def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
+    """Return the pictures of a path in order.
+
+    The motion of T frames repeats if more pictures are wanted; a turntable shows the first frame.
+    """
+    T, still = len(motion), options.path == "turntable"
+    count = options.frames or (_TURN if still else T)
+    frames = [0 if still else k % T for k in range(count)]
+    around = cylinder(rig, motion[0] if still else motion[: max(frames) + 1])
+    width, height = options.size
+    focal = _FOCAL * max(width, height)
+    fits = max(around.height / height, 2 * around.radius / width) * focal
+    distance = options.distance * (around.radius + _MARGIN * fits)
+    angle = math.radians(options.turn)
+    angles = angle + np.linspace(0, 2 * np.pi, count, endpoint=False)
+    if options.path == "static":
+        angles = np.full(count, angle)
+    elevation = math.radians(options.elevation)
+    ahead = distance * math.cos(elevation) * around.front
+    across = np.cross(around.up, ahead)  # counter-clockwise seen from above
+    rise = math.tan(elevation) * np.linalg.norm(ahead) * around.up
+    found = []
+    for k, turned in zip(frames, angles, strict=True):
+        eye = around.centre + np.cos(turned) * ahead + np.sin(turned) * across + rise
+        T_camera_world = look_at(eye, around.centre, around.up)
+        lens = (focal, focal, width / 2, height / 2)
+        found.append(CameraShot(k, Camera(*lens, T_camera_world, width, height)))
+    return found
+
+
+@dataclass(frozen=True)
+class UprightCylinder:
+    """The upright cylinder that contains a motion."""
+
+    centre: np.ndarray  # (3,) metres, world
+    up: np.ndarray  # (3,) unit
+    front: np.ndarray  # (3,) unit, level: where the person faces in the first frame
+    radius: float  # metres
+    height: float  # metres
+
+
+@torch.no_grad()
+def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
+    """Measure the cylinder around a motion."""
+    maps = joint_transforms(motion.rotations, rig.joints, rig.parents, motion.transl)
+    some = slice(None, None, _EVERY)
+    points = skin_points(rig.vertices[some], rig.weights[some], maps).double().numpy()
+    root = maps[:, 0, :3, :3].double().numpy()  # columns: to the left, up, ahead
+    up = root[:, :, 1].mean(0)
+    if np.linalg.norm(up) < 0.1:  # somersaults have no mean: take the first frame's
+        up = root[0, :, 1]
+    up = up / np.linalg.norm(up)
+    left, _, ahead = root[0].T
+    if abs(up @ ahead) > 0.99:  # looking straight up or down
+        ahead = np.cross(left, up)
+    front = ahead - up * (up @ ahead)
+    front /= np.linalg.norm(front)
+    axes = np.stack([np.cross(up, front), up, front])
+    seen = (points @ axes.T).reshape(-1, 3)
+    low, high = seen.min(0), seen.max(0)
+    middle = (low + high) / 2
+    radius = float(np.linalg.norm((seen - middle)[:, [0, 2]], axis=1).max())
+    return UprightCylinder(middle @ axes, up, front, radius, float(high[1] - low[1]))
+
 
 # Splat options of all avatars. The area of a pixel has a variance of 1/12; the 0.3 of 3DGS makes
 # outlines wider than in pictures.

@@ -12,8 +12,25 @@ Each step uses one training frame of the video:
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again; hold those of fingers and armpits
 
-With ``complete``, what no frame shows takes other colours in the end
-(:mod:`gva_mi.fit.completion`).
+With ``complete``, what no frame shows takes other colours in the end (:mod:`gva_mi.fit.colors`).
+
+Adam has one group of parameters for each kind. With the gradient g of a parameter x, and means m
+and v over steps,
+
+7. m <- β1 m + (1 - β1) g,   v <- β2 v + (1 - β2) g²
+8. x <- x - rate m̂ / (√v̂ + ε),   m̂ = m / (1 - β1^k),   v̂ = v / (1 - β2^k)   in step k
+
+Gaussians that no frame shows, as in an armpit or on the back of a person who never turns, have a
+hundredth of the gradient of others, all noise. With 3DGS's ε of 1e-15 they move as far as others:
+they burst out of the surface once an arm is raised, and their colours wander. So ε is about a tenth
+of the gradient of a Gaussian in plain view.
+
+A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
+one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
+for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
+the optimiser of poses (:mod:`gva_mi.pose.optimizer`):
+
+9. v <- β2 v + (1 - β2) |g|²
 """
 
 from __future__ import annotations
@@ -36,15 +53,14 @@ from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.files import write_arrays
+from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
 from gva_mi.fit import checkpoint, run_folder
-from gva_mi.fit.adam import lower_rate_of_means, make_adam
-from gva_mi.fit.colors import seen_colors
-from gva_mi.fit.completion import complete_colors
+from gva_mi.fit.colors import complete_colors, seen_colors
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
-from gva_mi.fit.options import FitOptions
+from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import DRAWN
@@ -287,3 +303,69 @@ class Run:
             "gradients": [self.gradients.total, self.gradients.views],
             "history": self.history,
         }
+
+
+NOISE = {"means": 1e-5, "sh": 3e-7}  # ε
+VECTORS = ("means", "quats")  # whose coordinates share a v, of one-sided people
+TINY = 1e-15
+
+
+def make_adam(
+    avatar: Avatar, lambert: Lambert | None, rates: Rates, one_sided: bool = False
+) -> torch.optim.Adam:
+    """Make Adam with one named group, and one learning rate, for each kind of parameter.
+
+    ``one_sided``: the pictures may show the person from one side only.
+    """
+    groups = [
+        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE.get(k, TINY)}
+        for k, x in avatar.canonical.named_parameters()
+    ]
+    if avatar.options.residual.enabled:
+        groups.append(
+            {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
+        )
+    groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
+    if lambert is not None:
+        groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
+    adam = AdamOfVectors if one_sided else torch.optim.Adam
+    return adam(groups, lr=0.0, eps=TINY, fused=True)
+
+
+class AdamOfVectors(torch.optim.Adam):
+    """Adam with eq. 9 for the groups named in VECTORS, of one parameter (..., D) each."""
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Take one step."""
+        groups = [group for group in self.param_groups if group["name"] in VECTORS]
+        gradients = [group["params"][0].grad for group in groups]
+        for group in groups:
+            group["params"][0].grad = None  # torch's step leaves such parameters alone
+        super().step()
+        for group, g in zip(groups, gradients, strict=True):
+            (x,) = group["params"]
+            x.grad = g
+            if g is not None:
+                self._descend(x, g, group)
+
+    def _descend(self, x: Tensor, g: Tensor, group: dict) -> None:
+        """Take a step of eq. 8 and 9."""
+        state = self.state[x]
+        if not state:
+            state["step"] = torch.zeros(())
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(x), torch.zeros_like(x)
+        state["step"] += 1
+        m, v, k = state["exp_avg"], state["exp_avg_sq"], int(state["step"])
+        b1, b2 = group["betas"]
+        square = sum(coordinate.square() for coordinate in g.split(1, -1))
+        m.mul_(b1).add_(g * (1 - b1))
+        v.mul_(b2).add_(square * (1 - b2))
+        x -= group["lr"] * (m / (1 - b1**k)) / (sqrt(v / (1 - b2**k)) + group["eps"])
+
+
+def lower_rate_of_means(adam: torch.optim.Adam, rates: Rates, done: float) -> None:
+    """Set the learning rate of the means, which falls exponentially; ``done`` from 0 to 1."""
+    for group in adam.param_groups:
+        if group["name"] == "means":
+            group["lr"] = rates.means ** (1 - done) * rates.means_end**done

@@ -10,7 +10,7 @@ Both minimise evidence + prior, and each side has one interface:
   :class:`gva_mi.pose.optimize.Evidence`: ``loss(frames, pose)`` for the poses, and ``energy()`` for
   the unknowns that all frames share (clothes, shape, focal length). Implementations:
   ``ClothedPerson`` (``sequence.py``: masks, normals, close-ups and landmarks of ``evidence/``) and
-  ``gva_mi.fit.picture_evidence``. A further kind of evidence is one more term of
+  ``gva_mi.fit.photometric``. A further kind of evidence is one more term of
   ``ClothedPerson.loss``, or a class of its own.
 * **Prior terms** say how probable poses are without any image, in nats. They implement
   :class:`gva_mi.pose.prior.inference.PriorTerm`: ``energy(rotations, transl, times)``.

@@ -26,8 +26,7 @@ from gva_mi.data.check.problems import Problem
 from gva_mi.data.pictures import write_film
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
-from gva_mi.fit.camera_paths import CameraPath, shots
-from gva_mi.fit.renders import WHITE, over, render_shots
+from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
 from gva_mi.pose.film.prepare_film import FilmRecord
 from gva_mi.study.page import Picture, Section, Table, animation
 from gva_mi.study.report import write_report

@@ -32,7 +32,7 @@ from gva_mi.core.options import from_json
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import REFINED_POSES, Video
 from gva_mi.fit import run_folder
-from gva_mi.fit.tracking import TRACKED_POSES
+from gva_mi.fit.photometric import TRACKED_POSES
 from gva_mi.pose.errors import means, pose_errors
 from gva_mi.study.evaluate import (
     OF_VIDEO,

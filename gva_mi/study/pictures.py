@@ -20,8 +20,7 @@ from gva_mi.data.crop import Box
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Frame, Video
-from gva_mi.fit.camera_paths import CameraPath, shots
-from gva_mi.fit.renders import cut_out, render_frame
+from gva_mi.fit.renders import CameraPath, cut_out, render_frame, shots
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
 from gva_mi.study.metrics import aligned_views

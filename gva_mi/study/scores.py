@@ -24,8 +24,9 @@ from torch import Tensor
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import block_means, bounds
-from gva_mi.fit.feature_networks import RAND_SEED, RAND_WIDTH
 from gva_mi.fit.perceptual import (
+    RAND_SEED,
+    RAND_WIDTH,
     FeatureMetric,
     Weights,
     find_weights,

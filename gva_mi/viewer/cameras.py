@@ -23,7 +23,7 @@ import torch
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.data.pictures import MOST_PIXELS
-from gva_mi.fit.camera_paths import CameraPath, cylinder, shots
+from gva_mi.fit.renders import CameraPath, cylinder, shots
 from gva_mi.splat import Camera, look_at
 from gva_mi.splat.reference import rotation
 

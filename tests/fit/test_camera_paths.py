@@ -8,7 +8,7 @@ import torch
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
-from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.fit.renders import CameraPath, shots
 
 WORLDS = {"z up": (np.pi / 2, 0, 0), "askew": (0.4, -1.1, 0.7)}
 

@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.data.video import load_video
-from gva_mi.fit.completion import (
+from gva_mi.fit.colors import (
     AWAY,
     RIM,
     Places,
@@ -80,7 +80,7 @@ def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
     there = (away > 0.7) & (avatar.canonical.means[:, 1] < -0.3)  # of the legs
     error = []
     for reach in (AWAY, 1e-9):  # with and without the other side
-        monkeypatch.setattr("gva_mi.fit.completion.AWAY", reach)
+        monkeypatch.setattr("gva_mi.fit.colors.AWAY", reach)
         colors = completed(avatar, away > 0.6, turn, camera, tmp_path)
         error.append(float((colors - true)[there][:, channels].abs().mean()))
     assert error[0] < 0.7 * error[1]

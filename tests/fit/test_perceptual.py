@@ -5,7 +5,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from gva_mi.core.errors import InputError
-from gva_mi.fit import feature_networks
+from gva_mi.fit import perceptual
 from gva_mi.fit.perceptual import (
     Weights,
     find_weights,
@@ -56,7 +56,7 @@ def test_the_seed_decides_the_network(distance, picture, monkeypatch):
     other = blurred(picture, 1)
     found = distance()(picture, other)
     assert found == distance()(picture, other)
-    monkeypatch.setattr(feature_networks, "RAND_SEED", 4)
+    monkeypatch.setattr(perceptual, "RAND_SEED", 4)
     assert found != distance()(picture, other)
 
 
@@ -90,14 +90,12 @@ def weights(tmp_path, monkeypatch):
     noise = lambda state: {
         f"features.{k}": 0.1 * torch.randn(x.shape, generator=generator) for k, x in state.items()
     }
-    monkeypatch.setattr(
-        feature_networks, "VGG16_WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3)
-    )
+    monkeypatch.setattr(perceptual, "VGG16_WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     folder = tmp_path / "hub" / "checkpoints"
     folder.mkdir(parents=True)
-    torch.save(noise(feature_networks.vgg16().state_dict()), folder / "vgg16-0.pth")
-    torch.save(noise(feature_networks.alexnet().state_dict()), folder / "alexnet-0.pth")
+    torch.save(noise(perceptual.vgg16().state_dict()), folder / "vgg16-0.pth")
+    torch.save(noise(perceptual.alexnet().state_dict()), folder / "alexnet-0.pth")
     for name, widths in (("vgg", (4, 8, 8, 8, 8)), ("alex", (64, 192, 384, 256, 256))):
         heads = {f"lin{k}.model.1.weight": torch.rand(1, w, 1, 1) for k, w in enumerate(widths)}
         torch.save(heads, folder / f"lpips_{name}.pth")

@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.data.crop import NoEvidence
-from gva_mi.fit.picture_evidence import PhotometricOptions, PictureAndMask
+from gva_mi.fit.photometric import PhotometricOptions, PictureAndMask
 from gva_mi.splat import render
 
 BOTH = PhotometricOptions(alpha=0.5, ssim=0.1)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.fit.camera_paths import CameraShot
-from gva_mi.fit.renders import over, render_frame, render_layer, render_shots
+from gva_mi.fit.renders import CameraShot, over, render_frame, render_layer, render_shots
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
-from gva_mi.fit.ssim import ssim
+from gva_mi.fit.losses import ssim
 
 
 def pictures(height, width, dtype=torch.float64):

@@ -13,13 +13,12 @@ from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
-from gva_mi.fit.adam import make_adam
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
-from gva_mi.fit.train import fit
+from gva_mi.fit.train import fit, make_adam
 from gva_mi.splat.kernels.sh import C0
 from gva_mi.study.evaluate import evaluate
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.feature_networks import ALEXNET_TAPS, alexnet
-from gva_mi.fit.perceptual import Weights
+from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, alexnet
 from gva_mi.study.scores import NETWORK_LONGEST, NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
 
 

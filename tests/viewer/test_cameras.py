@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gva_mi.fit.camera_paths import CameraPath, shots
+from gva_mi.fit.renders import CameraPath, shots
 from gva_mi.viewer.cameras import film, fitted
 
 

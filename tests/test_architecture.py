@@ -22,7 +22,7 @@ OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "j
             "scipy", "viser", "transformers", "onnxruntime", "ai_edge_litert"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck"),
-    "pymeshlab": ("gva_mi.synthetic", "gva_mi.avatar", "gva_mi.mesh.coarse_body"),
+    "pymeshlab": ("gva_mi.avatar", "gva_mi.mesh.coarse_body"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.data.networks",),
     "onnxruntime": ("gva_mi.data.networks",),
@@ -70,7 +70,7 @@ def test_the_drawing_of_layers_is_current():
 
 def test_the_architecture_page_names_files_that_exist():
     page = (ROOT / "docs/architecture.md").read_text()
-    tops = ("gva_mi", "plugins", "docs", "tests", "benchmarks")
+    tops = ("gva_mi", "plugins", "docs", "tests", "benchmarks", "tools")
     files = [f"/{p.relative_to(ROOT)}" for top in tops for p in (ROOT / top).rglob("*.py")]
     named = set(re.findall(r"\w[\w/]*\.py", page))
     assert not [name for name in named if not any(f.endswith(f"/{name}") for f in files)]
@@ -162,7 +162,7 @@ def used_names(tree):
 
 
 def shown_names():
-    """Count the names in programs of README and docs, in notebooks and in benchmarks."""
+    """Count the names in programs of README and docs, in notebooks, benchmarks and tools."""
     found = Counter()
     for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for program in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
@@ -171,8 +171,9 @@ def shown_names():
         for cell in json.loads(notebook.read_text())["cells"]:
             if cell["cell_type"] == "code":
                 found.update(re.findall(r"\w+", "".join(cell["source"])))
-    for path in [*(ROOT / "benchmarks").glob("*.py"), *(ROOT / "docs").glob("*.py")]:
-        found.update(re.findall(r"\w+", path.read_text()))
+    for folder in ("benchmarks", "docs", "tools"):
+        for path in (ROOT / folder).rglob("*.py"):
+            found.update(re.findall(r"\w+", path.read_text()))
     return found
 
 

@@ -1,7 +1,7 @@
 """The built-in body, in SMPL-X's format and under the licence of this package.
 
 ``puppet.npz`` has the keys of an SMPL-X file and is read by the same loader. It is generated from
-scratch, as a smooth union of simple solids, by ``python -m gva_mi.synthetic.body_generator``.
+scratch, as a smooth union of simple solids, by ``python -m tools.body_generator``.
 
 * 11,000 vertices, watertight, connected, symmetric; denser at hands, face and toes.
 * 1.77 m tall; the pelvis at the origin, y up, facing +z, the left hand toward +x.

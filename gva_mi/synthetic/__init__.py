@@ -5,7 +5,6 @@
 ``subject_folder``  writes a subject's folder
 ``provenance``      an existing folder: its options, its person, other errors
 ``people, look``    the person: shape, colours, cut of the clothes; lamps
-``body_generator``  makes the built-in body
 ``rest_body``       the body below the clothes
 ``clothes/``        clothes and hair, and how they follow the body
 ``texture``         colours of skin, cloth and hair

@@ -1,8 +1,8 @@
-"""Rebuild the file of the built-in body: ``python -m gva_mi.synthetic.body_generator``."""
+"""Rebuild the file of the built-in body: ``python -m tools.body_generator``."""
 
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.core.files import write_arrays
-from gva_mi.synthetic.body_generator.generate import generate
+from tools.body_generator import generate
 
 if __name__ == "__main__":
     write_arrays(BUILT_IN_BODY, **generate())

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.pose import JOINTS
-from gva_mi.synthetic.body_generator.solids import Ball, Cone, Join, Loft
+from tools.body_generator.solids import Ball, Cone, Join, Loft
 
 _MIDDLE = {
     "pelvis": (0, 0, 0), "spine1": (0, 0.105, -0.012), "spine2": (0, 0.225, -0.018),

@@ -1,4 +1,4 @@
-"""Generate the built-in body: ``python -m gva_mi.synthetic.body_generator``.
+"""Generate the built-in body; ``python -m tools.body_generator`` rebuilds its file bit by bit.
 
     anatomy (solids) → left half by marching cubes → decimated → mirrored → weights, regressor,
     shapes → puppet.npz
@@ -13,11 +13,16 @@ import numpy as np
 
 from gva_mi.body.body_file import kintree_table
 from gva_mi.body.pose import JOINTS, LEFT_HAND
-from gva_mi.synthetic.body_generator.anatomy import EYE, EYE_RADIUS, left_half
-from gva_mi.synthetic.body_generator.mirror import border_of, mirrored, onto_border, without_chords
-from gva_mi.synthetic.body_generator.rig import joint_regressor, skinning_weights
-from gva_mi.synthetic.body_generator.shapes import correctives, expressions, shapes
-from gva_mi.synthetic.body_generator.solids import surface
+from tools.body_generator.anatomy import EYE, EYE_RADIUS, left_half
+from tools.body_generator.rig import joint_regressor, skinning_weights
+from tools.body_generator.shapes import correctives, expressions, shapes
+from tools.body_generator.solids import (
+    border_of,
+    mirrored,
+    onto_border,
+    surface,
+    without_chords,
+)
 
 FACES = 22_000  # of the whole body
 _EYE_FACES = 350  # of the visible part of one eyeball

@@ -21,13 +21,13 @@ import numpy as np
 
 from gva_mi.body.built_in import SHAPES
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
-from gva_mi.synthetic.body_generator.anatomy import (
+from gva_mi.synthetic.surface import smoothstep
+from tools.body_generator.anatomy import (
     EYE_RADIUS,
     EYE_SLIT,
     LID_RADIUS,
     joint_positions,
 )
-from gva_mi.synthetic.surface import smoothstep
 
 Strains = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, mirrored_name
-from gva_mi.synthetic.body_generator.anatomy import (
+from tools.body_generator.anatomy import (
     EYE_RADIUS,
     FINGERS,
     LID_RADIUS,

@@ -1,0 +1,1 @@
+"""Programs that make files of this repository; they are not in the installed package."""

@@ -15,7 +15,7 @@ SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rg
 
 # From the bottom up: name, purpose, packages. A module belongs to the longest prefix that fits.
 LAYERS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("core", "errors, files, options, provenance, workers, libLLVM", ("gva_mi", "gva_mi.core")),
+    ("core", "errors, files, options, stamps, workers, libLLVM", ("gva_mi", "gva_mi.core")),
     ("jit", "what joins Dr.Jit and torch", ("gva_mi.jit",)),
     ("splat", "Gaussian splatting: kernels, torch and Dr.Jit entry points", ("gva_mi.splat",)),
     ("plugins", "Mitsuba plugins: mesh normals, Gaussian splats", ("gva_mi_plugins",)),

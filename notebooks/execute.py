@@ -4,7 +4,7 @@
     python notebooks/execute.py notebooks/1*    these lessons
 
 Outputs are stale if a code cell, a file that a cell names, or the results version of a package that
-a cell imports (:data:`gva_mi.study.engine.RESULTS_VERSIONS`) have changed since they were made.
+a cell imports (:data:`gva_mi.core.stamp.RESULTS_VERSIONS`) have changed since they were made.
 Of a page, only the tables count. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
 """
 
@@ -23,7 +23,7 @@ from nbclient import NotebookClient
 from PIL import Image
 from traitlets.config import Config
 
-from gva_mi.study.engine import RESULTS_VERSIONS
+from gva_mi.core.stamp import RESULTS_VERSIONS
 
 HERE = Path(__file__).parent
 STAMP = "made_from"  # in a notebook's metadata

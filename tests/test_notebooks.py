@@ -13,7 +13,7 @@ import pytest
 nbformat = pytest.importorskip("nbformat")
 pytest.importorskip("nbclient")
 
-from gva_mi.study.engine import RESULTS_VERSIONS  # noqa: E402
+from gva_mi.core.stamp import RESULTS_VERSIONS  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))

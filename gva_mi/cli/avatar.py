@@ -14,14 +14,14 @@ from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
-from gva_mi.cli.steps import Step, StepFolder
+from gva_mi.cli.resume import Step, StepFolder
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, write_json
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Seed, Within, options_of
-from gva_mi.core.provenance import hash_files
+from gva_mi.core.stamp import stamp
 from gva_mi.core.workers import usual_workers
 from gva_mi.data.cameras import CAMERAS
 from gva_mi.data.check import check_subject
@@ -99,7 +99,7 @@ def avatar(
     load_body(body)  # a bad file is refused before any work
     work = _Work(film, film_options, choice, own_masks, out, person, lens, body)
     with folder_lock(out, "gva-mi avatar"):
-        source = hash_files(files_of(film) or [film])
+        source = stamp(files_of(film) or [film])
         StepFolder(out, MARKER, source, overwrite).follow(work.steps())
     say(f"avatar: {work.run / run_folder.AVATAR}")
     say(f"report: {out / run_folder.REPORT}")
@@ -137,17 +137,17 @@ class _Work:
         measured = [run / run_folder.METRICS, run / run_folder.REPORT]
         film = [asdict(self.options), asdict(self.own_masks), self.person, self.lens]
         sources = [self.film, *body, *filter(None, vars(self.own_masks).values())]
-        yield Step("prepare", film, sources, [subject / PREPARED], self.prepare)
-        yield Step("check", None, prepared, [findings], self.check)
-        yield Step("refine", self.refine_options, prepared, [refined], self.refine)
+        yield Step("prepare", "refine", film, sources, [subject / PREPARED], self.prepare)
+        yield Step("check", "refine", None, prepared, [findings], self.check)
+        yield Step("refine", "refine", self.refine_options, prepared, [refined], self.refine)
         wanted = self.choice.test_frames
-        yield Step("split", wanted, [subject / PREPARED], [subject / SPLITS], self.split)
+        yield Step("split", "refine", wanted, [subject / PREPARED], [subject / SPLITS], self.split)
         known = [*prepared, subject / SPLITS, refined]
-        yield Step("fit", self.fit_options.plain(), known, fitted, self.fit)
+        yield Step("fit", "avatar", self.fit_options.plain(), known, fitted, self.fit)
         known = [*known, *fitted]
-        yield Step("evaluate", None, known, measured, self.evaluate)
+        yield Step("evaluate", "avatar", None, known, measured, self.evaluate)
         page = [self.out / run_folder.REPORT]
-        yield Step("report", None, [*known, findings, *measured], page, self.report)
+        yield Step("report", "avatar", None, [*known, findings, *measured], page, self.report)
 
     @property
     def refine_options(self) -> SequenceOptions:

@@ -18,7 +18,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.cli.driving import motion_of
-from gva_mi.cli.series import HASH, hash_of, series
+from gva_mi.cli.resume import series, stamp_of
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
@@ -212,11 +212,11 @@ def _folder(job: _Export) -> Work:
     (motion, _), options = job.driving(), job.options
     frame_of = {f"{k:06d}.{options.each}": k for k in range(0, len(motion), options.every)}
     form = options.each, options.every, str(options.sh_degree)
-    made_of = hash_of(job.avatar, motion, (), form)
-    about = {"avatar": str(job.run), "poses": options.poses, HASH: made_of}
+    made_of = stamp_of(job.avatar, motion, (), *form)
+    about = {"avatar": str(job.run), "poses": options.poses}
 
     def work() -> None:
-        names = series(job.out, MARKER, list(frame_of), job.overwrite, about)
+        names = series(job.out, MARKER, list(frame_of), job.overwrite, about, made_of)
         with names as missing, bar("export") as progress:
             for done, name in enumerate(missing, 1):
                 job.save(job.out / name, motion[frame_of[name]])

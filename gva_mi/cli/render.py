@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from gva_mi.body.pose import Pose
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.cli.driving import motion_of
-from gva_mi.cli.series import HASH, hash_of, series
+from gva_mi.cli.resume import series, stamp_of
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
@@ -79,8 +79,8 @@ def render(
     movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
     if video and alpha:
         require_alpha_codec(out / movie)
-    made_of = hash_of(avatar, motion, pictures, (behind, alpha, video, fps))
-    about = {"avatar": str(run), "poses": poses, "cameras": cameras, HASH: made_of}
+    made_of = stamp_of(avatar, motion, pictures, behind, alpha, video, fps)
+    about = {"avatar": str(run), "poses": poses, "cameras": cameras}
     files = [f"{k:06d}.png" for k in range(len(pictures))]
     names = [*files, movie] if video else files
 
@@ -98,7 +98,8 @@ def render(
             write_image(path, image)
             yield image
 
-    with series(out, MARKER, names, overwrite, about) as missing, bar("render") as progress:
+    folder = series(out, MARKER, names, overwrite, about, made_of)
+    with folder as missing, bar("render") as progress:
         if movie in missing:
             write_film(out / movie, images(missing), fps, "alpha" if alpha else "playable")
         else:

@@ -18,7 +18,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Within, Workers, options_of
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import versions
 from gva_mi.core.workers import local_executor
 from gva_mi.data.importers.world import Axis, axis_of
 from gva_mi.pose.film.prepare_film import FilmOptions

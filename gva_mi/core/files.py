@@ -34,7 +34,6 @@ from gva_mi.core.atomic import (
 )
 from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError, reason_of
-from gva_mi.core.provenance import versions
 
 T = TypeVar("T")
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
@@ -110,14 +109,6 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
     except (OSError, ValueError, RecursionError) as error:
         reason = reason_of(error)
         raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
-
-
-def json_equals(path: Path, value: Any) -> bool:  # noqa: ANN401
-    """Return whether a JSON file holds exactly this value; False if it cannot be read."""
-    try:
-        return read_json(path, "") == json.loads(json.dumps(value, default=str))
-    except InputError:
-        return False
 
 
 def once_a_file(read: Callable[..., T]) -> Callable[..., T]:
@@ -220,13 +211,6 @@ def require_replaceable(folder: Path, marker: str, overwrite: bool) -> None:
     if not overwrite:
         raise InputError(f"{folder}: already holds something; give --overwrite to replace it")
     require_ours(folder, marker)
-
-
-def start_folder(folder: Path, marker: str, overwrite: bool, about: dict[str, Any]) -> None:
-    """Make room for an output folder and write its marker: ``about`` and the versions."""
-    make_room(folder, marker, overwrite)
-    require_writable(folder)
-    write_json(folder / marker, about | {"versions": versions()})
 
 
 def write_arrays(path: Path, **arrays: np.ndarray) -> None:

@@ -57,10 +57,9 @@ from gva_mi.body.pose import Pose, Shape, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
-from gva_mi.core.files import write_json
 from gva_mi.core.options import Metres, Weight, Within, options_of
-from gva_mi.core.provenance import versions
 from gva_mi.core.spill_cache import SpillCache
+from gva_mi.core.stamp import write_record
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import NoEvidence, gather, person_extent
 from gva_mi.data.ground_truth import GroundTruth, truth_of
@@ -401,7 +400,6 @@ def write_tracking(
         "kept": found.kept,
         **{name: str(path) for name, path in sources.items()},
         "options": asdict(options),
-        "versions": versions(),
     }
     with atomic_files(video.folder / TRACKED_POSES, TRACKING) as unfinished:
         save_poses(
@@ -411,4 +409,4 @@ def write_tracking(
             stage=2,
             offsets=offsets,
         )
-        write_json(unfinished / TRACKING, record)
+        write_record(unfinished / TRACKING, record)

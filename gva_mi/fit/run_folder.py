@@ -20,6 +20,7 @@ Every file is written atomically: after a kill it is the old one or the new one,
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -35,9 +36,10 @@ from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
+from gva_mi.core.atomic import part_of, write_bytes
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_arrays, read_json, write_arrays, write_json
-from gva_mi.core.provenance import hash_arrays, hash_files, versions
+from gva_mi.core.files import read_arrays, read_bytes, read_json, write_arrays
+from gva_mi.core.stamp import STAMP_BYTES, stamp, write_record
 from gva_mi.data.video import Video
 from gva_mi.splat import Gaussians
 
@@ -49,7 +51,6 @@ METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
 # and binding Gaussians to the outer skin.
 LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
-PARTS = ("frames", "masks", "cameras", "poses", "splits")  # of a video, each of which is hashed
 
 
 def prepare(
@@ -72,8 +73,8 @@ def prepare(
         if (out / AVATAR).exists() or (out / CHECKPOINT).exists():
             raise InputError(f"{out}: holds a run, but not its {OPTIONS}; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
-        about = {"options": options, "versions": versions(), "video": identity(video)}
-        write_json(held, about | {"sources": dict(sources or {})})
+        about = {"options": options, "video": stamps(video), "sources": dict(sources or {})}
+        write_record(held, about)
         return
     if not resume:
         raise InputError(f"{out}: already holds a run; resume it, overwrite it, or choose another")
@@ -97,8 +98,8 @@ def require_none_begun(out: Path, overwrite: bool) -> None:
         )
 
 
-def identity(video: Video) -> dict[str, str]:
-    """Return a hash of each of :data:`PARTS`; poses are those the video was opened with.
+def stamps(video: Video) -> dict[str, str]:
+    """Return a stamp of each part of a video that a fit sees; poses are those it is opened with.
 
     Poses trained on one video mean nothing in another, even one with as many frames. Files are
     hashed as they are: a re-encoded video is another video, even if the encoding is lossless.
@@ -107,32 +108,21 @@ def identity(video: Video) -> dict[str, str]:
     pictures = sorted((folder / "frames").glob("*.png")) or [folder / "video.mp4"]
     cameras = [x for c in video.cameras for x in (c.K, c.T_camera_world, [c.width, c.height])]
     poses = [pose.rotations, pose.transl, pose.expression, video.shape.betas]
-    splits = [video.splits.train, [-1], video.splits.test]
     return {
-        "frames": hash_files(pictures),
-        "masks": hash_files(sorted(p for p in (folder / "masks").glob("*") if p.is_file())),
-        "cameras": hash_arrays(cameras),
-        "poses": hash_arrays(x.detach().numpy() for x in poses),
-        "splits": hash_arrays(splits),
+        "frames": stamp(pictures),
+        "masks": stamp([folder / "masks"]),
+        "cameras": stamp(cameras),
+        "poses": stamp(x.detach() for x in poses),
+        "splits": stamp([video.splits.train, video.splits.test]),
     }
 
 
-def differing(known: Mapping[str, str], video: Video) -> list[str]:
-    """Return the :data:`PARTS` in which a video differs from a record; none if that is empty."""
-    if not known:
-        return []
-    found = identity(video)
-    return [part for part in PARTS if found[part] != known.get(part)]
-
-
 def other_parts(run: Path, video: Video) -> list[str]:
-    """Return which of :data:`PARTS` differ between a video and that of a run.
-
-    A run without a record of its video matches any.
-    """
+    """Return which parts differ between a video and that of a run; none if it keeps no record."""
     if not (run / OPTIONS).exists():
         return []
-    return differing(load_options(run)["video"], video)
+    known, found = load_options(run)["video"], stamps(video)
+    return [part for part in found if found[part] != known.get(part)]
 
 
 def other_pictures(run: Path, video: Video) -> str:
@@ -196,6 +186,43 @@ def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
     known = load_options(run)["sources"] if (run / OPTIONS).exists() else {}
     name = known.get(what)
     return None if name is None else subject / str(name)  # an absolute name stays as it is
+
+
+def save_state(out: Path, state: dict[str, Any]) -> None:
+    """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them.
+
+    A stamp follows them, of these bytes and of the run's options, so that a state that was changed
+    by hand or belongs to another run is refused when it is opened, and not somewhere in training.
+    """
+    whole = io.BytesIO()  # torch's own writer hides a full disk
+    torch.save(state, whole)
+    content = whole.getbuffer()
+    write_bytes(out / CHECKPOINT, content, _stamp_of_state(out, content))
+
+
+def load_state(out: Path) -> dict[str, Any] | None:
+    """Read the checkpoint; None without one; an InputError unless it is as it was saved."""
+    path = out / CHECKPOINT
+    if not path.exists():
+        return None
+    whole = memoryview(read_bytes(path, "the checkpoint of a run"))
+    content, stamped = whole[:-STAMP_BYTES], whole[-STAMP_BYTES:]
+    if stamped != _stamp_of_state(out, content):
+        raise InputError(
+            f"{path}: not as this run saved it: cut short, changed, or of another run; "
+            "--overwrite starts the fit again"
+        )
+    return torch.load(io.BytesIO(content), weights_only=True)
+
+
+def drop_state(out: Path) -> None:
+    """Remove the checkpoint of a finished run, also one that a kill left half-written."""
+    for path in (out / CHECKPOINT, part_of(out / CHECKPOINT)):
+        path.unlink(missing_ok=True)
+
+
+def _stamp_of_state(out: Path, content: memoryview) -> bytes:
+    return stamp([out / OPTIONS, content]).encode()
 
 
 def save_snapshot(

@@ -56,7 +56,7 @@ from gva_mi.core.files import write_arrays
 from gva_mi.core.same_bits import sqrt
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
-from gva_mi.fit import checkpoint, run_folder
+from gva_mi.fit import run_folder
 from gva_mi.fit.colors import complete_colors, seen_colors
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
@@ -114,9 +114,9 @@ def fit(
     distance = vgg16_loss(options.vgg16) if options.vgg16 else rand_vgg_loss()
     run_folder.prepare(out, options.plain(), video, resume, sources)
     if (out / run_folder.AVATAR).exists():
-        checkpoint.drop_state(out)
+        run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
-    state = checkpoint.load_state(out)
+    state = run_folder.load_state(out)
     chosen = options.seed, options.window, options.mask_error, options.still_camera
     if samples is None:
         samples = FrameSampler(video, video.splits.train, *chosen, out)
@@ -133,14 +133,14 @@ def fit(
                     run.step, options.steps, loss=figures["loss"], gaussians=figures["gaussians"]
                 )
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
-                checkpoint.save_state(out, run.state())
+                run_folder.save_state(out, run.state())
         run.finish(samples)
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
         poses = run.poses.all()
         save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2)
     run.avatar.save(out / run_folder.AVATAR)
-    checkpoint.drop_state(out)
+    run_folder.drop_state(out)
     return run.avatar
 
 

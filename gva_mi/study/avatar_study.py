@@ -20,9 +20,8 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.files import json_equals, write_json
 from gva_mi.core.options import PictureSide, options_of
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, write_record
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.ground_truth import load_ground_truth
@@ -36,12 +35,12 @@ from gva_mi.fit.train import fit
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
-from gva_mi.study.engine import RESULTS_VERSIONS, Study, Work
+from gva_mi.study.engine import Study, Work
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.metrics import ALIGNED, AS_REFINED, Metrics, measure_run, save_metrics
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refine_study import refine_case
-from gva_mi.study.refinement import write_record
+from gva_mi.study.refinement import write_refinement
 from gva_mi.study.subjects import Filming, filming_work
 from gva_mi.study.variants import AvatarVariant
 from gva_mi.synthetic.closest import closest
@@ -92,7 +91,7 @@ class AvatarStudy(Study):
         """Film the takes, refine each case, then fit each variant."""
         cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
         also_printed = any(row.poses == "printed" for row in self.rows)
-        made = self.body, self.options.refine, self.made_with, also_printed
+        made = self.body, self.options.refine, self.stamp, also_printed
         prepared = [
             Work(REFINE_STEPS, partial(prepare_case, filming.subject(case), case, *made))
             for case in cases
@@ -106,7 +105,7 @@ class AvatarStudy(Study):
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw)
         options = options.of_film() if case.noise == FILM else options
-        return VariantRun(self._filming.subject(case), out, row, self.body, options, self.made_with)
+        return VariantRun(self._filming.subject(case), out, row, self.body, options, self.stamp)
 
 
 def file_name(name: str) -> str:
@@ -119,7 +118,7 @@ def prepare_case(
     case: StudyCase,
     body: BodyModel,
     options: SequenceOptions,
-    made_with: dict[str, Any],
+    stamp: str,
     also_printed: bool,
     progress: Progress | None = None,
 ) -> None:
@@ -127,11 +126,11 @@ def prepare_case(
 
     ``also_printed``: also the poses that Eq. 8 as printed finds.
     """
-    if not json_equals(subject / PREPARED, made_with):
+    if not is_fresh(subject / PREPARED, stamp):
         evaluation = refine_case(subject, case, body, options, progress=progress)
-        write_record(evaluation, versions())
+        write_refinement(evaluation)
         (subject / PRINTED_POSES).unlink(missing_ok=True)
-        write_json(subject / PREPARED, made_with)
+        write_record(subject / PREPARED, {}, stamp)
     if also_printed and not (subject / PRINTED_POSES).exists():
         found = refine(load_video(subject), body, REFINE)
         save_poses(subject / PRINTED_POSES, found.pose, found.shape, stage=2)
@@ -146,7 +145,7 @@ class VariantRun:
     variant: AvatarVariant
     body: BodyModel
     options: FitOptions  # of the study; the variant changes them
-    made_with: dict[str, Any]
+    stamp: str  # of the study
 
     @property
     def steps(self) -> int:
@@ -220,10 +219,10 @@ class VariantRun:
     def _make_room(self) -> None:
         """Remove a run that was made with other inputs."""
         held = self.out / MADE_WITH
-        if self.out.exists() and not json_equals(held, self.made_with):
+        if self.out.exists() and not is_fresh(held, self.stamp):
             shutil.rmtree(self.out)
         if not held.exists():
-            write_json(held, self.made_with)
+            write_record(held, {}, self.stamp)
 
 
 ROWS_UNDER = {AS_REFINED: "as given", ALIGNED: "aligned", FITTED: "poses fitted"}

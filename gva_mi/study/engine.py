@@ -4,17 +4,16 @@ A study's folder holds::
 
     takes/, videos/     the subjects, made where they are missing
     KIND.json           {"format": 2, "kind", "made_with", "networks", "summary", "versions",
-                         "results": [{"name", "held_out", "case", "variant", "figures"}]}
+                         "stamp", "results": [{"name", "held_out", "case", "variant", "figures"}]}
     KIND.html           the same as a page
     runs/CASE/VARIANT/  runs of the avatar study
 
 A result is used again only if everything it depends on is the same: the options, the body, and the
-results version of the study (:data:`RESULTS_VERSIONS`).
+results version of the study (:mod:`gva_mi.core.stamp`).
 """
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -26,16 +25,13 @@ from typing import Any, ClassVar, NamedTuple
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_json, write_json
+from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, stamp, write_record
 from gva_mi.core.tasks import Task, run
 from gva_mi.data.fingerprint import fingerprint
 from gva_mi.study.cases import StudyCase
 
-# Results of a study hold as long as its number stays. Raise it when the same options give other
-# figures than before.
-RESULTS_VERSIONS = {"refine": 14, "avatar": 12}
 FORMAT = 2
 EXPECTED = "what `gva-mi study` writes, or give --overwrite"
 
@@ -85,13 +81,14 @@ class Study(ABC):
 
     @cached_property
     def made_with(self) -> dict[str, Any]:
-        """All that a result depends on besides its case and variant, as JSON has it."""
-        made = {
-            "options": asdict(self.options),
-            "body": fingerprint(self.body),
-            "results_version": RESULTS_VERSIONS[self.kind],
-        }
-        return json.loads(json.dumps(made, default=str))
+        """Options and version of the results, for the record."""
+        version = RESULTS_VERSIONS[self.kind]
+        return {"options": asdict(self.options), "results_version": version}
+
+    @cached_property
+    def stamp(self) -> str:
+        """Stamp of all that a result depends on besides its case and variant."""
+        return stamp(options=[self.kind, self.made_with, fingerprint(self.body)])
 
     @property
     def path(self) -> Path:
@@ -113,8 +110,8 @@ class Study(ABC):
                     f"{self.path}: another version of gva-mi wrote this study; choose another "
                     "--out, or give --overwrite to compute it again"
                 )
-            same = (record["kind"], record["made_with"]) == (self.kind, self.made_with)
-            return [_outcome(row) for row in record["results"]] if same else []
+            fresh = is_fresh(self.path, self.stamp)
+            return [_outcome(row) for row in record["results"]] if fresh else []
 
     def save(self, outcomes: Sequence[Outcome], summary: dict[str, Any]) -> None:
         """Write all results, and the summary of those that were asked for."""
@@ -123,8 +120,8 @@ class Study(ABC):
             for outcome in outcomes
         ]
         record = {"format": FORMAT, "kind": self.kind, "made_with": self.made_with}
-        record |= {"summary": summary, "results": results, "versions": versions()}
-        write_json(self.path, record)
+        record |= {"summary": summary, "results": results}
+        write_record(self.path, record, self.stamp)
 
 
 def run_study(

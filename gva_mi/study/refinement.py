@@ -30,8 +30,8 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_json, write_json
-from gva_mi.core.provenance import versions
+from gva_mi.core.files import read_json
+from gva_mi.core.stamp import write_record
 from gva_mi.core.workers import local_executor
 from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits, write_image
@@ -73,7 +73,7 @@ def refine_videos(
         found = refine_all([(x, options) for x in videos], body, progress, executor, workers)
         for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
             evaluation = Evaluation(video, body, options, refined, truth, problem)
-            write_record(evaluation, versions())
+            write_refinement(evaluation)
             yield evaluation
 
 
@@ -119,7 +119,7 @@ def describe_prior(
         yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
-def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
+def write_refinement(evaluation: Evaluation) -> None:
     """Write the three files."""
     video, refined, options = evaluation.video, evaluation.refined, evaluation.options
     folder: Path = video.folder
@@ -134,12 +134,11 @@ def write_record(evaluation: Evaluation, versions: dict[str, str]) -> None:
         "without_normals": refined.without_normals,
         "normals": video.normals.convention if video.normals else None,
         "options": {"loss": options.name, **asdict(options)},
-        "versions": versions,
     }
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     with atomic_files(folder / REFINED_POSES, REFINEMENT, OVERLAYS) as unfinished:
         save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
-        write_json(unfinished / REFINEMENT, record)
+        write_record(unfinished / REFINEMENT, record)
         write_image(unfinished / OVERLAYS, _overlays(evaluation))
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.core.stamp import RESULTS_VERSIONS
 from gva_mi.data.fingerprint import FILM, require_same_body
 from gva_mi.study.cases import StudyCase, Take
-from gva_mi.study.engine import RESULTS_VERSIONS, Work
+from gva_mi.study.engine import Work
 from gva_mi.study.filmed import watch_take
 from gva_mi.synthetic import degrade, make_subject
 

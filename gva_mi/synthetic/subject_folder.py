@@ -23,7 +23,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib import metadata
 from itertools import count
 from pathlib import Path
 
@@ -33,7 +32,7 @@ from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import write_record
 from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.fingerprint import SYNTH, fingerprint
 from gva_mi.data.ground_truth import BODY
@@ -96,8 +95,7 @@ def make_subject(
         write_json(folder / SPLITS, splits)
         write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
-        made_by = versions() | {"mitsuba": metadata.version("mitsuba")}
-        write_json(folder / SYNTH, about | {"versions": made_by})
+        write_record(folder / SYNTH, about)
 
 
 @dataclass(frozen=True)

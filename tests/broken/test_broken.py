@@ -12,7 +12,7 @@ from gva_mi.body.pose import save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.fit import checkpoint
+from gva_mi.fit import run_folder
 
 NOT_IN_THE_MASKS = {
     "camera is a kilometre away", "K looks far aside", "transl is behind the camera",
@@ -51,7 +51,7 @@ def run(known, turning, tmp_path):
     (folder / "options.json").write_text(json.dumps(options))
     np.savez(folder / "history.npz", loss=np.arange(3.0), gaussians=np.arange(3))
     state = {"step": 2, "avatar": known.record(), "history": {"loss": [1.0, 2.0]}}
-    checkpoint.save_state(folder, state)
+    run_folder.save_state(folder, state)
     return folder
 
 

@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import save_poses
 from gva_mi.core.errors import InputError
-from gva_mi.fit import checkpoint, run_folder
+from gva_mi.fit import run_folder
 
 
 def test_a_folder_is_prepared_once(video, tmp_path):
@@ -70,18 +70,18 @@ def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
 
 def test_a_state_comes_back_to_the_bit(tmp_path):
     state = {"step": 7, "avatar": {"x": torch.randn(4)}, "history": {"loss": [0.1, 0.2]}}
-    assert checkpoint.load_state(tmp_path) is None
-    checkpoint.save_state(tmp_path, state)
-    found = checkpoint.load_state(tmp_path)
+    assert run_folder.load_state(tmp_path) is None
+    run_folder.save_state(tmp_path, state)
+    found = run_folder.load_state(tmp_path)
     assert torch.equal(found["avatar"]["x"], state["avatar"]["x"])
     assert found["history"] == state["history"] and found["step"] == 7
 
 
 def test_a_write_that_fails_leaves_the_old_file(tmp_path):
-    checkpoint.save_state(tmp_path, {"step": 1})
+    run_folder.save_state(tmp_path, {"step": 1})
     with pytest.raises(Exception, match="pickle"):
-        checkpoint.save_state(tmp_path, {"step": lambda: 2})
-    assert checkpoint.load_state(tmp_path) == {"step": 1}
+        run_folder.save_state(tmp_path, {"step": lambda: 2})
+    assert run_folder.load_state(tmp_path) == {"step": 1}
 
 
 def _rewritten(folder):
@@ -96,8 +96,8 @@ def _rewritten(folder):
 ])  # fmt: skip
 def test_a_checkpoint_that_this_run_did_not_save_is_refused(change, tmp_path):
     (tmp_path / run_folder.OPTIONS).write_text('{"options": {"steps": 12}}')
-    checkpoint.save_state(tmp_path, {"step": 7})
-    assert checkpoint.load_state(tmp_path) == {"step": 7}
+    run_folder.save_state(tmp_path, {"step": 7})
+    assert run_folder.load_state(tmp_path) == {"step": 7}
     change(tmp_path)
     with pytest.raises(InputError, match="not as this run saved it"):
-        checkpoint.load_state(tmp_path)
+        run_folder.load_state(tmp_path)

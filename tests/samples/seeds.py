@@ -27,7 +27,7 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background, write_film
 from gva_mi.data.video import load_video
 from gva_mi.data.views import held_out_views, save_views
-from gva_mi.fit import checkpoint, run_folder
+from gva_mi.fit import run_folder
 from gva_mi.splat.formats.compressed_ply import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.splat import load_splat, save_splat
@@ -144,7 +144,7 @@ def seeds(subject, avatar):
         options = {"options": {"steps": 3, "seed": 0}, "versions": {}, "video": {"frames": "0"}}
         (folder / "options.json").write_text(json.dumps(options))
         state = {"step": 3, "avatar": avatar.record(), "history": {"loss": [1.0, 2.0]}}
-        checkpoint.save_state(folder, state)
+        run_folder.save_state(folder, state)
         np.savez(folder / "history.npz", loss=np.arange(3.0))
         arrays = {"vertices": np.zeros((4, 3)), "faces": np.zeros((2, 3), int)}
         for side in ("before", "after"):
@@ -166,7 +166,7 @@ def seeds(subject, avatar):
     def read_run(folder, path=None):
         each(folder, path, {
             "avatar.npz": Avatar.load, "bare.npz": run_folder.load_avatar,
-            "checkpoint.pt": lambda path: checkpoint.load_state(folder),
+            "checkpoint.pt": lambda path: run_folder.load_state(folder),
             "metrics.json": lambda path: list(load_metrics(folder).lines()),
             "refinement.json": lambda path: load_refinement(folder),
             "refinement.png": lambda path: report._refinement(load_metrics(folder), path),

@@ -41,7 +41,7 @@ def refined_subject(subject, tmp_path, body):
 
 def run_of(name, subject, body):
     (variant,) = variants_named((name,))
-    return VariantRun(subject, subject.parent / "run", variant, body, OPTIONS, {"version": 1})
+    return VariantRun(subject, subject.parent / "run", variant, body, OPTIONS, "made")
 
 
 def test_variants_open_the_poses_they_are_named_after(refined_subject, body):
@@ -111,7 +111,7 @@ def runs(subject, tmp_path_factory, body, known, camera, turning):
         patch.setattr(fitted_poses, "_pose_fit_options", few)
         for variant in (FULL, NO_HANDS):
             out = folder / "runs" / variant.name
-            run = VariantRun(case, out, variant, body, OPTIONS, {"version": 1})
+            run = VariantRun(case, out, variant, body, OPTIONS, "made")
             made[variant.name] = (run, run.solve())
         yield made
 

@@ -13,7 +13,7 @@ from gva_mi.data.pictures import write_image
 from gva_mi.pose import SequenceOptions
 from gva_mi.study.measure import Evaluation, PoseFigures, mask_iou, measure
 from gva_mi.study.pose_tables import errors_table
-from gva_mi.study.refinement import load_refinement, write_record
+from gva_mi.study.refinement import load_refinement, write_refinement
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     video = replace(estimated, folder=tmp_path)
     refined = replace(refined, held_out=[5])
     evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
-    write_record(evaluation, {"gva_mi": "1.2.3"})
+    write_refinement(evaluation)
     record = json.loads((tmp_path / "refinement.json").read_text())
     splits = record["figures_by_split"]
     assert splits["train"]["vertex_mm"] == 0 < splits["test"]["vertex_mm"]

@@ -24,7 +24,7 @@ from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import write_record
 from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.check.sanity import FRAMES, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
@@ -121,7 +121,7 @@ def prepare_folder(
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
     record["body"] = {"name": body.name, "file": file} | fingerprint(body.model)
     record["source"] = {"kind": kind, "estimate": source} | vars(options)
-    write_json(out / PREPARED, record | {"versions": versions()})
+    write_record(out / PREPARED, record)
     return notes
 
 

@@ -24,7 +24,7 @@ from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_array, read_json, write_json
 from gva_mi.core.options import Within, from_json, options_of
-from gva_mi.core.provenance import versions
+from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
@@ -184,9 +184,9 @@ def prepare_film(
     )
     file = None if body is None else str(body.resolve())
     name = BUILT_IN_NAME if body is None else body.stem
-    about = {"kind": FILM, "film": asdict(record), "versions": versions()}
+    about = {"kind": FILM, "film": asdict(record)}
     about["body"] = {"name": name, "file": file} | fingerprint(model)
-    write_json(out / PREPARED, about)
+    write_record(out / PREPARED, about)
     return record.notes
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gva_mi.cli.steps import Step, StepFolder
+from gva_mi.cli.resume import Step, StepFolder
 from gva_mi.core.errors import InputError
 
 MARKER = "about.json"
@@ -30,8 +30,8 @@ def follow(tmp_path):
             return write
 
         steps = [
-            Step("first", amount, [], [first], work("first", first, lambda: amount)),
-            Step("second", factor, [first], [second],
+            Step("first", "refine", amount, [], [first], work("first", first, lambda: amount)),
+            Step("second", "avatar", factor, [first], [second],
                  work("second", second, lambda: factor * int(first.read_text()))),
         ]  # fmt: skip
         try:

@@ -1,1 +1,1 @@
-"""Benchmarks of a checkout: ``python -m benchmarks splat|fit|mesh|viewer``."""
+"""Benchmarks of a checkout: ``gva-mi bench splat|growth|fit|mesh``."""

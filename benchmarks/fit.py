@@ -1,4 +1,4 @@
-"""Time a fit: a step by its stages and their parts, a re-initialisation, and a driven avatar.
+"""Time a fit: a step by its stages, a re-initialisation, and a driven avatar.
 
 The subject is the built-in body in stripes, 0.8 of the picture's height, and turns; the avatar lies
 on it already. One step in ``perceptual_every`` has the perceptual term: Eq. 9 is timed with and
@@ -8,14 +8,12 @@ without it, and the mean step includes its share.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from benchmarks.parts import PartClock
 from benchmarks.timing import WARM_UP, Clock, Table, Timing
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
@@ -39,22 +37,18 @@ FILLED = 0.8  # of the picture's height by the subject
 DISTANCE = 3.0  # metres to the camera
 
 
-def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Table]:
+def run(repeats: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Table]:
     """Yield the stages of a step, and whole steps, re-initialisations and driven frames."""
     body, seeds = load_body(), SeedOptions(count=gaussians)
-    options = FitOptions(steps=10**6, seed=seed, avatar=AvatarOptions(seed=seeds))
+    options = FitOptions(steps=10**6, avatar=AvatarOptions(seed=seeds))
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         video = _turning(Path(folder), body, seeds, size)
         fit = Run(video, body, options, None, None)
-        samples = FrameSampler(video, video.splits.train, seed, options.window, options.mask_error)
+        samples = FrameSampler(video, video.splits.train, 0, options.window, options.mask_error)
         title = f"fit, {gaussians:,} Gaussians, {size} x {size} pixels"
-        clock, parts = Clock(), PartClock()
-        for measured in (clock, parts):
-            _stages(fit, samples, repeats, measured)
-        table = clock.table(f"{title}: a step", WARM_UP)
-        for row in table.rows:
-            row |= parts.columns(row[""], row["min ms"], WARM_UP)
-        yield table
+        clock = Clock()
+        _stages(fit, samples, repeats, clock)
+        yield clock.table(f"{title}: a step", WARM_UP)
         clock = Clock()
         step = _mean_step(fit, samples, repeats)
         for k in range(WARM_UP + repeats):
@@ -62,7 +56,7 @@ def run(repeats: int, seed: int, gaussians: int = 20_000, size: int = 512) -> It
             with clock("a frame of the driven avatar"), torch.no_grad():
                 render(fit.avatar(video.pose[frame]), video.cameras[frame], DRAWN)
         for k in range(WARM_UP + min(repeats, 5)):  # one takes as long as dozens of steps
-            generator = torch_state(seed, RandomStream.REINIT, k)
+            generator = torch_state(0, RandomStream.REINIT, k)
             with clock("a re-initialisation"):
                 reinitialise(fit.avatar, options.reinit, generator)
         table = clock.table(f"{title}: as a whole", WARM_UP)
@@ -92,9 +86,7 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     return load_video(folder)
 
 
-def _stages(
-    fit: Run, samples: FrameSampler, repeats: int, clock: Callable[[str], AbstractContextManager]
-) -> None:
+def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None:
     """Time the stages of one step."""
     distance = rand_vgg_loss()
     weights = {"Eq. 9 and back, with VGG": fit.options.loss}

@@ -1,4 +1,4 @@
-"""Time the renderer: stages, a camera that moves, entry points, larger scenes, threads, gsplat.
+"""Time the renderer: stages, a camera that moves, entry points, and gsplat's torch reference.
 
 Without ``--scene`` it draws a person of 20,000 Gaussians at 512 px with harmonics of degree 3.
 """
@@ -30,29 +30,18 @@ STAGES = {  # a stage's name, and the function that is it
     "places of the pairs": (tiles.Lists, "places"),
     "sum and project, adjoint": (passes, "gaussians_adjoint"),
 }
-COUNTS = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
-WIDTHS = (128, 256, 512, 1024, 2048, 4096)  # px, of square pictures
-SHARED = ((20_000, 512), (100_000, 512), (1_000_000, 1024))  # Gaussians and px, for more threads
 
 
 def run(
-    repeats: int,
-    seed: int,
-    path: Path | None = None,
-    growth: bool = True,
-    gaussians: int = 20_000,
-    size: int = 512,
+    repeats: int, path: Path | None = None, gaussians: int = 20_000, size: int = 512
 ) -> Iterator[Table]:
     """Yield all tables.
 
     Args:
         repeats: calls per figure.
-        seed: seed of the random scene.
         path: file of another scene to use instead.
-        growth: whether to measure larger scenes.
         gaussians, size: of the person, and of the picture in pixels.
     """
-    person = lambda n, size: person_scene(np.random.default_rng(seed), n, size)
     work = Work.on(person(gaussians, size) if path is None else Scene.load(path))
     g, camera = work.scene.gaussians, work.scene.camera
     size_of = f"{len(g):,} Gaussians, {camera.width} x {camera.height} px"
@@ -70,9 +59,11 @@ def run(
     yield by_turns("entry points, no depth", _entry_points(work), repeats)
     if gsplat_reference.installed() and g.sh is not None and camera.model == "pinhole":
         yield gsplat_reference.compare(work.scene, max(2, repeats // 5))
-    if growth:
-        yield _growth(person, max(2, repeats // 5))
-        yield more_threads(person, max(2, repeats // 2))
+
+
+def person(gaussians: int, size: int) -> Scene:
+    """Return the synthetic person in a square picture of ``size`` pixels."""
+    return person_scene(np.random.default_rng(0), gaussians, size)
 
 
 @dataclass(frozen=True)
@@ -157,69 +148,3 @@ def _entry_points(work: Work) -> dict[str, Callable[[], None]]:
         "rasterization, packed=False": lambda: rasterized(False),
         "rasterization, packed": lambda: rasterized(True),
     }
-
-
-def _growth(person: Callable[[int, int], Scene], repeats: int) -> Table:
-    """Measure time and memory as the scene grows.
-
-    A pair is a Gaussian and a tile of pixels that it reaches.
-    """
-    scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
-    scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
-    scenes.append(("full HD", lambda: _wide(person(1_000_000, 1080), 1920)))
-    rows = []
-    for name, make in scenes:
-        work = Work.on(make())
-        forward, both = timed(work.forward, repeats), timed(work.both, repeats)
-        dr.flush_malloc_cache()
-        dr.detail.malloc_clear_statistics()
-        work.both()
-        memory = dr.detail.malloc_watermark(dr.JitBackend.LLVM) / 2**20
-        c, count, pairs = work.scene.camera, len(work.scene.gaussians), _pairs(work)
-        row = {"growth": name, "Gaussians": count, "pixels": f"{c.width}x{c.height}"}
-        row |= {"pairs": pairs, "forward min ms": forward.minimum, "both min ms": both.minimum}
-        row |= {"both ns a pair": 1e6 * both.minimum / max(1, pairs)}
-        row |= {"both ns a pixel": 1e6 * both.minimum / (c.width * c.height)}
-        rows.append(row | {"Dr.Jit's MiB": round(memory)})
-    return Table("growth", rows)
-
-
-def _pairs(work: Work) -> int:
-    """Return how many pairs of a Gaussian and a tile a picture has."""
-    make, counts = tiles.make_lists, []
-
-    def counted(*args: object, **kwargs: object) -> tiles.Lists:
-        lists = make(*args, **kwargs)
-        counts.append(int(dr.sum(lists.counts)[0]))
-        return lists
-
-    try:
-        tiles.make_lists = counted
-        work.forward()
-    finally:
-        tiles.make_lists = make
-    return counts[0]
-
-
-def more_threads(person: Callable[[int, int], Scene], repeats: int) -> Table:
-    """Time forward and backward with 1, 2, 4 ... threads, up to as many as there are."""
-    most = dr.thread_count()
-    counts = [*(n for n in (2**k for k in range(16)) if n < most), most]
-    rows = []
-    try:
-        for n, size in SHARED:
-            work, found = Work.on(person(n, size)), []
-            for threads in counts:
-                dr.set_thread_count(threads)
-                found.append(timed(work.both, repeats).minimum)
-            row = {"Gaussians": n, "pixels": f"{size}x{size}", "1 thread, min ms": found[0]}
-            ratios = zip(counts[1:], found[1:], strict=True)
-            rows.append(row | {f"{threads} threads": found[0] / x for threads, x in ratios})
-    finally:
-        dr.set_thread_count(most)
-    return Table("threads: forward and backward, times as fast", rows)
-
-
-def _wide(scene: Scene, width: int) -> Scene:
-    """Return the same view on a wider picture."""
-    return replace(scene, camera=replace(scene.camera, width=width, cx=width / 2))

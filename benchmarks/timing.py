@@ -66,17 +66,13 @@ class Clock:
         return Table(title, rows)
 
 
-def milliseconds(call: Callable[[], object]) -> float:
-    """Measure the wall-clock time of one call until its last kernel has ended."""
-    start = time.perf_counter()
-    call()
-    dr.sync_thread()
-    return 1e3 * (time.perf_counter() - start)
-
-
 def timed(call: Callable[[], object], repeats: int) -> Timing:
     """Time repeated calls."""
-    return Timing.of([milliseconds(call) for _ in range(WARM_UP + repeats)][WARM_UP:])
+    clock = Clock()
+    for _ in range(WARM_UP + repeats):
+        with clock("call"):
+            call()
+    return Timing.of(clock.times["call"][WARM_UP:])
 
 
 def by_turns(title: str, ways: dict[str, Callable[[], object]], calls: int) -> Table:
@@ -84,13 +80,17 @@ def by_turns(title: str, ways: dict[str, Callable[[], object]], calls: int) -> T
 
     The ratio is the median over the rounds of a way's time and the first way's.
     """
-    rounds = [[milliseconds(way) for way in ways.values()] for _ in range(WARM_UP + calls)]
-    columns = list(zip(*rounds[WARM_UP:], strict=True))
-    rows = []
-    for name, own in zip(ways, columns, strict=True):
-        ratio = statistics.median(a / b for a, b in zip(own, columns[0], strict=True))
-        rows.append({"": name} | Timing.of(own).columns | {"ratio": ratio})
-    return Table(title, rows)
+    clock = Clock()
+    for _ in range(WARM_UP + calls):
+        for name, way in ways.items():
+            with clock(name):
+                way()
+    table = clock.table(title, WARM_UP)
+    first, *_ = clock.times.values()
+    for row, own in zip(table.rows, clock.times.values(), strict=True):
+        ratios = [a / b for a, b in zip(own[WARM_UP:], first[WARM_UP:], strict=True)]
+        row["ratio"] = statistics.median(ratios)
+    return table
 
 
 def _cell(value: str | float) -> str:

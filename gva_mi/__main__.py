@@ -11,7 +11,6 @@ from typing import NoReturn
 from gva_mi import __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
-from gva_mi.cli.renamed import require_current_names
 from gva_mi.core import cpu, llvm
 from gva_mi.core.console import complete_streams, discard_what_is_unread, reader_is_gone
 from gva_mi.core.errors import InputError, is_memory
@@ -100,7 +99,6 @@ def _explained(error: ImportError) -> str:
 
 def _run(arguments: list[str]) -> None:
     verb = arguments[0] if arguments else ""
-    require_current_names(verb, arguments[1:])
     if verb in ("-h", "--help"):
         print(_overview())
     elif verb == "--version":

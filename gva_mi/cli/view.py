@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -19,18 +19,16 @@ from gva_mi.body.built_in import EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.driving import motion_of
-from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_pictures
-from gva_mi.viewer.cameras import start
-from gva_mi.viewer.controls import FPS, Choices, Controls
-from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.server import address, pages, serving, when_moved
+from gva_mi.viewer.panel import FPS, Panel
+from gva_mi.viewer.server import Shapes, address, pages, serving, when_moved
 from gva_mi.viewer.session import Session
+from gva_mi.viewer.state import start
 
 
 def view(
@@ -38,7 +36,6 @@ def view(
     *,
     poses: Path | None = None,
     subject: Path | None = None,
-    out: Path = Path("view"),
     body: Path | None = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Within(0, 65535)] = 8080,
@@ -50,7 +47,6 @@ def view(
         poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
             the poses trained with the avatar.
         subject: the folder of the video that these poses belong to, shown beside the avatar.
-        out: folder for snapshots and cameras; what is there is never replaced.
         body: the body file of an avatar without its body; without it the run's, or the puppet.
         host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
         port: port of the page; 0 picks a free one.
@@ -59,17 +55,13 @@ def view(
     avatar = load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, FPS, body)
     video = None if subject is None else _video_of(run, subject, poses)
-    begin = start(avatar.rig, motion)
+    begin, changed = start(avatar.rig, motion), threading.Event()
     title = f"{run.name}: {len(avatar.canonical):,} Gaussians"
-    with ExitStack() as held:
-        held.enter_context(_writable(out))
-        server = held.enter_context(serving(host, port, begin, title))
-        held.enter_context(suppress(KeyboardInterrupt))
-        changed = threading.Event()
+    with serving(host, port, begin, title) as server, suppress(KeyboardInterrupt):
         when_moved(server, changed.set)
-        controls = Controls(server.gui, _choices(avatar, motion, video), changed.set)
-        cameras = video.cameras if video else ()
-        session = Session(Drawing(avatar, motion, video), controls, begin.up, out, cameras)
+        joints, expressions = _turning_joints(avatar), _expressions(avatar)
+        panel = Panel(server.gui, len(motion), joints, expressions, video is not None, changed.set)
+        session = Session(avatar, motion, panel, Shapes(server.scene, avatar.rig), video)
         say(f"{address(server)}: open it in a browser; Ctrl-C ends it")
         sys.stdout.flush()  # a program may read the address from a pipe
         with one_torch_thread():
@@ -77,19 +69,6 @@ def view(
                 changed.clear()
                 seconds = session.step(pages(server), time.monotonic())
                 changed.wait(seconds)
-
-
-@contextmanager
-def _writable(out: Path) -> Iterator[None]:
-    """Check that a folder takes files; remove it at the end if it is new and still empty."""
-    there = out.exists()
-    require_writable(out)
-    try:
-        yield
-    finally:
-        if not there:
-            with suppress(OSError):
-                out.rmdir()
 
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
@@ -108,15 +87,15 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
     return video
 
 
-def _choices(avatar: Avatar, motion: Pose, video: Video | None) -> Choices:
-    """Return what the avatar, its motion and its video let a user choose."""
-    every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
-    turned = avatar.applied_rotations(every).any(2)[0].tolist()
+def _expressions(avatar: Avatar) -> Sequence[str]:
+    """Return what each coefficient of the avatar's expression does, or its number."""
     count = avatar.rig.expression_joints.shape[2]
     of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
-    return Choices(
-        frames=len(motion),
-        joints=[name for name, turns in zip(JOINTS, turned, strict=True) if turns],
-        expression=EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)],
-        video=video is not None,
-    )
+    return EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)]
+
+
+def _turning_joints(avatar: Avatar) -> Sequence[str]:
+    """Return the joints whose rotation moves the avatar."""
+    every = Pose(torch.ones(1, len(JOINTS), 3), torch.zeros(1, 3), torch.zeros(1, 0))
+    turned = avatar.applied_rotations(every).any(2)[0].tolist()
+    return [name for name, turns in zip(JOINTS, turned, strict=True) if turns]

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gva_mi.avatar.rig import Rig
 from gva_mi.core.errors import InputError
-from gva_mi.viewer.cameras import Start, ViewerCamera
+from gva_mi.mesh.overlay import CLAY, OUTLINE
+from gva_mi.viewer.state import ShownPose, Start, State, ViewerCamera
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -96,7 +98,6 @@ class Page:
         floats = lambda values: tuple(float(x) for x in values)
         return ViewerCamera(
             position=floats(camera.position),
-            look_at=floats(camera.look_at),
             wxyz=floats(camera.wxyz),
             fov=float(camera.fov),
             width=int(camera.image_width),
@@ -110,9 +111,36 @@ class Page:
             warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
             self._client.scene.set_background_image(picture, **kind)
 
-    def tell(self, sentence: str) -> None:
-        """Show a sentence as a notification."""
-        self._client.add_notification("gva-mi", sentence, auto_close_seconds=8)
+    def save(self, picture: np.ndarray, name: str) -> None:
+        """Let the browser save an 8-bit picture (H, W, 3) under a name."""
+        from PIL import Image
+
+        content = io.BytesIO()
+        Image.fromarray(picture).save(content, format="PNG")
+        self._client.send_file_download(name, content.getvalue())
+
+
+class Shapes:
+    """The surface and the skeleton under the Gaussians, which browsers draw in front of them."""
+
+    def __init__(self, scene: viser.SceneApi, rig: Rig) -> None:
+        self._bones = [(j, parent) for j, parent in enumerate(rig.parents) if parent >= 0]
+        color = lambda rgb: tuple(round(255 * x) for x in rgb)
+        vertices, faces = rig.vertices.float().numpy(), rig.faces.numpy()
+        self._mesh = scene.add_mesh_simple(
+            "surface", vertices, faces, color=color(CLAY), visible=False
+        )
+        lines = np.zeros((len(self._bones), 2, 3), dtype=np.float32)
+        self._lines = scene.add_line_segments("skeleton", lines, color(OUTLINE), visible=False)
+
+    def show(self, state: State, posed: ShownPose) -> None:
+        """Show what a state names, in a pose; beside a video, which has its own camera, nothing."""
+        kind = "none" if state.beside else state.mode
+        self._mesh.visible, self._lines.visible = kind == "surface", kind == "skeleton"
+        if kind == "surface":
+            self._mesh.vertices = posed.vertices
+        if kind == "skeleton":
+            self._lines.points = posed.joints[self._bones].astype(np.float32)
 
 
 def pages(server: viser.ViserServer) -> dict[int, Page]:

@@ -1,4 +1,4 @@
-"""The state of a viewer as a value: equal states give equal pictures.
+"""What defines a picture of the viewer, as values: equal values give equal pictures.
 
 A state holds how an avatar differs from the motion that drives it:
 
@@ -6,6 +6,9 @@ A state holds how an avatar differs from the motion that drives it:
 
 So joint j is turned by r_j in every frame, about its own axes there. Joints and expressions that
 were not changed keep their bits.
+
+A browser orbits a point about a fixed axis. That axis is the person's own upright, because a video
+does not say which way is up.
 """
 
 from __future__ import annotations
@@ -14,15 +17,24 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch.nn.functional import pad
 
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.rig import Rig, moved_by
+from gva_mi.body.kinematics import joint_places
 from gva_mi.body.pose import Pose
+from gva_mi.body.skinning import skin_points
 from gva_mi.body.so3 import compose
+from gva_mi.data.pictures import MOST_PIXELS
+from gva_mi.fit.renders import CameraPath, cylinder, shots
+from gva_mi.splat import Camera, Gaussians
+from gva_mi.splat.reference import rotation
 
-Mode = Literal["Gaussians", "mesh", "normals", "skeleton"]
-SeenFrom = Literal["browser", "keyframes", "video"]
+Mode = Literal["Gaussians", "surface", "skeleton"]
 Angles = tuple[float, float, float]  # degrees about x, y and z: a rotation vector
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -32,12 +44,9 @@ class State:
     frame: int = 0  # of the motion
     mode: Mode = "Gaussians"
     turned: tuple[tuple[int, Angles], ...] = ()  # joint numbers and r_j
-    joint: int = 0  # whose sliders are shown
     expression: tuple[float, ...] = ()  # e: as many coefficients as the avatar has, or none
     background: tuple[int, int, int] = (255, 255, 255)  # 8-bit
-    seen_from: SeenFrom = "browser"
-    beside: bool = False  # the frame of the video to the left
-    transparent: bool = False  # background of snapshots
+    beside: bool = False  # the video's frame, and the avatar through the video's camera
 
 
 def posed(motion: Pose, state: State) -> Pose:
@@ -56,24 +65,66 @@ def posed(motion: Pose, state: State) -> Pose:
     return Pose(rotations, pose.transl, expression)
 
 
-class Playback:
-    """A motion that plays in a loop by the clock."""
+@dataclass(frozen=True)
+class ShownPose:
+    """An avatar in one pose."""
 
-    def __init__(self) -> None:
-        self._at = 0.0  # frames, with a fraction
-        self._shown, self._then = -1, 0.0
+    gaussians: Gaussians
+    vertices: np.ndarray  # (V, 3) float32: the rig's surface, world, metres
+    joints: np.ndarray  # (55, 3) world, metres
 
-    def advance(self, frame: int, now: float, fps: float, count: int) -> int:
-        """Return the frame, of ``count``, to show at the time ``now`` (seconds of any clock).
+    @staticmethod
+    @torch.no_grad()
+    def of(avatar: Avatar, pose: Pose) -> ShownPose:
+        """Pose the Gaussians, and the surface and joints of the rig (one frame) as they are."""
+        rig, skeleton = avatar.rig, avatar.posed_skeleton(pose)
+        vertices = rig.vertices + moved_by(skeleton.coefficients, rig.directions)
+        T_world_rest = skeleton.T_world_rest.to(vertices.dtype)
+        joints = joint_places(T_world_rest, skeleton.joints).double().numpy()
+        skinned = skin_points(vertices, rig.weights, T_world_rest)
+        return ShownPose(avatar(pose), skinned.float().numpy(), joints)
 
-        If the ``frame`` shown is not the last call's, the motion plays on from there.
-        """
-        if frame != self._shown:
-            self._at, self._then = float(frame), now
-        self._at = (self._at + (now - self._then) * fps) % count
-        self._then, self._shown = now, min(int(self._at), count - 1)
-        return self._shown
 
-    def stop(self) -> None:
-        """Forget the time of the last call."""
-        self._shown = -1
+@dataclass(frozen=True)
+class ViewerCamera:
+    """The camera of a browser; equal numbers are the same view."""
+
+    position: Vector  # metres, world
+    wxyz: tuple[float, float, float, float]  # R_world_camera, OpenCV's axes
+    fov: float  # radians, over the height of the picture
+    width: int  # pixels
+    height: int  # pixels
+
+    def usable(self) -> bool:
+        """Return whether a picture can be drawn: a hidden browser has no pixels."""
+        numbers = np.array([*self.position, *self.wxyz, self.fov])
+        pixels = min(self.width, self.height) >= 2 and self.width * self.height <= MOST_PIXELS
+        unit = abs(np.linalg.norm(self.wxyz) - 1) < 1e-3
+        return bool(pixels and np.isfinite(numbers).all() and unit and 0 < self.fov < np.pi)
+
+    def to_camera(self) -> Camera:
+        """Return the camera that the renderer uses."""
+        R_world_camera = rotation(torch.tensor(self.wxyz, dtype=torch.float64)).numpy()
+        T_camera_world = np.eye(4)
+        T_camera_world[:3, :3] = R_world_camera.T
+        T_camera_world[:3, 3] = -R_world_camera.T @ np.array(self.position)
+        focal = self.height / (2 * np.tan(self.fov / 2))
+        middle = self.width / 2, self.height / 2
+        return Camera(focal, focal, *middle, T_camera_world, self.width, self.height)
+
+
+@dataclass(frozen=True)
+class Start:
+    """The view that browsers start with."""
+
+    position: np.ndarray  # (3,) metres
+    look_at: np.ndarray  # (3,) metres: what they orbit
+    up: np.ndarray  # (3,) unit: the axis of their orbits
+    fov: float  # radians
+
+
+def start(rig: Rig, motion: Pose) -> Start:
+    """Return a view from in front of the person that shows all of the motion."""
+    camera, around = shots(CameraPath("static"), rig, motion)[0].camera, cylinder(rig, motion)
+    fov = 2 * np.arctan(camera.height / (2 * camera.fy))
+    return Start(camera.position, around.centre, around.up, float(fov))

@@ -99,9 +99,6 @@ BAD = (
         "--schedule.reinit-at must be a number above 0 and below 1, got never",
     ),
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
-    (("gradcheck-normals",), "gradcheck-normals is now `gva-mi gradcheck normals`"),
-    (("study", "refine", "--people", "3"), "study --people is now --subjects"),
-    (("fit", "s", "--poses.nat=3"), "fit --poses.nat is now --poses.prior-weight"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
     ((), "a command is missing; expected one of demo, synth"),
 )
@@ -151,7 +148,7 @@ def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
 def test_positional_arguments_are_shown_by_their_names_and_choices_as_such(cli):
     assert " KIND SOURCE OUT" in cli.works("prepare", "--help").splitlines()[0]
     assert " SUBJECTS ..." in cli.works("refine", "--help").splitlines()[0]
-    assert " {splat,fit,mesh,viewer}" in cli.works("bench", "--help").splitlines()[0]
+    assert " {splat,growth,fit,mesh}" in cli.works("bench", "--help").splitlines()[0]
     missing = cli.fails("prepare", "film.mp4", "me")
     assert "OUT" in missing and "SOURCE" not in missing and "PATH" not in missing
 
@@ -292,7 +289,7 @@ main(["--help"])
 print("imported", *sorted(x for x in sys.modules if x.startswith(("gva_mi.cli.", "torch"))))
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    used = "gva_mi.cli.parse gva_mi.cli.presets gva_mi.cli.renamed"
+    used = "gva_mi.cli.parse gva_mi.cli.presets"
     assert run.stdout.splitlines()[-1] == f"imported {used}"
 
 

@@ -20,7 +20,6 @@ BAD = {
     "no poses": (("alone/avatar.npz",), "alone: holds no poses.npz"),
     "no subject": (("run", "--subject", "nowhere"), "nowhere: no such folder"),
     "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
-    "a file": (("run", "--out", "few.npz"), "few.npz: cannot be written to (File exists)"),
     "no address": (("run", "--host", "203.0.113.9"), "cannot listen at 203.0.113.9, port 8080"),
     "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0"),
 }
@@ -33,20 +32,6 @@ def test_bad_input_is_one_sentence(run, subject, turning, tmp_path, monkeypatch,
         code, out, err = cli("view", *(subject if x == "SUBJECT" else x for x in arguments))
         assert code == 2 and sentence in err and err.count("\n") == 1, err
         assert "http" not in out
-
-
-@pytest.mark.parametrize("saved", [False, True])
-def test_the_output_folder_stays_only_if_something_was_saved(
-    saved, run, tmp_path, cli, monkeypatch
-):
-    def stopped(server):
-        if saved:
-            (tmp_path / "out/snapshot_000.png").touch()
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("gva_mi.cli.view.pages", stopped)
-    code, _, err = cli("view", run, "--port", "0", "--out", tmp_path / "out")
-    assert code == 0 and not err and (tmp_path / "out").exists() == saved
 
 
 def test_another_video_than_the_run_s_is_refused(run, subject, cli):

@@ -23,7 +23,7 @@ SMALLER = {
     "gradcheck avatar": "--count 1",
     "gradcheck normals": "--count 1 --size 64 --lines 4000 --points 40",
     "bench": "--repeats 1",
-    "bench splat": "--repeats 1 --no-growth --scene scene.npz",
+    "bench splat": "--repeats 1 --scene scene.npz",
     # Seed 16 wears nothing and is bald, which is quick.
     "study refine": "--subjects 16 --frames 3 --size 48 --refine.passes 1",
     "study refine --cases": "--subjects dalia --frames 3 --size 48 --refine.passes 1",

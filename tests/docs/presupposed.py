@@ -1,4 +1,4 @@
-"""Tiny files that a page presupposes: a motion, a scene, more subjects, cameras."""
+"""Tiny files that a page presupposes: a motion, a scene, more subjects."""
 
 import shutil
 
@@ -6,8 +6,6 @@ import numpy as np
 from samples.scenes import few_gaussians
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.cameras import save_cameras
-from gva_mi.splat import Camera, look_at
 
 
 def prepare(page, folder, known, turning):
@@ -26,9 +24,6 @@ def prepare(page, folder, known, turning):
         shutil.rmtree(folder / "renders")
     if page == "viewer.md":
         save_poses(folder / "walk.npz", *turning(3), stage=2)
-        camera = Camera(60.0, 60.0, 24, 24, look_at((0, 0, 3), (0, 0, 0)), 48, 48)
-        (folder / "view").mkdir()
-        save_cameras(folder / "view/cameras_000.npz", [camera] * 4)
 
 
 def dance(folder):

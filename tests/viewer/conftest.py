@@ -1,20 +1,13 @@
-"""Fixtures of the viewer's tests: a known avatar, its motion, plain panels and pages."""
+"""Fixtures of the viewer's tests: a known avatar's motion, plain panels and pages."""
 
 import pytest
 
-from gva_mi.viewer.cameras import ViewerCamera, start
-from gva_mi.viewer.drawing import Drawing
-from gva_mi.viewer.state import State
+from gva_mi.viewer.state import State, ViewerCamera, start
 
 
 @pytest.fixture(scope="session")
 def motion(turning):
     return turning(4)[0]
-
-
-@pytest.fixture(scope="session")
-def drawing(known, motion):
-    return Drawing(known, motion)
 
 
 @pytest.fixture(scope="session")
@@ -33,16 +26,38 @@ def looking(place):
     def view(position, width=80, height=64):
         R = torch.from_numpy(look_at(position, place.look_at, place.up)[:3, :3].T.copy())
         x, y, z, w = roma.rotmat_to_unitquat(R).tolist()
-        at = tuple(map(float, position)), tuple(map(float, place.look_at))
-        return ViewerCamera(*at, (w, x, y, z), place.fov, width, height)
+        return ViewerCamera(tuple(map(float, position)), (w, x, y, z), place.fov, width, height)
 
     return view
 
 
-@pytest.fixture
-def view(place, looking):
-    """The first view of a browser."""
-    return looking(place.position)
+class PlainPanel:
+    """A panel whose state tests set."""
+
+    def __init__(self):
+        self.now, self.playing, self.asking = State(), False, []
+
+    def state(self, now):
+        return self.now
+
+    def saving(self):
+        return iter(self.asking)
+
+
+class PlainPage:
+    """A page that records what it is sent."""
+
+    def __init__(self, view):
+        self.at, self.shown, self.saved = view, [], []
+
+    def camera(self):
+        return self.at
+
+    def show(self, picture, fine):
+        self.shown.append((picture, fine))
+
+    def save(self, picture, name):
+        self.saved.append((picture, name))
 
 
 @pytest.fixture
@@ -51,38 +66,5 @@ def panel():
 
 
 @pytest.fixture
-def page(view):
-    return PlainPage(view)
-
-
-class PlainPanel:
-    """A panel whose state tests set."""
-
-    def __init__(self):
-        self.now, self.playing, self.pressed, self.keyframes = State(), False, [], 0
-
-    def state(self, now):
-        return self.now
-
-    def clicks(self):
-        pressed, self.pressed = self.pressed, []
-        return iter(pressed)
-
-    def count_keyframes(self, count):
-        self.keyframes = count
-
-
-class PlainPage:
-    """A page that records what it is sent."""
-
-    def __init__(self, view):
-        self.at, self.shown, self.messages = view, [], []
-
-    def camera(self):
-        return self.at
-
-    def show(self, picture, fine):
-        self.shown.append((picture, fine))
-
-    def tell(self, sentence):
-        self.messages.append(sentence)
+def page(place, looking):
+    return PlainPage(looking(place.position))

@@ -196,7 +196,8 @@ def video(subject):
 @pytest.fixture(scope="session")
 def doubled(subject, tmp_path_factory):
     """The video whose pictures have each pixel four times."""
-    from gva_mi.data.cameras import CAMERAS, save_cameras
+    from gva_mi.data.cameras import save_cameras
+    from gva_mi.data.folder import CAMERAS
     from gva_mi.data.pictures import read_image, write_image
     from gva_mi.data.video import load_video
 

@@ -12,7 +12,8 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.fingerprint import prepared_body
-from gva_mi.data.video import POSES, REFINED_POSES, Video
+from gva_mi.data.folder import POSES, REFINED_POSES
+from gva_mi.data.video import Video
 
 MOST_PEOPLE = 20  # that --person tells apart
 

@@ -23,15 +23,15 @@ from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.stamp import stamp
 from gva_mi.core.workers import usual_workers
-from gva_mi.data.cameras import CAMERAS
 from gva_mi.data.check import check_subject
 from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
+from gva_mi.data.folder import CAMERAS, LANDMARKS, POSES, REFINED_POSES, SPLITS
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.prepare_options import MaskOptions
-from gva_mi.data.landmarks import LANDMARKS, Landmarks
-from gva_mi.data.splits import SPLITS, Splits
-from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.pose.film.film_check import check_film

@@ -23,6 +23,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, options_of
+from gva_mi.data.folder import frame_name
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat import Gaussians
 from gva_mi.splat.axes import half_turned
@@ -210,7 +211,7 @@ def _poses(job: _Export) -> Work:
 
 def _folder(job: _Export) -> Work:
     (motion, _), options = job.driving(), job.options
-    frame_of = {f"{k:06d}.{options.each}": k for k in range(0, len(motion), options.every)}
+    frame_of = {frame_name(k, f".{options.each}"): k for k in range(0, len(motion), options.every)}
     form = options.each, options.every, str(options.sh_degree)
     made_of = stamp_of(job.avatar, motion, (), *form)
     about = {"avatar": str(job.run), "poses": options.poses}

@@ -18,7 +18,8 @@ from gva_mi.core.files import require_room
 from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Weight, Workers
 from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.video import REFINED_POSES, load_video
+from gva_mi.data.folder import REFINED_POSES
+from gva_mi.data.video import load_video
 from gva_mi.fit.paper import REFINE
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.pose.single_frame import Steps

@@ -18,6 +18,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.data.cameras import load_cameras
+from gva_mi.data.folder import VIDEO, frame_name
 from gva_mi.data.pictures import (
     SEE_THROUGH,
     read_background,
@@ -30,7 +31,6 @@ from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 
 MARKER = "render.json"  # every folder of renders holds it
-MOVIE = "video.mp4"
 
 
 def render(
@@ -76,12 +76,12 @@ def render(
         pictures = _given(cameras, motion)
     size = pictures[0].camera.width, pictures[0].camera.height
     behind = read_background(background, *size)
-    movie = Path(MOVIE).stem + SEE_THROUGH if alpha else MOVIE
+    movie = Path(VIDEO).stem + SEE_THROUGH if alpha else VIDEO
     if video and alpha:
         require_alpha_codec(out / movie)
     made_of = stamp_of(avatar, motion, pictures, behind, alpha, video, fps)
     about = {"avatar": str(run), "poses": poses, "cameras": cameras}
-    files = [f"{k:06d}.png" for k in range(len(pictures))]
+    files = [frame_name(k) for k in range(len(pictures))]
     names = [*files, movie] if video else files
 
     def images(missing: Collection[str]) -> Iterator[np.ndarray]:

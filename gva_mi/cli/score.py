@@ -13,7 +13,7 @@ from gva_mi.cli.arguments import Switch, body_of
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
-from gva_mi.data.cameras import CAMERAS
+from gva_mi.data.folder import CAMERAS
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import LpipsNetwork, find_weights

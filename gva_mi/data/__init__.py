@@ -1,6 +1,7 @@
 """The folder format of a video, and everything that is read from it.
 
 ==================  ================================================================
+``folder``          the names of the files and their one writer
 ``video``           ``Video`` and ``Frame``: the folder, opened and checked
 ``cameras``         ``cameras.npz``
 ``splits``          train and test frames

@@ -13,7 +13,6 @@ from gva_mi.core.options import Within
 from gva_mi.data.pictures import require_size
 from gva_mi.splat import Camera
 
-CAMERAS = "cameras.npz"  # in a subject's folder
 FOCAL = Within(0.01, 1e6, unit="times the picture's longer side")  # of any lens, generously
 _SIDE_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}  # pixels; metres
 

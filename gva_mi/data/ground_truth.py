@@ -20,8 +20,9 @@ from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.data.cameras import CAMERAS, load_cameras
-from gva_mi.data.video import POSES, Video
+from gva_mi.data.cameras import load_cameras
+from gva_mi.data.folder import CAMERAS, POSES
+from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
 BODY = "body.npz"  # of another body than the fitted one

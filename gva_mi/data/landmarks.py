@@ -16,10 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
-
-LANDMARKS = "landmarks.npz"  # in a subject's folder
 
 BODY = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
@@ -77,17 +74,6 @@ class Landmarks:
             found.append(require_array(path, name, arrays[name], (count, len(names), *more)))
             count = len(found[0])
         return Landmarks(names, *found)
-
-
-def open_landmarks(folder: Path, count: int) -> Landmarks | None:
-    """Read the landmarks of a subject of ``count`` frames; None if it has none."""
-    path = folder / LANDMARKS
-    if not path.is_file():
-        return None
-    landmarks = Landmarks.load(path)
-    if len(landmarks) != count:
-        raise InputError(f"{path}: holds {len(landmarks)} frames, but the video has {count}")
-    return landmarks
 
 
 # What follows (T, P) in the shape of each array.

@@ -27,6 +27,7 @@ import numpy as np
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
+from gva_mi.data.folder import array_or_picture
 from gva_mi.data.mattes import VOID
 from gva_mi.data.pictures import read_image
 
@@ -36,15 +37,9 @@ _FEW = 6  # values that are named
 _NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
 
 
-def mask_file(folder: Path, index: int) -> Path:
-    """Return the file of a frame's mask, existing or not."""
-    path = folder / f"{index:06d}.npy"
-    return path if path.exists() else path.with_suffix(".png")
-
-
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
     """Read the mask of a frame, (H, W) float32 in [0, 1]; None without a file."""
-    path = mask_file(folder, index)
+    path = array_or_picture(folder, index)
     if not path.exists():
         return None
     mask = _values(path)

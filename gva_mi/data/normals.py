@@ -37,13 +37,13 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array, read_json
+from gva_mi.data.folder import NORMALS, NORMALS_RECORD, array_or_picture
 from gva_mi.data.pictures import read_image
 from gva_mi.splat import Camera
 
 Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
-NORMALS = "normals.json"
 SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
 
 
@@ -61,11 +61,15 @@ class NormalMaps:
 
         ``convention`` overrides ``normals.json``.
         """
-        if not (folder / "normals").is_dir():
+        if not (folder / NORMALS).is_dir():
             return None
-        about = _read_about(folder / NORMALS, frames) if (folder / NORMALS).exists() else {}
+        about = (
+            _read_about(folder / NORMALS_RECORD, frames)
+            if (folder / NORMALS_RECORD).exists()
+            else {}
+        )
         convention = convention or about.get("convention", "perspective")
-        return NormalMaps(folder / "normals", convention, about.get("boxes"))
+        return NormalMaps(folder / NORMALS, convention, about.get("boxes"))
 
     def read(
         self, index: int, camera: Camera, part: Part = (slice(None), slice(None))
@@ -74,8 +78,7 @@ class NormalMaps:
 
         ``camera`` is the frame's, for size and rays; ``part`` is of the frame.
         """
-        path = self.folder / f"{index:06d}.npy"
-        path = path if path.exists() else path.with_suffix(".png")
+        path = array_or_picture(self.folder, index)
         if not path.exists():
             return None
         stored = read_map(path)
@@ -88,7 +91,7 @@ class NormalMaps:
             if stored.shape != size:
                 raise InputError(
                     f"{path}: frame {index} is {stored.shape}, expected {size}; maps of a "
-                    f"part of the frame need their 'boxes' in {NORMALS}"
+                    f"part of the frame need their 'boxes' in {NORMALS_RECORD}"
                 )
             normals = _directions(stored[part])
         else:

@@ -20,8 +20,8 @@ import numpy as np
 
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
+from gva_mi.data.folder import SPLITS
 
-SPLITS = "splits.json"
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
 ENOUGH = 16  # test frames of a film, and as many in its range: more tell little, and cost time
 

@@ -1,20 +1,6 @@
-"""``Video`` and ``Frame``, the input of every step, and the format of their folder.
+"""``Video`` and ``Frame``, the input of every step: a subject's folder, opened and checked.
 
-::
-
-    subject/
-      video.mp4 | frames/000000.png ...   8-bit RGB; the frames win where both are there
-      masks/000000.png | .npy             hard or soft: gva_mi.data.masks
-      normals/000000.png | .npy           optional; gva_mi.data.normals
-      normals.json                        optional: how the normals were made
-      cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
-                                          width, height
-      landmarks.npz                       optional; gva_mi.data.landmarks
-      poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
-      poses_refined.npz                   optional: poses after stage 2
-      splits.json                         optional: train and test frames; gva_mi.data.splits
-      views/                              optional: held-out other cameras; gva_mi.data.views
-      truth/                              ground truth of synthetic subjects, for evaluation
+:mod:`gva_mi.data.folder` says which files it holds.
 
 Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
 mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
@@ -38,19 +24,28 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
-from gva_mi.data.cameras import CAMERAS, load_cameras
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.crop import block_means
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import prepared_from
-from gva_mi.data.landmarks import Landmarks, open_landmarks
-from gva_mi.data.masks import mask_file, read_mask
+from gva_mi.data.folder import (
+    CAMERAS,
+    FRAMES,
+    LANDMARKS,
+    MASKS,
+    POSES,
+    TRUTH,
+    VIDEO,
+    array_or_picture,
+    frame_name,
+    is_frame_name,
+)
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.masks import read_mask
 from gva_mi.data.normals import Convention, NormalMaps, Part
 from gva_mi.data.pictures import read_image, require_sides, size_of_whole
 from gva_mi.data.splits import Splits, load_splits
 from gva_mi.splat import Camera
-
-POSES = "poses.npz"  # of stage 1
-REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
 
 
 @dataclass(frozen=True)
@@ -113,7 +108,7 @@ class Video:
         if index in self.absent:
             size = (camera.height, camera.width)
             return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
-        path = self.folder / "frames" / f"{index:06d}.png"
+        path = self.folder / FRAMES / frame_name(index)
         image = self._images[index] if self._images else read_image(path, 3)
         image = block_means(image.astype(np.float32) / 255, self.shrink)
         mask = self._mask(index)
@@ -133,7 +128,7 @@ class Video:
             yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
 
     def _mask(self, index: int) -> np.ndarray:
-        return block_means(read_mask(self.folder / "masks", index), self.shrink)
+        return block_means(read_mask(self.folder / MASKS, index), self.shrink)
 
     def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
         """Return a function that reads a part of a frame's normals, zero outside its mask."""
@@ -178,12 +173,12 @@ class Video:
     @property
     def truth(self) -> Path | None:
         """The folder with the ground truth of a synthetic subject."""
-        folder = self.folder / "truth"
+        folder = self.folder / TRUTH
         return folder if folder.is_dir() else None
 
     def true_mask(self, index: int) -> np.ndarray | None:
         """Read the ground-truth mask (H, W) of a synthetic subject; for evaluation only."""
-        path = self.truth / "masks" / f"{index:06d}.png" if self.truth else None
+        path = self.truth / MASKS / frame_name(index) if self.truth else None
         if path is None or not path.exists():
             return None
         mask = block_means(read_image(path, 1).astype(np.float32) / 255, self.shrink)
@@ -229,7 +224,7 @@ def load_video(
                 f"{folder}: frame {k} is {width}x{height}, "
                 f"but {CAMERAS} says {expected[0]}x{expected[1]}"
             )
-        if (reason := _why_absent(mask_file(folder / "masks", k), *expected)) is not None:
+        if (reason := _why_absent(array_or_picture(folder / MASKS, k), *expected)) is not None:
             absent[k] = reason
         elif maps is not None:
             maps.check(k, cameras[k])
@@ -237,37 +232,32 @@ def load_video(
         raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
     splits = load_splits(folder, count).without(absent)
     kind, fps = prepared_from(folder) if poses == folder / POSES else (None, None)
-    landmarks, absent = open_landmarks(folder, count), dict(sorted(absent.items()))
+    landmarks, absent = _open_landmarks(folder, count), dict(sorted(absent.items()))
     return Video(
         folder, cameras, found.pose, found.shape, splits, images, maps, absent,
         found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
 
 
-def is_frame(path: Path) -> bool:
-    """Whether a file has a frame's name, such as 000012.png."""
-    return path.stem.isascii() and path.stem.isdecimal() and len(path.stem) == 6
-
-
 def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], dict[int, tuple[int, int]]]:
     """Open the film ([] for frame files), and return the size (W, H) of each existing frame."""
-    frames = sorted((folder / "frames").glob("*.png"))
+    frames = sorted((folder / FRAMES).glob("*.png"))
     if frames:
         for path in frames:
-            if not is_frame(path):
+            if not is_frame_name(path):
                 raise InputError(f"{path}: frames are numbered, such as 000000.png")
         sizes = on_all_cores(size_of_whole, frames)
         return [], {int(path.stem): size for path, size in zip(frames, sizes, strict=True)}
-    if (folder / "video.mp4").exists():
-        images = Film(folder / "video.mp4")
+    if (folder / VIDEO).exists():
+        images = Film(folder / VIDEO)
         return images, dict(enumerate(images.sizes))
     raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
 
 
 @once_a_file
-def _why_absent(mask_file: Path, width: int, height: int) -> str | None:
+def _why_absent(file: Path, width: int, height: int) -> str | None:
     """Return the reason why a frame cannot be used; None if it can."""
-    folder, index = mask_file.parent, int(mask_file.stem)
+    folder, index = file.parent, int(file.stem)
     mask = read_mask(folder, index)
     if mask is None:
         return "it has no mask"
@@ -276,3 +266,14 @@ def _why_absent(mask_file: Path, width: int, height: int) -> str | None:
         return "its mask is empty"
     faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
     return None if (mask > 0.5).any() else faint
+
+
+def _open_landmarks(folder: Path, count: int) -> Landmarks | None:
+    """Read the landmarks of a subject of ``count`` frames; None if it has none."""
+    path = folder / LANDMARKS
+    if not path.is_file():
+        return None
+    landmarks = Landmarks.load(path)
+    if len(landmarks) != count:
+        raise InputError(f"{path}: holds {len(landmarks)} frames, but the video has {count}")
+    return landmarks

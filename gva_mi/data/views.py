@@ -22,14 +22,15 @@ from pathlib import Path
 
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_json
-from gva_mi.data.cameras import CAMERAS, load_cameras, save_cameras
+from gva_mi.data.cameras import load_cameras, save_cameras
+from gva_mi.data.folder import CAMERAS, FRAMES, MASKS, VIEWS, frame_name
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import read_image, require_sides
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
-VIEWS, ABOUT = "views", "views.json"
+ABOUT = "views.json"
 
 
 def held_out_views(video: Video) -> Video | None:
@@ -57,8 +58,8 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
             raise ValueError(f"the video has frames 0 to {count - 1}")
     cameras = load_cameras(folder / CAMERAS, len(frames), f" for {{}} pictures of {ABOUT}")
     for k, camera in enumerate(cameras):
-        image = read_image(folder / "frames" / f"{k:06d}.png", 3)
-        mask = read_mask(folder / "masks", k)
+        image = read_image(folder / FRAMES / frame_name(k), 3)
+        mask = read_mask(folder / MASKS, k)
         if mask is None:
             raise InputError(f"{folder}: mask {k} is not there")
         for what, found in (("picture", image), ("mask", mask)):

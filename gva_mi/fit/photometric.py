@@ -62,10 +62,11 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import NoEvidence, gather, person_extent
+from gva_mi.data.folder import POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
-from gva_mi.data.video import POSES, Frame, Video
+from gva_mi.data.video import Frame, Video
 from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
 from gva_mi.fit.renders import DRAWN

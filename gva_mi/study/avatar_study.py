@@ -24,9 +24,10 @@ from gva_mi.core.options import PictureSide, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, write_record
 from gva_mi.core.tasks import Task
 from gva_mi.data.fingerprint import FILM
+from gva_mi.data.folder import POSES, REFINED_POSES
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.splits import Splits
-from gva_mi.data.video import POSES, REFINED_POSES, Video, load_video
+from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.paper import REFINE

@@ -31,8 +31,8 @@ from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
+from gva_mi.data.folder import POSES
 from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.video import POSES
 from gva_mi.pose.prior.error_model import FREEDOM, GROUPS, Stage1ErrorModel
 from gva_mi.pose.prior.film_errors import FPS, MEMORY
 from gva_mi.pose.prior.inference import AXES

@@ -12,19 +12,16 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_json
-from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH
+from gva_mi.data.folder import MASKS, SPLITS, TRUTH, SubjectWriter
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
-from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.pictures import in_8_bits, write_image
-from gva_mi.data.splits import SPLITS
-from gva_mi.data.video import POSES
+from gva_mi.data.pictures import in_8_bits
 from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
 from gva_mi.splat import Camera
 
@@ -44,16 +41,17 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         body: the body that the poses move.
         lens: whether the focal length is known, as most phones record it; else it is found.
     """
-    truth = load_ground_truth(take / "truth", body)
+    truth = load_ground_truth(take / TRUTH, body)
     camera = truth.cameras[0]
     with atomic_dir(out) as folder:
-        shutil.copytree(take / "truth", folder / "truth")
+        writer = SubjectWriter(folder)
+        shutil.copytree(take / TRUTH, folder / TRUTH)
         for name in (SPLITS, SYNTH):
             if (take / name).exists():
                 shutil.copy2(take / name, folder / name)
         if any((other.T_camera_world != camera.T_camera_world).any() for other in truth.cameras):
-            save_poses(folder / "truth" / POSES, steadied(truth), truth.shape, stage=2)
-            save_cameras(folder / "truth" / CAMERAS, [camera] * len(truth.cameras))
+            writer.truth.poses(steadied(truth), truth.shape, stage=2)
+            writer.truth.cameras([camera] * len(truth.cameras))
         seen: dict[int, np.ndarray] = {}
         motion = motion_of_film(
             take / "film.mp4",
@@ -64,15 +62,15 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         )
         pictures, solved = motion.pictures.pictures, motion.solved
         for k, picture in enumerate(pictures):
-            write_image(folder / f"frames/{k:06d}.png", picture)
-        film_masks(pictures, [seen[k] for k in range(len(pictures))], folder / "masks")
-        motion.watched.landmarks.save(folder / LANDMARKS)
+            writer.frame(k, picture)
+        film_masks(pictures, [seen[k] for k in range(len(pictures))], folder / MASKS)
+        writer.landmarks(motion.watched.landmarks)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
-        save_poses(folder / POSES, pose, solved.shape, stage=1)
+        writer.poses(pose, solved.shape, stage=1)
         if not lens:  # beside the estimate that the subject has
-            save_cameras(folder / "truth" / CAMERAS, [camera] * len(pictures))
+            writer.truth.cameras([camera] * len(pictures))
         found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
-        save_cameras(folder / CAMERAS, [found] * len(pictures))
+        writer.cameras([found] * len(pictures))
         write_json(folder / PREPARED, {"kind": FILM})
 
 

@@ -29,8 +29,9 @@ from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.core.options import from_json
+from gva_mi.data.folder import REFINED_POSES
 from gva_mi.data.ground_truth import truth_of
-from gva_mi.data.video import REFINED_POSES, Video
+from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.photometric import TRACKED_POSES
 from gva_mi.pose.errors import means, pose_errors

@@ -33,10 +33,11 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.stamp import write_record
 from gva_mi.core.workers import local_executor
+from gva_mi.data.folder import REFINED_POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.data.splits import spread
-from gva_mi.data.video import REFINED_POSES, Video
+from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.pose.job import RefineOptions

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
-from gva_mi.data.cameras import CAMERAS, save_cameras
-from gva_mi.data.normals import NORMALS, Convention, NormalMaps, in_convention
-from gva_mi.data.pictures import read_image, write_image
+from gva_mi.data.folder import MASKS, NORMALS, TRUTH, SubjectWriter, frame_name
+from gva_mi.data.normals import Convention, NormalMaps, in_convention
+from gva_mi.data.pictures import read_image
 from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
 from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
@@ -95,11 +94,11 @@ class Pipeline:
         truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
         first = self.cameras[0]
         found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
-        save_poses(folder / "poses.npz", *found, stage=1)
-        cameras = [estimated_camera(camera, errors.pose, levels.pose) for camera in self.cameras]
-        save_cameras(folder / CAMERAS, cameras)
+        writer = SubjectWriter(folder)
+        writer.poses(*found, stage=1)
+        writer.cameras([estimated_camera(c, errors.pose, levels.pose) for c in self.cameras])
         if (convention := errors.normal.convention_at(levels.normal)) != "perspective":
-            write_json(folder / NORMALS, {"convention": convention})
+            writer.normals_record(convention)
         about = {
             "error_model": options.error_model,
             "seed": options.seed_of_noise,
@@ -139,9 +138,9 @@ def write_estimates(
     """
     truth = rendered
     if truth is None:  # 8 bits hold the mask, a fraction of the rays, exactly
-        stored = read_image(folder / "truth" / "masks" / f"{index:06d}.png", 1)
+        stored = read_image(folder / TRUTH / MASKS / frame_name(index), 1)
         hits = np.round(stored * (samples / 255))
-        maps = NormalMaps(folder / "truth" / "normals", "perspective", None)
+        maps = NormalMaps(folder / TRUTH / NORMALS, "perspective", None)
         truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
     mask, normals = errors.apply(*truth)
     if normals is not None:
@@ -151,8 +150,8 @@ def write_estimates(
 
 def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:
     """Write a frame's mask (H, W) and normals (H, W, 3), which may be missing."""
-    name = f"{index:06d}.png"
-    write_image(folder / "masks" / name, mask)
-    (folder / "normals").mkdir(exist_ok=True)
+    writer = SubjectWriter(folder)
+    writer.mask(index, mask)
+    (folder / NORMALS).mkdir(exist_ok=True)
     if normals is not None:
-        write_image(folder / "normals" / name, (normals + 1) / 2)
+        writer.normals(index, normals)

@@ -16,7 +16,7 @@ import numpy as np
 
 from gva_mi.core.tasks import in_order
 from gva_mi.core.workers import worker_processes
-from gva_mi.data.pictures import write_image
+from gva_mi.data.folder import TRUTH, SubjectWriter
 from gva_mi.synthetic.estimates import PictureErrors, write_estimates, write_pictures
 from gva_mi.synthetic.render import Moment, Renderer
 from gva_mi.synthetic.rooms.room import Room
@@ -63,8 +63,8 @@ def render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
         job.moments, samples, int(random.generate_state(1)[0]), shown=errors is not None
     )
     stored = np.round(true.color * 255).astype(np.uint8)
-    write_image(job.folder / "frames" / f"{job.index:06d}.png", stored)
-    exact = job.folder if errors is None else job.folder / "truth"
+    SubjectWriter(job.folder).frame(job.index, stored)
+    exact = job.folder if errors is None else job.folder / TRUTH
     write_pictures(exact, job.index, true.mask, true.normals)
     if errors is not None:
         rendered = (true.mask, true.normals) if errors.as_rendered else None

@@ -20,8 +20,8 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.fingerprint import SYNTH, require_same_body
+from gva_mi.data.folder import FRAMES, SPLITS, TRUTH, VIDEO
 from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.splits import SPLITS
 from gva_mi.synthetic.closest import closest
 from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
@@ -112,11 +112,11 @@ def degrade(
     require_same_body(subject, body)
     each = {"pose_noise": 1.0, "mask_noise": 1.0, "normal_noise": 1.0}
     options = replace(options, error_model=error_model, noise_seed=seed, noise=level, **each)
-    truth = load_ground_truth(subject / "truth", body)
+    truth = load_ground_truth(subject / TRUTH, body)
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)
     with atomic_dir(Path(out), replaced) as folder:
-        for name in ("video.mp4", "film.mp4", "frames", "truth", SPLITS):
+        for name in (VIDEO, "film.mp4", FRAMES, TRUTH, SPLITS):
             if (subject / name).is_dir():
                 shutil.copytree(subject / name, folder / name, copy_function=_link)
             elif (subject / name).exists():

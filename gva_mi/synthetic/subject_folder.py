@@ -28,16 +28,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import Pose, save_poses
+from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.stamp import write_record
-from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.fingerprint import SYNTH, fingerprint
+from gva_mi.data.folder import TRUTH, VIDEO, SubjectWriter
 from gva_mi.data.ground_truth import BODY
 from gva_mi.data.pictures import write_film
-from gva_mi.data.splits import SPLITS, Splits
+from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
@@ -86,20 +86,20 @@ def make_subject(
                     progress(next(done), total)
                 yield result
 
-        writer = _SubjectWriter(staging, body, render)
-        writer.write_video(folder)
-        writer.write_novel_poses(folder / "truth" / "novel_pose")
-        seen = writer.write_novel_views(folder / "truth" / "novel_view", views)
+        recording = _Recording(staging, body, render)
+        recording.write_video(folder)
+        recording.write_novel_poses(folder / TRUTH / "novel_pose")
+        seen = recording.write_novel_views(folder / TRUTH / "novel_view", views)
         splits = Splits.every(options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
-        write_json(folder / SPLITS, splits)
+        SubjectWriter(folder).splits(splits)
         write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
         write_record(folder / SYNTH, about)
 
 
 @dataclass(frozen=True)
-class _SubjectWriter:
+class _Recording:
     staging: Staging
     fitted: BodyModel  # of the estimated poses
     render: Render
@@ -129,18 +129,19 @@ class _SubjectWriter:
         """Write frames, masks, normals, cameras and poses of the video, with ground truth."""
         options, staging = self.staging.options, self.staging
         pose, cameras = staging.poses[0], staging.cameras
-        save_cameras(folder / "truth" / CAMERAS, cameras)
-        save_poses(folder / "truth" / "poses.npz", pose, staging.subject.shape, stage=0)
+        truth = SubjectWriter(folder).truth
+        truth.cameras(cameras)
+        truth.poses(pose, staging.subject.shape, stage=0)
         if staging.body is not self.fitted:
-            write_arrays(folder / "truth" / BODY, **staging.body.arrays())
+            write_arrays(truth.folder / BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors = list(self.render(jobs))
-        write_film(folder / "video.mp4", colors)
+        write_film(folder / VIDEO, colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
-            write_json(folder / "truth" / "film.json", staging.about_film())
+            write_json(truth.folder / "film.json", staging.about_film())
         pipeline.write(folder)
 
     def write_novel_poses(self, folder: Path) -> None:
@@ -176,6 +177,6 @@ class _SubjectWriter:
         """Write exact pictures, masks, normals, cameras and poses."""
         for _ in self.render(self._jobs(folder, self.staging.still(poses, cameras), stream)):
             pass
-        save_cameras(folder / CAMERAS, cameras)
-        near = self._closest(poses[0])  # on the fitted body, like an avatar
-        save_poses(folder / "poses.npz", near.pose, near.shape, stage=0)
+        writer, near = SubjectWriter(folder), self._closest(poses[0])  # on the fitted body
+        writer.cameras(cameras)
+        writer.poses(near.pose, near.shape, stage=0)

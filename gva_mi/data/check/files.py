@@ -16,16 +16,16 @@ from gva_mi.body.pose import PoseFile, load_offsets, read_pose_file
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.data.cameras import CAMERAS, load_cameras
+from gva_mi.data.cameras import load_cameras
 from gva_mi.data.check.numbers import check_intrinsics
 from gva_mi.data.check.problems import Problem, doubt, error
 from gva_mi.data.film import Film
 from gva_mi.data.fingerprint import require_same_body
+from gva_mi.data.folder import CAMERAS, NORMALS_RECORD, POSES, frame_name, is_frame_name
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import NORMALS, NormalMaps
+from gva_mi.data.normals import NormalMaps
 from gva_mi.data.pictures import read_image, size_of_whole
 from gva_mi.data.splits import load_splits
-from gva_mi.data.video import POSES, is_frame
 from gva_mi.data.views import read_views
 from gva_mi.splat import Camera
 
@@ -76,7 +76,7 @@ class SubjectFiles:
         """Read a frame, (H, W, 3) 8-bit."""
         if len(self.film):
             return self.film[index]
-        return read_image(self.folder / "frames" / f"{index:06d}.png", 3)
+        return read_image(self.folder / "frames" / frame_name(index), 3)
 
     def attempt(
         self, what: str, read: Callable[[], T], cause: str = "missing, cut short, or of another "
@@ -127,7 +127,7 @@ def read_subject(
 def _read_pictures(files: SubjectFiles) -> None:
     folder = files.folder
     paths = sorted((folder / "frames").glob("*.png"))
-    misnamed = [p.name for p in paths if not is_frame(p)]
+    misnamed = [p.name for p in paths if not is_frame_name(p)]
     if misnamed:
         files.problems.append(
             error("frames named otherwise", f"{len(misnamed)}, such as {misnamed[0]}",
@@ -245,7 +245,7 @@ def _sizes_and_masks(files: SubjectFiles) -> Iterator[Problem]:
 
 def _open_normals(files: SubjectFiles) -> None:
     cause = "maps of a crop, or of another size"
-    remedy = f"write maps of the frame's size, or the crop's 'boxes' into {NORMALS}"
+    remedy = f"write maps of the frame's size, or the crop's 'boxes' into {NORMALS_RECORD}"
     what = "normals cannot be read"
     opened = files.attempt(
         what, lambda: NormalMaps.open(files.folder, max(1, files.count)), cause, remedy

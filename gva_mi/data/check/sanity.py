@@ -20,7 +20,7 @@ from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
 from gva_mi.splat import Camera
 
-FRAMES = 8  # that are read
+COMPARED = 8  # that are read
 FEWEST_INSIDE = 0.5  # of those in the picture; noise and loose clothes leave most in the masks
 LEAST_OVERLAP = 0.25  # IoU; wide clothes and occlusion leave more
 COARSE = 48  # px, longer side: vertices of a body are as dense
@@ -30,7 +30,7 @@ FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a 
 def sanity_check(video: Video, body: BodyModel) -> str | None:
     """Return a warning if the video's body does not stand where its masks are, else None."""
     frames = [k for k in range(len(video)) if k not in video.absent]
-    outlines = video.outlines(spread(frames, FRAMES))
+    outlines = video.outlines(spread(frames, COMPARED))
     doubt = doubt_of(((x.pose, x.camera, x.mask) for x in outlines), video.shape, body)
     check = f"gva-mi check {video.folder} looks for the cause"
     return None if doubt is None else f"{video.folder}: {doubt}; {check}"

@@ -11,13 +11,13 @@ from torch import Tensor
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import write_json
 from gva_mi.data.crop import bounds
+from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.masks import read_mask
 from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
-from gva_mi.data.normals import NORMALS, in_convention
+from gva_mi.data.normals import in_convention
 from gva_mi.data.pictures import read_image, write_image
 from gva_mi.mesh.visibility import normals_of_both_sides
 from gva_mi.splat import Camera
@@ -45,7 +45,7 @@ def write_masks(
             before = None
             none.append(k)
         else:
-            write_image(folder / f"{k:06d}.png", before.mask * np.uint8(255))
+            write_image(folder / frame_name(k), before.mask * np.uint8(255))
             x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
             if before.mask[y, x].mean() < HELD:
                 doubtful.append(k)
@@ -82,20 +82,20 @@ def write_normals(
         faces: (F, 3) of the body.
         progress: called after every frame.
     """
-    boxes, maps = [[0, 0, 1, 1]] * len(cameras), 0
+    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * len(cameras), 0
     for k, camera in enumerate(cameras):
-        mask = read_mask(folder / "masks", k)
+        mask = read_mask(folder / MASKS, k)
         box = None if mask is None else bounds(mask > 0.5)
         if box is not None:
-            image = read_image(folder / "frames" / f"{k:06d}.png", 3)
+            image = read_image(folder / FRAMES / frame_name(k), 3)
             body = _body_normals(network, camera, posed(k), faces) if network.needs_body else None
             crop, normals = network.see(image, mask, box, body)
             boxes[k] = list(astuple(crop))
-            write_image(folder / "normals" / f"{k:06d}.png", (normals + 1) / 2)
+            writer.normals(k, normals)
             maps += 1
         if progress:
             progress(k + 1, len(cameras))
-    write_json(folder / NORMALS, {"convention": network.spec.convention, "boxes": boxes})
+    writer.normals_record(network.spec.convention, boxes)
     return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]
 
 

@@ -24,6 +24,7 @@ from gva_mi.body.pose import SIDES, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import Within, options_of
+from gva_mi.data.folder import POSES, REFINED_POSES
 from gva_mi.data.importers.estimator_files import first_of, holds, read_source, refuse_mhr
 from gva_mi.data.importers.estimators import (
     KINDS,
@@ -186,7 +187,7 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
         track = _estimated(kind, record, path, found, options.person, body)
         return track, rate_of(where, {}, options.source_fps), record.up
     if isinstance(found, Path):
-        poses = [n for n in ("poses_refined.npz", "poses.npz") if (path / n).is_file()]
+        poses = [n for n in (REFINED_POSES, POSES) if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
         raise InputError(
             f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "

@@ -15,11 +15,11 @@ import numpy as np
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import write_json
+from gva_mi.data.folder import MASKS, NORMALS, SubjectWriter, frame_name
 from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
 from gva_mi.data.importers.numbering import number_in
 from gva_mi.data.masks import read_mask
-from gva_mi.data.normals import NORMALS, Convention, NormalMaps, read_map
+from gva_mi.data.normals import Convention, NormalMaps, read_map
 from gva_mi.data.pictures import in_8_bits, require_sides, write_image
 from gva_mi.splat import Camera
 
@@ -72,15 +72,15 @@ def write_maps(
         if straight is not None:
             stored = straight(in_8_bits((stored + 1) / 2) if stored.dtype.kind == "f" else stored)
         if stored.dtype == np.uint8:
-            write_image(out / "normals" / f"{k:06d}.png", stored)
+            write_image(out / NORMALS / frame_name(k), stored)
         else:
-            with atomic_write(out / "normals" / f"{k:06d}.npy") as unfinished:
+            with atomic_write(out / NORMALS / frame_name(k, ".npy")) as unfinished:
                 with unfinished.open("wb") as file:
                     np.save(file, stored)
-    write_json(out / NORMALS, {"convention": convention})
-    read, pixels, z = NormalMaps(out / "normals", convention, None), 0, 0.0
+    SubjectWriter(out).normals_record(convention)
+    read, pixels, z = NormalMaps(out / NORMALS, convention, None), 0, 0.0
     for k in sorted(maps):
-        mask = read_mask(out / "masks", k)
+        mask = read_mask(out / MASKS, k)
         if mask is not None:
             inside = read.read(k, cameras[k])[mask > 0.5]
             pixels, z = pixels + int(inside.any(axis=1).sum()), z + float(inside[:, 2].sum())

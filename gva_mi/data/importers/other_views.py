@@ -14,12 +14,13 @@ import numpy as np
 
 from gva_mi.body.rotations import nearest_rotations
 from gva_mi.core.errors import InputError, expecting
+from gva_mi.data.folder import FRAMES, MASKS, VIEWS, frame_name
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.footage import pictures
 from gva_mi.data.importers.lens import undistort
 from gva_mi.data.pictures import require_sides, write_image
 from gva_mi.data.splits import spread
-from gva_mi.data.views import VIEWS, save_views
+from gva_mi.data.views import save_views
 from gva_mi.splat import Camera
 
 ALL = "all"  # in the place of names
@@ -66,8 +67,8 @@ def write_views(
                 left_out.append(name)
                 break
             straight = undistort(at, other.K, other.distortion, size) or (lambda image: image)
-            for part, picture in (("frames", image), ("masks", mask)):
-                write_image(out / VIEWS / part / f"{len(shown):06d}.png", straight(picture))
+            for part, picture in ((FRAMES, image), (MASKS, mask)):
+                write_image(out / VIEWS / part / frame_name(len(shown)), straight(picture))
             shown.append((k, name, Camera.from_matrices(other.K, T, *size)))
     if not shown:
         raise InputError(f"{where}: other cameras have no picture and mask of the video's frames")

@@ -9,6 +9,7 @@ import numpy as np
 
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
+from gva_mi.data.folder import frame_name
 from gva_mi.data.importers import footage
 from gva_mi.data.masks import BARELY, require_person
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
@@ -42,7 +43,7 @@ def write_own_masks(
         if (k := used.get(number := read - 1)) is None:
             continue
         mask = _in_size(f"{source}: mask {number}", mask, size)
-        write_image(folder / f"{k:06d}.png", mask)
+        write_image(folder / frame_name(k), mask)
         counts += np.bincount(mask.ravel(), minlength=256)
         person = probabilities[k] > 255 * CERTAIN
         if person.any():
@@ -93,7 +94,7 @@ class WithMasks(Sequence[np.ndarray]):
 
     def __getitem__(self, index: int) -> np.ndarray:
         found = self._probabilities[index]
-        path = self._folder / f"{index:06d}.png"
+        path = self._folder / frame_name(index)
         if not path.exists():
             return found
         shares = (x.astype(np.float32) / 255 for x in (found, read_image(path, 1)))

@@ -19,15 +19,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import write_json
 from gva_mi.core.stamp import write_record
-from gva_mi.data.cameras import CAMERAS, save_cameras
-from gva_mi.data.check.sanity import FRAMES, doubt_of
+from gva_mi.data.check.sanity import COMPARED, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
+from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.importers import footage
 from gva_mi.data.importers.by_networks import write_masks, write_normals
 from gva_mi.data.importers.capture import Capture
@@ -45,9 +44,8 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
-from gva_mi.data.pictures import read_image, require_sides, write_image
-from gva_mi.data.splits import SPLITS, spread
-from gva_mi.data.video import POSES
+from gva_mi.data.pictures import read_image, require_sides
+from gva_mi.data.splits import spread
 from gva_mi.splat import Camera
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
@@ -79,7 +77,8 @@ def prepare_folder(
     if kind not in DATASETS:  # which know their lenses
         track, of_lens = filmed_with(track, options.lens, capture.frames, size)
     straight = undistort(footage.folder_of(capture.frames), track.K[0], capture.distortion, size)
-    count = _write_pictures(out, capture, straight, size, progress, int(track.frames.max()) + 1)
+    writer = SubjectWriter(out)
+    count = _write_pictures(writer, capture, straight, size, progress, int(track.frames.max()) + 1)
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
@@ -90,17 +89,17 @@ def prepare_folder(
         )  # fmt: skip
         notes += of_hands
     if capture.splits is not None:
-        write_json(out / SPLITS, capture.splits.to_json())
+        writer.splits(capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
-        (out / "masks" / f"{k:06d}.png").unlink(missing_ok=True)
+        (out / MASKS / frame_name(k)).unlink(missing_ok=True)
     if mask_network:
         prompts = prompts_of(track, others, body.joints, size)
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
-        picture = lambda k: read_image(out / "frames" / f"{k:06d}.png", 3)
-        more += write_masks(out / "masks", mask_network, picture, seen, progress)
+        picture = lambda k: read_image(out / FRAMES / frame_name(k), 3)
+        more += write_masks(out / MASKS, mask_network, picture, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
-    save_cameras(out / CAMERAS, cameras)
+    writer.cameras(cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
         posed = lambda k: body.model(pose[k], shape).vertices[0]
@@ -112,7 +111,7 @@ def prepare_folder(
         asked = (views, np.flatnonzero(inside).tolist(), options.view_frames)
         more += write_views(out, where, capture, *asked, _T_CAMERA_WORLD)
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
-    save_poses(out / POSES, pose, shape, stage=1)
+    writer.poses(pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
     notes += _doubts(out, replace(track, betas=None).where(inside), pose, shape, cameras, body)
     of_film = footage.uneven_rate(capture.frames), footage.uneven_pixels(capture.frames)
@@ -187,7 +186,7 @@ def _chosen(
 
 
 def _write_pictures(
-    out: Path,
+    writer: SubjectWriter,
     capture: Capture,
     straight: Callable[[np.ndarray], np.ndarray] | None,
     size: tuple[int, int],
@@ -202,10 +201,10 @@ def _write_pictures(
             if found is not None:
                 path = footage.folder_of(capture.frames if what == "picture" else capture.masks)
                 require_sides(f"{path}: {what} {count}", found, *size)
-        write_image(out / "frames" / f"{count:06d}.png", straight(image))
+        writer.frame(count, straight(image))
         if mask is not None:
             values += np.bincount(mask.ravel(), minlength=256)
-            write_image(out / "masks" / f"{count:06d}.png", straight(mask))
+            writer.mask(count, straight(mask))
         count += 1
         if progress:
             progress(count, max(count, expected))
@@ -270,7 +269,7 @@ def _doubts(
     out: Path, track: Track, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
 ) -> list[str]:
     """Return why the person, in the frames of ``track``, may not be where the masks are."""
-    some = {k: read_mask(out / "masks", k) for k in spread(track.frames.tolist(), FRAMES)}
+    some = {k: read_mask(out / MASKS, k) for k in spread(track.frames.tolist(), COMPARED)}
     seen = [(pose[k], cameras[k], mask) for k, mask in some.items() if mask is not None]
     doubt = doubt_of(seen, shape, body.model)
     upward = Upward.of(track.rotations, track.places, body.joints, len(track.frames))

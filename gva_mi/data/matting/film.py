@@ -19,6 +19,7 @@ import numpy as np
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.crop import bounds
+from gva_mi.data.folder import frame_name
 from gva_mi.data.matting.camera import ShrunkPicture, camera_motion
 from gva_mi.data.matting.grid import WorkGrid
 from gva_mi.data.matting.scene import FilmScene, GridPicture
@@ -64,7 +65,7 @@ def film_masks(
     def write(numbered: tuple[int, GridPicture | None]) -> int:
         k, view = numbered
         mask = nobody if view is None else film.grid.paste(scene.mask(view))
-        write_image(Path(out) / f"{k:06d}.png", mask)
+        write_image(Path(out) / frame_name(k), mask)
         return k
 
     views = ((k, film.view(k) if extents[k, 2] > 0 else None) for k in range(total))

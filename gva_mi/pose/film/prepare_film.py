@@ -18,17 +18,16 @@ from typing import Annotated
 
 import numpy as np
 
-from gva_mi.body.pose import save_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_array, read_json, write_json
+from gva_mi.core.files import read_array, read_json
 from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.data.cameras import CAMERAS, save_cameras
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
+from gva_mi.data.folder import FRAMES, MASKS, StoredPictures, SubjectWriter
 from gva_mi.data.importers.by_networks import write_masks
 from gva_mi.data.importers.footage import mask_meaning
 from gva_mi.data.importers.keypoints import with_keypoints
@@ -36,14 +35,11 @@ from gva_mi.data.importers.lens import asked_for, in_pixels
 from gva_mi.data.importers.own_masks import WithMasks, write_own_masks
 from gva_mi.data.importers.prepare_options import MaskOptions
 from gva_mi.data.importers.prompts import prompt_at
-from gva_mi.data.landmarks import LANDMARKS
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
-from gva_mi.data.splits import SPLITS, Splits
-from gva_mi.data.stored_pictures import StoredPictures
-from gva_mi.data.video import POSES
+from gva_mi.data.splits import Splits
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import CAMERA_HEIGHTS, KnownOfFilm, SolvedFilm, solve_film
@@ -153,13 +149,13 @@ def prepare_film(
             progress=part_of_progress(progress, 0, 6, 10),
         )  # fmt: skip
         pictures = motion.pictures.pictures
-        stored = StoredPictures(out / "frames", ".png", lambda path: read_image(path, 3))
+        stored = StoredPictures(out / FRAMES, ".png", lambda path: read_image(path, 3))
         write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
         rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
         more = part_of_progress(progress, 6, 4, 10)
         if given is not None:
             numbers, size = motion.pictures.numbers, pictures[0].shape[1::-1]
-            notes = write_own_masks(out / "masks", given, numbers, size, rough, more)
+            notes = write_own_masks(out / MASKS, given, numbers, size, rough, more)
         else:
             probabilities, notes = rough, []
             if network is not None:
@@ -167,12 +163,13 @@ def prepare_film(
                 picture, prompts = stored.__getitem__, motion.prompts(model)
                 notes = write_masks(guesses, network, picture, prompts)
                 probabilities = WithMasks(rough, guesses)
-            notes += film_masks(stored, probabilities, out / "masks", more)
+            notes += film_masks(stored, probabilities, out / MASKS, more)
     solved, watched = motion.solved, motion.watched
-    save_poses(out / POSES, solved.pose, solved.shape, stage=1)
-    save_cameras(out / CAMERAS, [solved.camera] * len(pictures))
-    watched.landmarks.save(out / LANDMARKS)
-    write_json(out / SPLITS, Splits.of_film(len(pictures)).to_json())
+    writer = SubjectWriter(out)
+    writer.poses(solved.pose, solved.shape, stage=1)
+    writer.cameras([solved.camera] * len(pictures))
+    writer.landmarks(watched.landmarks)
+    writer.splits(Splits.of_film(len(pictures)).to_json())
     record = FilmRecord(
         frames=len(pictures),
         fps=motion.pictures.fps,

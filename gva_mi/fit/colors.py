@@ -64,8 +64,8 @@ if TYPE_CHECKING:
 
 
 GREY = 0.5  # colour of the whole person if no frame shows it
-SMOOTH = 0.01  # λ, frames
-NEVER = 1e-6  # frames: far less than any that shows a vertex
+SMOOTH_SURFACE = 0.01  # λ of eq. 1, frames
+HARDLY = 1e-6  # frames: far less than any that shows a vertex
 
 
 @torch.no_grad()
@@ -86,8 +86,8 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
         weight += seen
     # Every vertex tends a little to the mean of all, also one that is connected to none of these.
     mean = total.sum(0) / weight.sum() if weight.sum() > 0 else torch.full((3,), GREY)
-    total, weight = total + NEVER * mean, weight[:, 0] + NEVER
-    smooth = SMOOTH * as_scipy(uniform_laplacian(body.faces.numpy(), len(weight)))
+    total, weight = total + HARDLY * mean, weight[:, 0] + HARDLY
+    smooth = SMOOTH_SURFACE * as_scipy(uniform_laplacian(body.faces.numpy(), len(weight)))
     colors = splu((diags_array(weight.numpy()) + smooth).tocsc()).solve(total.numpy())
     return torch.from_numpy(colors).to(body.v_template)
 
@@ -110,7 +110,7 @@ def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tens
 
 
 SEEN = 32  # frames, at most, that eq. 2 is the mean of
-SMOOTH = 0.005  # λ, as a share of the mean of w
+SMOOTH = 0.005  # λ of eq. 3, as a share of the mean of w
 AROUND, OPPOSITE = 8, 3  # neighbours j of each kind; a guess counts as all those around
 TOP = 0.1  # share of what frames show of a head, by w: from the top down
 ROW, BESIDE = 0.01, 0.015  # metres: heights in rows, and how far above and below each one looks

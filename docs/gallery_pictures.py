@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from gva_mi.body.smplx import load_body
 from gva_mi.data.pictures import read_image
 from gva_mi.study.regions import person_box
+from gva_mi.synthetic import SynthOptions, make_subject
 
 SIZE = ("240", "340")  # pixels of one picture
 SHOWN = 6
@@ -49,8 +51,11 @@ def save(image: np.ndarray, out: Path) -> None:
 def motions(run: Path, folder: Path) -> list[Path]:
     """The avatar in the steps of somebody else, who dances."""
     dancer = folder / "dancer"
-    plain = ("--frames", SHOWN, "--size", 32, "--samples", 1, "--no-clothes", "--no-hair")
-    gva_mi("synth", dancer, "--motion", "dance", *plain, "--novel-poses", 0, "--novel-views", 0)
+    options = SynthOptions(
+        motion="dance", frames=SHOWN, size=32, samples=1, clothes=False, hair=False,
+        novel_poses=0, novel_views=0,
+    )  # fmt: skip
+    make_subject(dancer, options, load_body())
     poses = ("--poses", dancer / "truth/poses.npz")
     out = folder / "motions"
     gva_mi("render", run, *poses, "--path", "static", "--size", *SIZE, "--out", out)

@@ -36,7 +36,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "export": "write an avatar or its poses for other programs",
     "motion": "make poses that drive an avatar, from a film or a motion of AMASS, AIST++ ...",
     "study": "refine or fit several synthetic subjects and measure the errors",
-    "body": "write a body file, and a picture of it from all around",
+    "body": "write a body file that needs no licence agreement",
     "gradcheck": "check the gradients of the renderer, of an avatar, or of rendered normals",
     "bench": "run the benchmarks of a checkout",
     "doctor": "report what this machine has, and what is missing for what",

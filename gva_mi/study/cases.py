@@ -21,7 +21,7 @@ from gva_mi.synthetic import SynthOptions
 NO_NORMALS = "no normals"  # counts as an error model of its own
 TITLES = {  # of what is unusual in a take
     "motion": "{}", "figure": "{}", "outfit": "{} clothes", "bare": "bare", "scene": "{}",
-    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels", "strands": "loose hair",
+    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels",
     "shutter": "motion blur",
 }  # fmt: skip
 
@@ -40,7 +40,6 @@ class Take:
     camera: str = "stands"  # or held by hand
     frames: int | None = None  # of the video; None: as many as the study says
     size: int | None = None  # width and height of the pictures, pixels; None: as the study says
-    strands: bool = False  # loose strands of hair
     shutter: float = 0.0  # share of the time between frames that the shutter is open
 
     @property
@@ -64,7 +63,7 @@ class Take:
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
             outfit=self.outfit, frames=self.frames or frames, size=self.size or size,
             clothes=not self.bare, hair=not self.bare, novel_poses=novel, novel_views=novel,
-            scene=self.scene, strands=self.strands, shutter=self.shutter,
+            scene=self.scene, shutter=self.shutter,
         )  # fmt: skip
         held = self.camera != "stands"  # for which no errors are invented
         return replace(made, camera=self.camera, noise=0.0) if held else made
@@ -172,12 +171,12 @@ HELD_OUT = _cases(_JUDGED, 1000, (
 _USUAL = Take(seed=140, scene="room")
 # One subject, filmed as usual, and with one thing changed at a time: how a film should be taken.
 LIMITS = tuple(
-    StudyCase(replace(_USUAL, **changed), FILM, 60 + k)
-    for k, changed in enumerate((
-        {}, {"motion": "half"}, {"motion": "still"}, {"motion": "everyday"}, {"frames": 30},
-        {"frames": 120}, {"frames": 300}, {"size": 256}, {"size": 1024}, {"outfit": "foreign"},
-        {"camera": "held"}, {"strands": True}, {"shutter": 0.5},
-    ))
+    StudyCase(replace(_USUAL, **changed), FILM, draw)
+    for draw, changed in {
+        60: {}, 61: {"motion": "half"}, 62: {"motion": "still"}, 63: {"motion": "everyday"},
+        64: {"frames": 30}, 65: {"frames": 120}, 66: {"frames": 300}, 67: {"size": 256},
+        68: {"size": 1024}, 69: {"outfit": "foreign"}, 70: {"camera": "held"}, 72: {"shutter": 0.5},
+    }.items()
 )  # fmt: skip
 
 

@@ -20,7 +20,6 @@
 ``pictures``        files of one picture, by one process or several
 ``error_models/``   error models of poses, masks and normals
 ``estimates``       estimates of a pipeline with such errors
-``portrait``        pictures of a bare body
 ==================  ================================================================
 """
 

@@ -21,7 +21,7 @@ from gva_mi.data.pictures import read_image
 from gva_mi.splat import Camera
 from gva_mi.synthetic.closest import Closest
 from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
-from gva_mi.synthetic.error_models.models import EXACT, ErrorParameters, Levels, draw_errors
+from gva_mi.synthetic.error_models.models import EXACT, ErrorParameters, draw_errors
 from gva_mi.synthetic.error_models.normals import noisy_normals
 from gva_mi.synthetic.error_models.poses import estimated_camera, noisy_poses
 from gva_mi.synthetic.error_models.processes import runs
@@ -35,7 +35,7 @@ class PictureErrors:
     """The errors of one frame's mask and normals."""
 
     parameters: ErrorParameters
-    levels: Levels
+    level: float  # factor on all errors; 0 is exact
     camera: Camera
     seed: tuple[int, ...]  # seed of their random numbers
     confusion: Confusion = Confusion()
@@ -46,16 +46,16 @@ class PictureErrors:
         """Degrade a true mask (H, W) and true normals (H, W, 3) in camera space."""
         _, errors = np.random.SeedSequence(self.seed).spawn(2)  # the first is the renderer's
         of_mask, of_normals = (np.random.default_rng(s) for s in errors.spawn(2))
-        found, levels = self.parameters, self.levels
-        mask = noisy_mask(mask, found.mask, levels.mask, of_mask, self.confusion)
+        found, level = self.parameters, self.level
+        mask = noisy_mask(mask, found.mask, level, of_mask, self.confusion)
         if self.no_normals:
             return mask, None
-        return mask, noisy_normals(normals, mask, found.normal, levels.normal, of_normals)
+        return mask, noisy_normals(normals, mask, found.normal, level, of_normals)
 
     @property
     def convention(self) -> Convention:
         """The convention of the files of normals."""
-        return self.parameters.normal.convention_at(self.levels.normal)
+        return self.parameters.normal.convention_at(self.level)
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,16 @@ class Pipeline:
 
     def pictures(self) -> list[PictureErrors]:
         """Draw the errors of mask and normals of each frame."""
-        options, errors, levels = self.options, self.errors, self.options.levels
+        options, errors, level = self.options, self.errors, self.options.noise
         confused = confusions(
-            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, levels.mask,
+            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, level,
             options.random(MISTAKEN, errors=True),
         )  # fmt: skip
-        share = min(levels.normal * errors.normal.missing, 0.9)
+        share = min(level * errors.normal.missing, 0.9)
         missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
         seed, exact = (*options.entropy(RENDER, errors=True), MOTION), options.error_model == EXACT
         return [
-            PictureErrors(errors, levels, camera, (*seed, k), seen, bool(gone), exact)
+            PictureErrors(errors, level, camera, (*seed, k), seen, bool(gone), exact)
             for k, (camera, seen, gone) in enumerate(
                 zip(self.cameras, confused, missing, strict=True)
             )
@@ -90,19 +90,19 @@ class Pipeline:
 
     def write(self, folder: Path) -> None:
         """Write poses, cameras, the convention of normals, and ``noise.json``."""
-        options, errors, levels = self.options, self.errors, self.options.levels
+        options, errors, level = self.options, self.errors, self.options.noise
         truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
         first = self.cameras[0]
-        found = noisy_poses(self.body, *truth, first, errors.pose, levels.pose, rng)
+        found = noisy_poses(self.body, *truth, first, errors.pose, level, rng)
         writer = SubjectWriter(folder)
         writer.poses(*found, stage=1)
-        writer.cameras([estimated_camera(c, errors.pose, levels.pose) for c in self.cameras])
-        if (convention := errors.normal.convention_at(levels.normal)) != "perspective":
+        writer.cameras([estimated_camera(camera, errors.pose, level) for camera in self.cameras])
+        if (convention := errors.normal.convention_at(level)) != "perspective":
             writer.normals_record(convention)
         about = {
             "error_model": options.error_model,
             "seed": options.seed_of_noise,
-            "levels": asdict(levels),
+            "level": level,
             "parameters": asdict(errors),
             "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
         }
@@ -114,10 +114,8 @@ def describe_errors(folder: Path) -> list[str]:
     path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
     found = read_json(path, expected)
     with expecting(path, expected):
-        levels = ", ".join(f"{name} {level:g}" for name, level in found["levels"].items())
-        lines = [
-            f"noise: error model {found['error_model']}, seed {found['seed']}, levels: {levels}"
-        ]
+        model, seed, level = (found[key] for key in ("error_model", "seed", "level"))
+        lines = [f"noise: error model {model}, seed {seed}, level {level:g}"]
         if found["floor"]["joint_mm"] > 0:
             near = f"{found['floor']['limb_mm']:.1f} mm"
             lines.append(f"the fitted body comes as near as {near} to the joints of the limbs")

@@ -10,8 +10,8 @@ import numpy as np
 from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import PictureSide, Seed, Share, Within, Workers, options_of
-from gva_mi.synthetic.error_models.models import Levels, require_error_model
+from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
+from gva_mi.synthetic.error_models.models import require_error_model
 from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.stretched import BodyStretch, stretched
 from gva_mi.synthetic.subject import Subject, draw_subject
@@ -24,6 +24,7 @@ MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
 Level = Annotated[float, Within(0, 10)]
+Samples = Annotated[int, Within(1, 4096)]
 
 
 @options_of("synth")
@@ -32,29 +33,29 @@ class SynthOptions:
 
     seed: Seed = 0  # seed of the person, its motion and its errors
     subject: str | None = None  # one of the seven named subjects; seed varies the rest
-    figure: Literal["own", "stretched", "anny"] = "own"  # body of the person
-    outfit: Literal["own", "foreign"] = "own"  # foreign: thick soles, wide trousers, bag, hood
     motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
     frames: VideoFrames = 80  # frames of the video; a turn fills all of them
     size: PictureSide = 512  # pixels, width and height of the pictures
-    samples: Annotated[int, Within(1, 4096)] = 16  # rays per pixel, a square number
-    clothes: bool = True  # clothes and shoes; without them a swimsuit is painted on the skin
-    hair: bool = True  # without it the head is bald
-    strands: bool = False  # fly-away strands around the hair, a soft outline
     light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
     # A phone held by hand, in a room, or one that circles once around the person: with noise 0.
     camera: Literal["stands", "held", "circles"] = "stands"
     scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
-    shutter: Share = 0.0  # of the time between frames that the shutter is open: motion blur
     error_model: str = "bursts"  # error model of poses, masks and normals
-    noise_seed: Seed | None = None  # seed of the errors; without it, seed
-    noise: Level = 1.0  # factor on the three levels below; 0: exact
-    pose_noise: Level = 1.0  # errors of stage-1 poses; in bursts, 1 is about 66 mm vertex error
-    mask_noise: Level = 1.0  # errors of masks; in bursts, 1 is about 1 pixel at size 512
-    normal_noise: Level = 1.0  # errors of normals; in bursts, 1 is about 9 degrees
-    novel_poses: NovelPictures = 8  # held-out pictures of other poses
-    novel_views: NovelPictures = 8  # held-out pictures of frames from other sides
-    workers: Workers = 1  # processes that render; any number gives the same bits
+    # Factor on all errors; 0: exact. In bursts, 1 is about 66 mm of the vertices, 1 pixel of masks
+    # at size 512, and 9 degrees of normals.
+    noise: Level = 1.0
+    noise_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
+    figure: PythonOnly[Literal["own", "stretched", "anny"]] = "own"  # body of the person
+    # Foreign: thick soles, wide trousers, bag, hood.
+    outfit: PythonOnly[Literal["own", "foreign"]] = "own"
+    clothes: PythonOnly[bool] = True  # with shoes; without, a swimsuit is painted on the skin
+    hair: PythonOnly[bool] = True  # without it the head is bald
+    samples: PythonOnly[Samples] = 16  # rays per pixel, a square number
+    # Share of the time between frames that the shutter is open: motion blur.
+    shutter: PythonOnly[Share] = 0.0
+    novel_poses: PythonOnly[NovelPictures] = 8  # held-out pictures of other poses
+    novel_views: PythonOnly[NovelPictures] = 8  # held-out pictures of frames from other sides
+    workers: PythonOnly[Workers] = 1  # processes that render; any number gives the same bits
 
     def __post_init__(self) -> None:
         if self.frames * self.size**2 > MOST_PIXELS:
@@ -74,7 +75,7 @@ class SynthOptions:
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
-        if self.camera != "stands" and any(asdict(self.levels).values()):
+        if self.camera != "stands" and self.noise > 0:
             raise InputError(
                 f"synth: errors need a fixed camera; --camera {self.camera} needs --noise 0"
             )
@@ -82,7 +83,7 @@ class SynthOptions:
             raise InputError("synth: --camera held needs --scene room")
         if self.shutter > 0 and round((self.samples / BLUR) ** 0.5) ** 2 * BLUR != self.samples:
             raise InputError(
-                f"synth: samples must be {BLUR} times a square number with --shutter, "
+                f"synth: samples must be {BLUR} times a square number with a shutter, "
                 f"got {self.samples}"
             )
 
@@ -108,17 +109,11 @@ class SynthOptions:
     def subject_on(self, drawn_on: BodyModel) -> Subject:
         """Return the person's surface on the body of :meth:`drawn_on`."""
         person = self.person(drawn_on)
-        return draw_subject(drawn_on, person, self.clothes, self.hair, self.strands)
+        return draw_subject(drawn_on, person, self.clothes, self.hair)
 
     def recorded(self) -> dict[str, object]:
         """Return the recorded options: all but ``workers``, which does not change the result."""
         return {k: v for k, v in asdict(self).items() if k != "workers"}
-
-    @property
-    def levels(self) -> Levels:
-        """Levels of all errors."""
-        each = (self.pose_noise, self.mask_noise, self.normal_noise)
-        return Levels(*(self.noise * level for level in each))
 
     @property
     def seed_of_noise(self) -> int:

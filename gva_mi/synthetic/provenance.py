@@ -27,9 +27,6 @@ from gva_mi.synthetic.estimates import Pipeline, write_estimates
 from gva_mi.synthetic.options import SynthOptions
 from gva_mi.synthetic.subject import Subject
 
-# Options of older folders, which changed nothing but the pictures.
-RETIRED = ("background", "blur", "sensor_noise", "folds")
-RENAMED = {"family": "error_model"}  # options of older folders
 SURFACE = "truth/surface.ply"  # in the subject's folder
 
 
@@ -42,9 +39,7 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     path, expected = subject / SYNTH, "a folder that gva-mi synth made"
     about = read_json(path, expected)
     with expecting(path, expected):
-        named = {RENAMED.get(k, k): v for k, v in about["options"].items()}
-        kept = {k: v for k, v in named.items() if k not in RETIRED}
-        return about, SynthOptions(**kept)
+        return about, SynthOptions(**about["options"])
 
 
 def write_surface(path: Path, person: Subject) -> None:
@@ -110,8 +105,7 @@ def degrade(
     subject = Path(subject)
     about, options = recorded_options(subject)
     require_same_body(subject, body)
-    each = {"pose_noise": 1.0, "mask_noise": 1.0, "normal_noise": 1.0}
-    options = replace(options, error_model=error_model, noise_seed=seed, noise=level, **each)
+    options = replace(options, error_model=error_model, noise_seed=seed, noise=level)
     truth = load_ground_truth(subject / TRUTH, body)
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)

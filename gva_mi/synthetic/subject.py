@@ -86,18 +86,15 @@ def draw_subject(
     person: SyntheticPerson,
     clothes: bool = True,
     hair: bool = True,
-    loose_strands: bool = False,
 ) -> Subject:
     """Make the surface of a person on a body.
 
-    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald. Loose
-    strands soften the outline of the hair.
+    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
     """
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)
-    loose = np.random.default_rng([person.seed, 2]) if loose_strands else None
-    worn = dress(rest, person.outfit, rng, clothes, hair, loose)
+    worn = dress(rest, person.outfit, rng, clothes, hair)
     shoulder, hip = (tuple(rest.joints[f"left_{name}"].tolist()) for name in ("shoulder", "hip"))
     look = Look(
         skin=person.skin,

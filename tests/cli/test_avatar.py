@@ -28,13 +28,7 @@ def filmed(tmp_path_factory):
     make_subject(
         folder,
         SynthOptions(
-            seed=150,
-            frames=FRAMES,
-            size=256,
-            samples=4,
-            novel_poses=0,
-            novel_views=0,
-            pose_noise=0.0,
+            seed=150, frames=FRAMES, size=256, samples=4, novel_poses=0, novel_views=0, noise=0.0
         ),
         body,
     )

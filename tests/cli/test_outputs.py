@@ -174,6 +174,5 @@ def test_ctrl_c_in_the_middle_of_the_work_is_one_sentence(command, subject, run,
 
 
 def test_a_picture_of_another_kind_is_refused_at_once(tmp_path, cli):
-    for command in ("body --sheet {}.jpg", "check nowhere --sheet {}.gif"):
-        err = cli.fails(*command.format(tmp_path / "sheet").split())
-        assert "a picture's name ends in .png" in err and not list(tmp_path.iterdir())
+    err = cli.fails("check", "nowhere", "--sheet", tmp_path / "sheet.gif")
+    assert "a picture's name ends in .png" in err and not list(tmp_path.iterdir())

@@ -6,6 +6,7 @@ import runpy
 import shlex
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,14 @@ def module_of(name):
     return SimpleNamespace(**runpy.run_path(str(Path(__file__).with_name(f"{name}.py"))))
 
 
+def make_bare_subject(out, options, *given):
+    """Make a subject quickly: without clothes and hair, with few rays and held-out pictures."""
+    from gva_mi.synthetic import make_subject
+
+    bare = {"clothes": False, "hair": False, "samples": 1, "novel_poses": 1, "novel_views": 1}
+    make_subject(out, replace(options, workers=1, **bare), *given)
+
+
 @pytest.fixture(scope="session")
 def gva():
     """Run a command of the command line in a folder: exit code, standard output and error."""
@@ -24,6 +33,7 @@ def gva():
     def run(folder, *words):
         out, err = io.StringIO(), io.StringIO()
         with pytest.MonkeyPatch.context() as patch, contextlib.chdir(folder):
+            patch.setattr("gva_mi.cli.synth.make_subject", make_bare_subject)
             patch.setattr(sys, "argv", ["gva-mi", *map(str, words)])
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:

@@ -4,10 +4,7 @@ import shlex
 
 # By the first words of a command, the longest match. Of a repeated option the last one counts.
 SMALLER = {
-    "synth": "--size 48 --frames 4 --samples 1 --novel-poses 1 --novel-views 1 --no-clothes "
-    "--no-hair",
-    "synth --like": "",
-    "synth --shutter": "--size 48 --frames 4 --samples 4 --novel-poses 0 --novel-views 0",
+    "synth": "--size 48 --frames 4",
     "refine": "--passes 1 --steps 1 --size 32 --faces 500 --overwrite",
     "fit": "--steps 20 --checkpoint-every 8",
     "track": "--passes 1",
@@ -42,7 +39,6 @@ NAMED = {
 }  # fmt: skip
 WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 
-SHEET = "two minutes: tests/synthetic/test_portrait.py draws them smaller"
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 DEMO = "needs the demo's folder: tests/cli/test_cli.py makes a small one"
 NOT_RUN = {
@@ -72,7 +68,6 @@ NOT_RUN = {
     "Demo_SinglePerson/calibration/Calib_qualisys.toml --height 1.72": (
         "needs the films of Pose2Sim: tests/study/test_multiview.py"
     ),
-    "gva-mi body --sheet puppet.png": SHEET,
     "gva-mi body --source anny": "needs the package anny, 0.6 GB: tests/body/test_anny.py",
     "gva-mi COMMAND --help": "any: tests/cli",
 }

@@ -133,7 +133,7 @@ def seeds(subject, avatar):
         shutil.copy(subject / "poses.npz", folder / "truth")
         shutil.copy(subject / "cameras.npz", folder)
         noise = {
-            "levels": {"pose": 1, "mask": 1, "normal": 1}, "error_model": "white", "seed": 1,
+            "level": 1, "error_model": "white", "seed": 1,
             "floor": {"joint_mm": 1.0, "limb_mm": 2.0},
         }  # fmt: skip
         (folder / "noise.json").write_text(json.dumps(noise))

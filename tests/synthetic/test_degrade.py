@@ -1,6 +1,5 @@
 """Degrading a recording gives the folder that these errors would have made."""
 
-import json
 import os
 from dataclasses import replace
 
@@ -11,7 +10,6 @@ from gva_mi.data.cameras import load_cameras
 from gva_mi.data.video import load_video
 from gva_mi.synthetic import degrade, describe_errors, make_subject
 from gva_mi.synthetic.error_models.models import ERROR_MODELS, draw_errors
-from gva_mi.synthetic.provenance import recorded_options
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +36,6 @@ def test_frames_and_ground_truth_are_linked(noisy, degraded):
         name = path.relative_to(noisy)
         if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
             assert os.path.samefile(path, degraded("focal") / name), name
-
-
-def test_options_of_an_older_folder_are_read_under_their_new_names(degraded, tmp_path):
-    about, options = recorded_options(degraded("normals"))
-    older = about["options"] | {"folds": 1.0}
-    older["family"] = older.pop("error_model")
-    (tmp_path / "synth.json").write_text(json.dumps(about | {"options": older}))
-    assert options.error_model == "normals"
-    assert recorded_options(tmp_path)[1] == options
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ HELD = {"noise": 0.0, "scene": "room", "camera": "held"}
     [
         ({"frames": 1}, "frames"),
         ({"samples": 5}, "samples must be a square number, got 5"),
-        ({"samples": 9, "shutter": 0.05}, "4 times a square number with --shutter, got 9"),
+        ({"samples": 9, "shutter": 0.05}, "4 times a square number with a shutter, got 9"),
         ({"subject": "zoe"}, "amira, bruno"),
         ({"motion": "crawl"}, "everyday"),
         ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),

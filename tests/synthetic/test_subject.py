@@ -82,21 +82,3 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
         assert closed(dressed, part(dressed, material)), material
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
-
-
-@pytest.mark.slow
-def test_loose_strands_follow_the_hair_and_change_nothing_else(body, dressed):
-    hairy = draw_subject(body, person(body, 1), loose_strands=True)
-    vertices, faces = len(dressed.vertices), len(dressed.faces)
-    assert np.array_equal(hairy.vertices[:vertices], dressed.vertices)
-    assert np.array_equal(hairy.faces[:faces], dressed.faces) and hairy.look == dressed.look
-    assert (hairy.material[faces:] == int(Material.HAIR)).all()
-    assert (hairy.faces[faces:] >= vertices).all() and len(hairy.faces) > faces + 1000
-    hair = np.unique(part(dressed, Material.HAIR))
-    gap = lambda surface: np.linalg.norm(
-        surface[vertices::500, None] - surface[None, hair], axis=-1
-    ).min(1)  # fmt: skip
-    rest = gap(hairy.vertices)
-    assert rest.max() < 0.06 and rest.min() < 0.001
-    pose = motion.perform("turn", np.array([0.3]), None, 10, np.random.default_rng(0))
-    assert np.abs(gap(hairy.skinned(body, pose)[0]) - rest).max() < 0.01

@@ -84,7 +84,7 @@ def test_noise_does_not_touch_frames_or_truth(exact, noisy, files):
     assert all(
         a[name] != b[name] for name in ("poses.npz", "masks/000001.png", "normals/000001.png")
     )
-    said = "noise: error model bursts, seed 0, levels: pose {0}, mask {0}, normal {0}"
+    said = "noise: error model bursts, seed 0, level {}"
     assert describe_errors(noisy) == [said.format(1)]
     assert describe_errors(exact) == [said.format(0)]
 

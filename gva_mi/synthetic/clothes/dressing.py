@@ -24,7 +24,7 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.synthetic.clothes import accessories, garments
-from gva_mi.synthetic.clothes.hair import hair_mesh, strands
+from gva_mi.synthetic.clothes.hair import hair_mesh
 from gva_mi.synthetic.clothes.level_sets import BAND, BodySurface, RestMesh, VoxelGrid
 from gva_mi.synthetic.look import Material, SkirtCone
 from gva_mi.synthetic.people import Outfit
@@ -72,17 +72,11 @@ def dress(
     rng: np.random.Generator,
     clothes: bool,
     hair: bool,
-    loose: np.random.Generator | None = None,
 ) -> Worn:
-    """Dress a body in clothes with accessories, and in hair.
-
-    ``rng`` draws folds and locks, and ``loose`` fly-away strands of the hair; None: there are none.
-    """
+    """Dress a body in clothes with accessories, and in hair; ``rng`` draws folds and locks."""
     pieces, cone = _clothes(rest, outfit, rng) if clothes else ([], None)
-    locks = [_hair(rest, outfit, rng, pieces)] if hair else []
-    pieces += locks + (_accessories(rest, outfit) if clothes else [])
-    if loose is not None:
-        pieces += [_strands(piece, loose) for piece in locks]
+    pieces += [_hair(rest, outfit, rng, pieces)] if hair else []
+    pieces += _accessories(rest, outfit) if clothes else []
     return Worn(tuple(pieces), cone)
 
 
@@ -129,12 +123,6 @@ def _hair(
         free = free * (1 - smoothstep(below, 0.12, 0.2))
     slack = {"short": 0.0, "bob": 0.014, "long": 0.012}[outfit.hair] * free
     return _soft(rest, Material.HAIR, mesh, 0.03, slack)
-
-
-def _strands(hair: Piece, rng: np.random.Generator) -> Piece:
-    """Make strands, which follow the hair."""
-    mesh, roots = strands(hair.mesh, rng)
-    return Piece(Material.HAIR, mesh, hair.binding[roots], hair.slack[roots])
 
 
 def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:

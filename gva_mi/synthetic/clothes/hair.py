@@ -1,6 +1,6 @@
-"""Hair: a closed surface, and single strands around it.
+"""Hair: a closed surface around the head.
 
-The surface is a cap on the skull, and for longer cuts a volume around it:
+It is a cap on the skull, and for longer cuts a volume around it:
 
     f = smax( smin( d - thickness, volume ), -face, d - rise )
 
@@ -8,9 +8,6 @@ d is the distance from the body, ``face`` that from the opening of the face (neg
 ``rise`` the largest distance of hair from the skin. It grows away from the hairline, so that hair
 begins there instead of framing the face like a hood. Long hair falls behind the shoulders over the
 shirt. Locks vary the thickness around the head.
-
-Fly-away strands are thin ribbons that leave this surface and sink a little. A picture shows them as
-a soft, irregular edge around the head, which masks have to follow.
 """
 
 from __future__ import annotations
@@ -29,16 +26,12 @@ from gva_mi.synthetic.clothes.level_sets import (
 )
 from gva_mi.synthetic.people import Outfit
 from gva_mi.synthetic.rest_body import RestBody
-from gva_mi.synthetic.surface import smoothstep, vertex_normals
+from gva_mi.synthetic.surface import smoothstep
 
 HAIR_CELL = 0.005  # m, grid of hair
 DRAPED = 0.014  # m, thickness of long hair on the back, over the cloth below it
 HAIRLINE, RISE = 0.007, 1.1  # m, thickness at the hairline; its growth per metre from there
 EAR = 0.034  # m, radius around an ear that short hair leaves free
-STRANDS, SEGMENTS = 700, 3  # of a head; of a strand
-LENGTH = (0.008, 0.045)  # m, of a strand
-WIDTH = 0.0007  # m at the root, for a few hairs that lie together; they end in a point
-SINK = 6.0  # 1/m: a strand of length s sinks by SINK · s²
 
 
 @dataclass(frozen=True)
@@ -190,27 +183,3 @@ def _around_ears(surface: BodySurface, grid: VoxelGrid, head: _Head) -> np.ndarr
     across = np.abs(side[:, 0] - head.middle[0]).max()
     x = np.abs(grid.x - head.middle[0]) - across
     return np.sqrt(x**2 + (grid.y - ear[1]) ** 2 + (grid.z - ear[2]) ** 2) - EAR
-
-
-def strands(hair: RestMesh, rng: np.random.Generator) -> tuple[RestMesh, np.ndarray]:
-    """Draw strands on the hair.
-
-    Returns:
-        their ribbons, and the vertex (n,) of the hair that each vertex of these follows.
-    """
-    roots = rng.integers(len(hair.vertices), size=STRANDS)
-    normals = vertex_normals(hair.vertices.astype(np.float64), hair.faces)[roots]
-    unit = lambda v: v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-9)
-    along = unit(normals + 0.9 * unit(rng.normal(size=(STRANDS, 3))))
-    across = unit(np.cross(along, rng.normal(size=(STRANDS, 3))))
-    share = np.linspace(0, 1, SEGMENTS + 1)[:, None, None]
-    s = share * rng.uniform(*LENGTH, (STRANDS, 1))
-    middle = hair.vertices[roots] + s * along - SINK * s**2 * [0, 1, 0]
-    aside = 0.5 * WIDTH * (1 - 0.9 * share) * across
-    points = np.stack([middle - aside, middle + aside], axis=1)  # (SEGMENTS + 1, 2, STRANDS, 3)
-    points = points.transpose(2, 0, 1, 3).reshape(-1, 3)
-    quads = 2 * np.arange(SEGMENTS)[:, None, None] + [[0, 1, 3], [0, 3, 2]]
-    per_strand = 2 * (SEGMENTS + 1)
-    faces = np.arange(STRANDS)[:, None, None] * per_strand + quads.reshape(-1, 3)
-    roots = np.repeat(roots, per_strand)
-    return RestMesh(points, faces.reshape(-1, 3), hair.shade[roots]), roots

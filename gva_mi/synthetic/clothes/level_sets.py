@@ -19,7 +19,7 @@ _CRUMB = 400  # faces; connected components of at most this size are dropped
 
 @dataclass(frozen=True)
 class RestMesh:
-    """A triangle mesh in the rest pose, closed but for strands of hair."""
+    """A closed triangle mesh in the rest pose."""
 
     vertices: np.ndarray  # (V, 3) metres
     faces: np.ndarray  # (F, 3) counter-clockwise seen from outside

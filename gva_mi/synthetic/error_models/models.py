@@ -46,15 +46,6 @@ class ErrorParameters:
     normal: NormalErrors = NormalErrors()
 
 
-@dataclass(frozen=True)
-class Levels:
-    """Factors on the errors of a recording; 1 is as drawn, 0 is exact."""
-
-    pose: float = 1.0
-    mask: float = 1.0
-    normal: float = 1.0
-
-
 def draw_errors(error_model: str, seed: int) -> ErrorParameters:
     """Draw the errors of a recording from one of ERROR_MODELS."""
     return ERROR_MODELS[error_model](

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-SYNTH = "--frames 2 --size 32 --samples 4 --no-clothes --no-hair --novel-poses 1 --novel-views 1"
+SYNTH = "--frames 2 --size 32"
 SEEN = "--cases tuning --subjects 3 --size 48 --refine.passes 1 --refine.size 48"
 FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
 OVERWRITE, RESUME = ("--overwrite",), ("--resume", "--overwrite")
@@ -33,7 +33,6 @@ COMMANDS = {
     ),
     "synth": Command(f"synth {{}}/new {SYNTH}", OVERWRITE),
     "synth, in the place of another": Command(f"synth {{}}/made {SYNTH} --overwrite"),
-    "another noise": Command("synth {}/new --like {}/like --error-model white", OVERWRITE),
     "prepare": Command(
         "prepare parameters {}/estimate.npz {}/new --body puppet --frames {}/subject/frames "
         "--masks {}/subject/masks", OVERWRITE

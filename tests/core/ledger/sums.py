@@ -37,14 +37,17 @@ from PIL import Image  # noqa: E402
 LEDGER = Path(__file__).with_name("ledger.json")
 CPUINFO = Path("/proc/cpuinfo")
 OF_BITS = ("drjit", "mitsuba", "numpy", "scipy", "torch")  # whose versions decide about bits
-SUBJECT = "--seed 2 --frames 3 --size 64 --novel-poses 1 --novel-views 0".split()
+SUBJECT = {"seed": 2, "frames": 3, "size": 64, "novel_poses": 1, "novel_views": 0}
 
 
 def stages() -> Iterator[tuple[str, str]]:
     """Yield name and hash of each stage, in the order in which one needs the other."""
+    from gva_mi.body.smplx import load_body
+    from gva_mi.synthetic import SynthOptions, make_subject
+
     with tempfile.TemporaryDirectory() as folder:
         subject, run = Path(folder) / "subject", Path(folder) / "run"
-        _command("synth", subject, *SUBJECT)
+        make_subject(subject, SynthOptions(**SUBJECT), load_body())
         yield "poses of synth", _of_files(subject.glob("**/*.npz"))
         yield "pictures of synth", _of_files(subject.glob("**/frames/*.png"))
         yield "masks and normals of synth", _of_files(subject.glob("[mn]*s/*.png"))

@@ -186,11 +186,6 @@ def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     stage = data.get("stage", np.array(1))
     if stage.shape != () or stage.dtype.kind not in "iuf" or stage.item() not in (0, 1, 2):
         raise InputError(f"{path}: 'stage' must be 0, 1 or 2, got {stage}")
-    if "focal" in data and not (data["focal"] == 1).all():  # of a program before this version
-        raise InputError(
-            f"{path}: holds poses for fx and fy of cameras.npz times {data['focal']}, a factor "
-            "that is no longer read; change cameras.npz, remove this file and refine again"
-        )
     offsets = data.get("offsets")
     if offsets is not None:
         offsets = _numbers(path, "offsets", offsets, (None, 3))
@@ -221,14 +216,6 @@ def load_poses(path: Path, count: int | None = None) -> tuple[Pose, Shape]:
     """Read the poses and the shape of a file: :func:`read_pose_file`."""
     found = read_pose_file(path, count)
     return found.pose, found.shape
-
-
-def load_offsets(path: Path, vertices: int) -> Tensor | None:
-    """Read the displacement of the rest surface, (``vertices``, 3), of a file; None without one."""
-    offsets = read_pose_file(path).offsets
-    if offsets is not None and len(offsets) != vertices:
-        raise InputError(f"{path}: 'offsets' must be {(vertices, 3)}, got {tuple(offsets.shape)}")
-    return offsets
 
 
 def save_poses(

@@ -10,9 +10,9 @@ from tyro.conf import FlagCreatePairsOff, arg
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.data.check.sanity import sanity_check
 from gva_mi.data.fingerprint import prepared_body
 from gva_mi.data.folder import POSES, REFINED_POSES
+from gva_mi.data.silhouettes import sanity_check
 from gva_mi.data.video import Video
 
 MOST_PEOPLE = 20  # that --person tells apart

@@ -24,12 +24,12 @@ from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.stamp import stamp
 from gva_mi.core.workers import usual_workers
 from gva_mi.data.check import check_subject
-from gva_mi.data.check.problems import CheckReport
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.folder import CAMERAS, LANDMARKS, POSES, REFINED_POSES, SPLITS
 from gva_mi.data.importers.footage import files_of
 from gva_mi.data.importers.prepare_options import MaskOptions
 from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.problems import CheckReport
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
@@ -177,7 +177,7 @@ class _Work:
         """Compare the folder with itself, and the film with a good one."""
         model, record = load_body(self.body), FilmRecord.load(self.subject)
         with bar("check") as progress:
-            report, _, _ = check_subject(self.subject, model, None, progress)
+            report = check_subject(self.subject, model, None, progress)
             landmarks = Landmarks.load(self.subject / LANDMARKS)
             found = check_film(
                 load_video(self.subject), model, landmarks, record.fps, record.crowded, progress

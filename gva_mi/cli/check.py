@@ -13,8 +13,7 @@ from gva_mi.cli.arguments import Switch, body_of
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_room, write_json
 from gva_mi.data.check import check_subject
-from gva_mi.data.check.sheet import draw_sheet
-from gva_mi.data.pictures import require_picture, write_image
+from gva_mi.data.pictures import require_picture
 
 WRONG = 1  # exit code
 
@@ -47,7 +46,7 @@ def check(
     if sheet is not None:
         require_picture(sheet, overwrite)
     with bar("check") as progress:
-        report, files, shown = check_subject(subject, model, poses, progress)
+        report = check_subject(subject, model, poses, progress, sheet)
     for line in report.lines(max(60, shutil.get_terminal_size().columns)):
         say(line)
     for line in report.skipped:
@@ -58,8 +57,7 @@ def check(
     if json is not None:
         write_json(json, report.to_json())
         say(f"findings: {json}")
-    if sheet is not None and shown is not None:
-        write_image(sheet, draw_sheet(files, shown, model))
+    if sheet is not None and not report.skipped:
         say(f"sheet: {sheet}")
     if errors:
         sys.exit(WRONG)

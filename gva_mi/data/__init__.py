@@ -14,12 +14,12 @@
 ``crop``            a frame's part around the person, shrunk
 ``joints``          a posed body's joints in the world, a picture and a mask
 ``views``           what other cameras saw, for evaluation
+``check``           what is wrong with a folder (``problems``, ``silhouettes``)
 ``ground_truth``    ground truth of a synthetic video
 ``fingerprint``     whether a subject is used with its own body
 ``networks/``       networks that see a person in pictures
 ``matting/``        masks of a film that hold at the person's outline
 ``importers/``      reads what other programs wrote
-``check/``          names what is wrong with a folder
 ==================  ================================================================
 
 Readers raise InputError, one sentence that names the file, the fault and the expected form.

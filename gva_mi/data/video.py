@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from torch import Tensor
@@ -202,6 +202,24 @@ def load_video(
         folder: in the format above.
         poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
         normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
+
+    Raises:
+        InputError: the first file that cannot be used.
+    """
+    return read_video(folder, lambda what, frame, read, *given: read(*given), poses, normals)
+
+
+def read_video(
+    folder: Path,
+    attempt: Callable[..., Any],
+    poses: Path | None = None,
+    normals: Convention | Literal["none"] | None = None,
+) -> Video | None:
+    """Read a subject's folder as :func:`load_video` does, each file by ``attempt``.
+
+    ``attempt(what, frame, read, *given)`` calls ``read(*given)``. It lets an error through, or
+    keeps it and returns None, as :meth:`gva_mi.data.problems.Faults.attempt` does. The video is
+    None if its pictures, cameras or poses cannot be used.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -209,54 +227,83 @@ def load_video(
             f"{folder}: no such folder; expected a subject with video.mp4 or frames/, masks/, "
             "cameras.npz and poses.npz"
         )
-    images, sizes = _open_pictures(folder)
-    count = max(sizes) + 1
-    cameras = load_cameras(folder / CAMERAS, count)
+    images, sizes = _open_pictures(folder, attempt)
+    count = max(sizes, default=-1) + 1 or None
+    cameras = attempt("cameras", None, load_cameras, folder / CAMERAS, count)
     poses = poses or folder / POSES
-    found = read_pose_file(poses, count)
-    maps = NormalMaps.open(folder, count, normals) if normals != "none" else None
+    found = attempt("poses", None, read_pose_file, poses, count)
+    if count is None:
+        return None
+    maps = None
+    if normals != "none":
+        maps = attempt("normals", None, NormalMaps.open, folder, count, normals)
     absent = {k: "it has no picture" for k in range(count) if k not in sizes}
-    for k in sizes:
-        expected = cameras[k].width, cameras[k].height
-        width, height = sizes[k]
-        if (width, height) != expected:
-            raise InputError(
-                f"{folder}: frame {k} is {width}x{height}, "
-                f"but {CAMERAS} says {expected[0]}x{expected[1]}"
-            )
-        if (reason := _why_absent(array_or_picture(folder / MASKS, k), *expected)) is not None:
-            absent[k] = reason
-        elif maps is not None:
-            maps.check(k, cameras[k])
+    for k, size in sizes.items():
+        camera = None if cameras is None else cameras[k]
+        expected = size if camera is None else (camera.width, camera.height)
+        attempt("pictures", k, _require_size, folder, k, size, expected)
+        mask = array_or_picture(folder / MASKS, k)
+        reason = attempt("masks", k, _why_absent, mask, *expected)
+        if reason != "":
+            absent[k] = reason or "its mask cannot be used"
+        elif maps is not None and camera is not None:
+            attempt("normals", k, maps.check, k, camera)
     if len(absent) == count:
-        raise InputError(f"{folder}: no frame can be used; frame 0: {absent[0]}")
-    splits = load_splits(folder, count).without(absent)
-    kind, fps = prepared_from(folder) if poses == folder / POSES else (None, None)
-    landmarks, absent = _open_landmarks(folder, count), dict(sorted(absent.items()))
+        attempt("frames", None, _refuse, f"{folder}: no frame can be used; frame 0: {absent[0]}")
+    splits = attempt("splits", None, load_splits, folder, count) or Splits.every(count)
+    kind = fps = None
+    if poses == folder / POSES:
+        kind, fps = attempt("prepare.json", None, prepared_from, folder) or (None, None)
+    landmarks = attempt("landmarks", None, _open_landmarks, folder, count)
+    if cameras is None or found is None:
+        return None
+    absent = dict(sorted(absent.items()))
     return Video(
-        folder, cameras, found.pose, found.shape, splits, images, maps, absent,
+        folder, cameras, found.pose, found.shape, splits.without(absent), images, maps, absent,
         found.stage, found.offsets, landmarks, kind, fps,
     )  # fmt: skip
 
 
-def _open_pictures(folder: Path) -> tuple[Film | list[np.ndarray], dict[int, tuple[int, int]]]:
+def _open_pictures(
+    folder: Path, attempt: Callable[..., Any]
+) -> tuple[Film | list[np.ndarray], dict[int, tuple[int, int]]]:
     """Open the film ([] for frame files), and return the size (W, H) of each existing frame."""
-    frames = sorted((folder / FRAMES).glob("*.png"))
-    if frames:
-        for path in frames:
-            if not is_frame_name(path):
-                raise InputError(f"{path}: frames are numbered, such as 000000.png")
-        sizes = on_all_cores(size_of_whole, frames)
-        return [], {int(path.stem): size for path, size in zip(frames, sizes, strict=True)}
-    if (folder / VIDEO).exists():
-        images = Film(folder / VIDEO)
-        return images, dict(enumerate(images.sizes))
-    raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
+    files = sorted((folder / FRAMES).glob("*.png"))
+    if not files:
+        film = attempt("pictures", None, _open_film, folder)
+        return ([], {}) if film is None else (film, dict(enumerate(film.sizes)))
+    for path in files:
+        if not is_frame_name(path):
+            attempt("pictures", None, _refuse, f"{path}: frames are numbered, such as 000000.png")
+    frames = {int(path.stem): path for path in files if is_frame_name(path)}
+    size_of = lambda k: attempt("pictures", k, size_of_whole, frames[k])
+    sizes = dict(zip(frames, on_all_cores(size_of, frames), strict=True))
+    return [], {k: size for k, size in sizes.items() if size is not None}
+
+
+def _open_film(folder: Path) -> Film:
+    if not (folder / VIDEO).exists():
+        raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
+    return Film(folder / VIDEO)
+
+
+def _require_size(
+    folder: Path, index: int, size: tuple[int, int], expected: tuple[int, int]
+) -> None:
+    if size != expected:
+        raise InputError(
+            f"{folder}: frame {index} is {size[0]}x{size[1]}, "
+            f"but {CAMERAS} says {expected[0]}x{expected[1]}"
+        )
+
+
+def _refuse(reason: str) -> None:
+    raise InputError(reason)
 
 
 @once_a_file
-def _why_absent(file: Path, width: int, height: int) -> str | None:
-    """Return the reason why a frame cannot be used; None if it can."""
+def _why_absent(file: Path, width: int, height: int) -> str:
+    """Return the reason why a frame cannot be used; empty if it can."""
     folder, index = file.parent, int(file.stem)
     mask = read_mask(folder, index)
     if mask is None:
@@ -265,7 +312,7 @@ def _why_absent(file: Path, width: int, height: int) -> str | None:
     if not mask.any():
         return "its mask is empty"
     faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
-    return None if (mask > 0.5).any() else faint
+    return "" if (mask > 0.5).any() else faint
 
 
 def _open_landmarks(folder: Path, count: int) -> Landmarks | None:

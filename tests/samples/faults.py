@@ -1,14 +1,10 @@
-"""Ways to break a subject's folder, by the problem that has to name each: ``FAULTS[what](folder)``.
-
-They work on any subject, including synthetic ones in clothes with noisy poses.
-"""
+"""Ways to break a subject's folder, and the problems that ``gva-mi check`` has to name then."""
 
 import json
 import shutil
 
 import numpy as np
 
-from gva_mi.data.film import Film
 from gva_mi.data.pictures import read_image, write_image
 from samples.broken_cases import both, cameras, poses, text
 
@@ -36,27 +32,15 @@ def masks(new):
 
 
 def maps(new):
-    """Normals as floating point; zero if unknown."""
-
     def write(folder):
-        for path in sorted((folder / "normals").glob("*")):
-            if path.suffix == ".npy":
-                stored = np.load(path)
-            else:
-                stored = read_image(path, 3) / np.float32(127.5) - 1
-                stored[np.linalg.norm(stored, axis=-1) > 1.5] = 0
-                path.unlink()
-            np.save(path.with_suffix(".npy"), np.ascontiguousarray(new(stored), np.float32))
+        for path in sorted((folder / "normals").glob("*.npy")):
+            np.save(path, np.ascontiguousarray(new(np.load(path)), np.float32))
 
     return write
 
 
 def pictures(new):
     def write(folder):
-        if (folder / "video.mp4").exists():
-            for k, image in enumerate(Film(folder / "video.mp4")):
-                write_image(folder / f"frames/{k:06d}.png", image)
-            (folder / "video.mp4").unlink()
         for path in sorted((folder / "frames").glob("*.png")):
             write_image(path, np.ascontiguousarray(new(read_image(path, 3))))
 
@@ -93,33 +77,35 @@ def views(folder):
 Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 FAR = np.array([[1, 1, 1, 1000]] * 3 + [[1, 1, 1, 1]])
 degrees = lambda x: np.degrees(x).astype("f4")
-FAULTS = {
-    "T_camera_world is inverted": cameras(T_camera_world=np.linalg.inv),
-    "cameras in OpenGL's axes": extrinsics([1, -1, -1, 1]),
-    "poses in a world with y down": cameras(T_camera_world=lambda T: T @ np.diag([1, -1, -1, 1])),
-    "poses in a world with z up": cameras(T_camera_world=lambda T: T @ Z_UP),
-    "cameras in millimetres": cameras(T_camera_world=lambda T: T * FAR),
-    "poses in millimetres": poses_in_millimetres,
-    "poses in degrees": poses(global_orient=degrees, body_pose=degrees),
-    "K is of another picture size": cameras(K=lambda K: K * np.array([[2.0], [2.0], [1.0]])),
-    "focal length or distance": longer(1.5),
-    "masks beside the poses": aside,
-    "inverted masks": masks(lambda m: 255 - m),
-    "full masks": masks(lambda m: 255 * np.ones_like(m)),
-    "empty masks": masks(lambda m: 0 * m),
-    "mask size": masks(lambda m: m[::2, ::2]),
-    "missing masks": lambda folder: shutil.rmtree(folder / "masks"),
-    "mirrored video": both(
-        pictures(lambda x: x[:, ::-1]), masks(lambda x: x[:, ::-1]),
-        maps(lambda n: n[:, ::-1] * (-1, 1, 1))),
-    "pictures upside down": both(
-        pictures(lambda x: x[::-1, ::-1]), masks(lambda x: x[::-1, ::-1])),
-    "axes of the normals": maps(lambda n: n * (1, -1, -1)),
-    "normals cannot be read": maps(lambda n: n[::2, ::2]),
-    "betas": poses(betas=lambda b: b + np.float32(30) * (np.arange(len(b)) == 0)),
-    "counts": each_pose(lambda x: x[:-1]),
-    "splits": text("splits.json", json.dumps({"train": [0, 1, 2], "test": [2, 3]})),
-    "picture size": pictures(lambda x: x[::2, ::2]),
-    "unreadable": both(text("poses.npz", "cut short"), extrinsics([-1, 1, 1, 1])),
-    "views of other cameras": views,
+OUTSIDE, SIZE, CENTRE = "poses outside the masks", "focal length or distance", "principal point"
+FAULTS = {  # name: the problems that name it, and how the folder is broken
+    "T_camera_world is inverted": ({OUTSIDE}, cameras(T_camera_world=np.linalg.inv)),
+    "cameras in OpenGL's axes": ({OUTSIDE}, extrinsics([1, -1, -1, 1])),
+    "poses in a world with z up": (
+        {OUTSIDE, SIZE}, cameras(T_camera_world=lambda T: T @ Z_UP)),
+    "cameras in millimetres": ({OUTSIDE}, cameras(T_camera_world=lambda T: T * FAR)),
+    "poses in millimetres": ({OUTSIDE, "jumps"}, poses_in_millimetres),
+    "poses in degrees": (
+        {"rotations", "silhouettes beside the masks"},
+        poses(global_orient=degrees, body_pose=degrees)),
+    "K is of another picture size": (
+        {OUTSIDE, SIZE, CENTRE}, cameras(K=lambda K: K * np.array([[2.0], [2.0], [1.0]]))),
+    "focal length 1.5 times too long": ({OUTSIDE, SIZE}, longer(1.5)),
+    "pictures of a crop": ({OUTSIDE, CENTRE}, aside),
+    "inverted masks": ({"inverted masks"}, masks(lambda m: 255 - m)),
+    "full masks": ({"full masks"}, masks(lambda m: 255 * np.ones_like(m))),
+    "empty masks": ({"frames", "frames left out"}, masks(lambda m: 0 * m)),
+    "masks of another size": (
+        {"masks", "frames", "frames left out"}, masks(lambda m: m[::2, ::2])),
+    "no masks": ({"frames", "frames left out"}, lambda folder: shutil.rmtree(folder / "masks")),
+    "mirrored video": (
+        {OUTSIDE}, both(pictures(lambda x: x[:, ::-1]), masks(lambda x: x[:, ::-1]))),
+    "normals of another size": ({"normals"}, maps(lambda n: n[::2, ::2])),
+    "betas": ({"betas"}, poses(betas=lambda b: b + np.float32(30) * (np.arange(len(b)) == 0))),
+    "poses of fewer frames": ({"poses"}, each_pose(lambda x: x[:-1])),
+    "splits": ({"splits"}, text("splits.json", json.dumps({"train": [0, 1, 2], "test": [2, 3]}))),
+    "pictures of another size": ({"pictures"}, pictures(lambda x: x[::2, ::2])),
+    "two files cut short": (
+        {"poses", "cameras"}, both(text("poses.npz", "cut short"), text("cameras.npz", "x"))),
+    "views of other cameras": ({"views of other cameras"}, views),
 }  # fmt: skip

@@ -15,7 +15,7 @@ import torch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.formats.without_body import save_without_body
 from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.pose import is_pose_file, load_offsets
+from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli import series
 from gva_mi.core.files import json_equals, write_json
@@ -99,7 +99,7 @@ def seeds(subject, avatar):
 
     def opened(folder, _=None):
         video = load_video(folder)
-        load_offsets(folder / "poses.npz", len(body.v_template))
+        load_video(folder).offsets_of(len(body.v_template))
         for frame in video.frames():
             frame.on_background()
 

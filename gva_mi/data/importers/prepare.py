@@ -24,7 +24,6 @@ from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.stamp import write_record
-from gva_mi.data.check.sanity import COMPARED, doubt_of
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.importers import footage
@@ -45,6 +44,7 @@ from gva_mi.data.importers.tracks import Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
 from gva_mi.data.pictures import read_image, require_sides
+from gva_mi.data.silhouettes import COMPARED, doubt_of
 from gva_mi.data.splits import spread
 from gva_mi.splat import Camera
 

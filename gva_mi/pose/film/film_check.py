@@ -14,8 +14,8 @@ import numpy as np
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.data.check.problems import Problem, doubt
 from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.problems import Problem, doubt
 from gva_mi.data.video import Video
 from gva_mi.pose.film.picture_quality import PictureQuality
 

@@ -8,7 +8,7 @@ from samples.estimates import without_hands
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.data.check.numbers import check_intrinsics, check_poses
+from gva_mi.data.check import check_intrinsics, check_poses
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
@@ -119,7 +119,7 @@ def jumps(places, K):
     transl = torch.from_numpy(places * [1, -1, -1]).float() - pelvis
     pose = Pose(torch.zeros(len(places), 55, 3), transl, torch.zeros(len(places), 10))
     T = np.diag([1.0, -1, -1, 1])
-    cameras = {k: Camera.from_matrices(x, T, *SIZE) for k, x in enumerate(K)}
+    cameras = [Camera.from_matrices(x, T, *SIZE) for x in K]
     return [p for p in check_poses(pose, Shape(torch.zeros(10)), body, cameras)
             if p.what == "jumps"]  # fmt: skip
 

@@ -36,7 +36,7 @@ from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, require_array, require_keys
 from gva_mi.core.options import Within
-from gva_mi.core.pickles.reader import read_objects
+from gva_mi.core.pickles import read_objects
 
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 LARGEST = 1e9  # absolute value of any number in a body file

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.pickles.reader import read_objects
+from gva_mi.core.pickles import read_objects
 from gva_mi.data.importers.numbering import frames_named
 from gva_mi.data.importers.one_lens import seen_alike, usual_lens
 from gva_mi.data.importers.people import follow

@@ -30,7 +30,7 @@ from gva_mi.body.pose import SMPLX_FIELDS
 from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_json
-from gva_mi.core.pickles.reader import read_objects
+from gva_mi.core.pickles import read_objects
 from gva_mi.data.importers.estimator_files import (
     ROMP,
     SeenPerson,

@@ -10,7 +10,7 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.densify import DensifyOptions
 from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.avatar.skin_weights import SkinningOptions
+from gva_mi.avatar.rig import SkinningOptions
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, from_json, ranges, require_ranges
 from gva_mi.fit.losses import LossOptions

@@ -13,7 +13,7 @@ dW(mu)     ``slopes``           (N, 3, 55)  their derivatives along x, y, z, 1/m
 D(mu)      ``directions``       (N, 3, K)   metres blend shapes move it by, not learned
 =========  ===================  ==========  =============================================
 
-W, dW and D are those of the outer skin around mu (:mod:`gva_mi.avatar.skin_weights`) and nearly
+W, dW and D are those of the outer skin around mu (:mod:`gva_mi.avatar.rig`) and nearly
 all zero: an elbow's blend shapes move only what is around it. Seeding lays flat discs into the
 surface of the body, so that the first image is a body and not a cloud.
 """
@@ -30,7 +30,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from gva_mi.avatar.lbs_transforms import SparseWeights
-from gva_mi.avatar.skin_weights import Skin
+from gva_mi.avatar.rig import Skin
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import InnerShare, PythonOnly, Within, options_of
 from gva_mi.mesh.surface import vertex_normals

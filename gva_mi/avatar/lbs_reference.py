@@ -1,16 +1,15 @@
 """Reference implementation of skinned Gaussians, in plain torch.
 
-It follows the equations of :mod:`gva_mi.avatar.lbs_transforms`, :mod:`gva_mi.avatar.stretch` and
-:mod:`gva_mi.avatar.lighting`. The fused kernel is checked against it and takes its tangents from
-it, and avatars that do not stretch (Eq. 6 of the paper) use its transforms and colours.
+It follows the equations of :mod:`gva_mi.avatar.lbs_transforms` and
+:mod:`gva_mi.avatar.skin_gaussians`. The fused kernel is checked against it and takes its tangents
+from it, and avatars that do not stretch (Eq. 6 of the paper) use its transforms and colours.
 """
 
 from __future__ import annotations
 
 from torch import Tensor
 
-from gva_mi.avatar.lbs_transforms import SparseWeights
-from gva_mi.avatar.stretch import LARGEST
+from gva_mi.avatar.lbs_transforms import LARGEST, SparseWeights
 from gva_mi.splat.reference import rotation
 
 

@@ -35,6 +35,7 @@ from gva_mi.jit.rowwise import Lane, load_columns, to_tensors
 from gva_mi.jit.tensors import PRECISION
 
 PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
+LARGEST = 3.0  # of |J - A_rot|: cloth that is pulled to four times its length would tear
 AXES = range(3)
 ENTRIES = [(i, k) for i in AXES for k in range(4)]  # of a transform, row by row
 

@@ -12,13 +12,13 @@ and loose clothes to a few large Gaussians that come apart in new poses. So, 2-3
 Differences from the paper (``surface="alpha"`` and ``random`` of the options are as printed):
 
 * The "spherical shell" around the outermost Gaussians is an offset surface, not an alpha shape:
-  always watertight and without inner sheets (:mod:`gva_mi.avatar.offset_surface`). The shrunk rest
+  always watertight and without inner sheets (:mod:`gva_mi.avatar.surface`). The shrunk rest
   body inside it keeps the surface from entering through holes.
 * At rest, the surface would join the legs, and arms and trunk. It is made with the limbs spread
-  (:mod:`gva_mi.avatar.spread_limbs`).
+  (:mod:`gva_mi.avatar.surface`).
 * Laplacian smoothing shrinks, arms most. Taubin's filter keeps the volume.
 * What bridges holes would also bridge the gaps between fingers. There, points are drawn on the
-  body's own surface (:mod:`gva_mi.avatar.fingers`).
+  body's own surface (:mod:`gva_mi.avatar.surface`).
 * Points spread by curvature alone are a centimetre apart, which leaves an eye two or three of them.
   Faces, which viewers look at first, get more.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
@@ -34,7 +34,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.alpha_shape import alpha_shape
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import (
     FEWEST,
@@ -44,12 +43,18 @@ from gva_mi.avatar.canonical import (
     disc_quats,
     require_count,
 )
-from gva_mi.avatar.fingers import with_fingers
-from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
-from gva_mi.avatar.rig import Rig
-from gva_mi.avatar.skin_weights import Skin, diffused
-from gva_mi.avatar.spread_limbs import SpreadLimbs
-from gva_mi.avatar.surface_points import SurfacePoints, curvature, mean_distance, resample
+from gva_mi.avatar.rig import Rig, Skin, diffused
+from gva_mi.avatar.surface import (
+    SpreadLimbs,
+    SurfaceMesh,
+    SurfacePoints,
+    alpha_shape,
+    curvature,
+    mean_distance,
+    offset_surface,
+    resample,
+    with_fingers,
+)
 from gva_mi.body.pose import EYES
 from gva_mi.body.skinning import finger_weights
 from gva_mi.core.options import PythonOnly, Within, options_of

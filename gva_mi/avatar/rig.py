@@ -1,16 +1,242 @@
-"""The rest body of an avatar: its skeleton and its surface, copied from a body model."""
+"""The rest body of an avatar, and the outer skin that clothes, hair and face of a person follow.
+
+A point on the body follows the vertex beneath it. A point of a wide skirt has no vertex beneath it,
+and the nearest ones belong sometimes to one leg and sometimes to the other: weights of the nearest
+vertex jump, and a wide step tears the cloth there. So weights are diffused on the outer surface S
+of the person, which connects parts of one garment, and more where cloth is looser:
+
+    1. ℓ(x) = spread · d(x), d the distance from the bare skin;  0 where d is below CLOSE
+    2. W - ℓ² Δ_S W = W_near
+
+with W_near the weights of the body's nearest vertex. Eq. 2 is one implicit step of diffusion: W
+lies between the values of W_near around x, stays positive, and sums to one. Abdrashitov et al. fill
+in weights where they cannot be trusted ("Robust Skin Weights Transfer via Weight Inpainting",
+2023); a hem filled in from close points alone would hang from the waist and not follow the thighs.
+
+Blend shapes, which make joints bulge and the face move, are those of the body's nearest vertex.
+
+Gaussians take both from the vertices of S around them by Shepard's interpolation, which is
+continuous and exact at the vertices, so they can be bound again as they move. The slopes of
+weights, by which cloth stretches, are those of a plane fitted by least squares to some more
+vertices:
+
+    3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    X the vertices around, without their mean;  ε = FLAT tr XᵀX
+
+Where the vertices lie in a plane, the slope across it is zero.
+
+The paper takes the weights of the nearest vertex (Sec. 4.1): ``spread`` 0, ``neighbours`` 1.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.skin_weights import Skin, SkinningOptions, diffused
 from gva_mi.body.pose import Shape
+from gva_mi.body.skinning import strongest
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.options import PythonOnly, Within, options_of
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+CLOSE = 0.02  # metres off the bare skin: closer points follow the vertex beneath
+PLANE = 12  # vertices that eq. 3 is fitted to
+STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 1 %: left out
+FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
+
+
+@options_of("fit")
+class SkinningOptions:
+    """How Gaussians take their skinning weights from the outer skin."""
+
+    # Of eq. 1; with 1 a skirt lags behind the legs; 0: weights are not diffused.
+    spread: PythonOnly[Annotated[float, Within(0, 4)]] = 0.5
+    # Vertices that a point takes its weights from.
+    neighbours: PythonOnly[Annotated[int, Within(1, 11)]] = 6
+    # P of Eq. 5, joints of a point; where legs and trunk share a hem, 4 are too few.
+    joints: PythonOnly[Annotated[int, Within(1, 55)]] = 8
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Skinning weights and blend shapes of some points."""
+
+    weights: Tensor  # (N, 55) skinning weights of the strongest joints, rows sum to 1
+    slopes: Tensor  # (N, 3, 55) their derivatives along x, y, z, 1/m; rows sum to 0
+    directions: Tensor  # (N, 3, K) metres by which blend shapes move them
+
+    def named(self) -> dict[str, Tensor]:
+        """Return the three tensors by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A surface at rest with its skinning weights and blend shapes."""
+
+    vertices: Tensor  # (V, 3) metres
+    weights: Tensor  # (V, 55) skinning weights, rows sum to 1
+    beneath: Tensor  # (V,) int64, the nearest vertex of the body
+    directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
+    options: SkinningOptions = SkinningOptions()
+
+    def bind(self, points: Tensor) -> Binding:
+        """Interpolate skinning weights and blend shapes of points (N, 3).
+
+        Note:
+            Not differentiable: the pictures decide where a Gaussian lies, not the slope of its
+            weights.
+        """
+        if not len(points):
+            slopes = self.weights.new_zeros(0, 3, self.weights.shape[1])
+            return Binding(self.weights[:0], slopes, self.directions[:0])
+        distance, nearest = self._nearest(points, PLANE)
+        share, few = self._shares(distance, nearest)
+        weights = _means(share, few, self.weights)
+        blend_shapes = mean_directions(share, self.beneath[few], self.directions)
+        weights = strongest(weights, self.options.joints)
+        return Binding(weights, self._slopes(nearest), blend_shapes)
+
+    def _slopes(self, nearest: np.ndarray) -> Tensor:
+        """Return slopes (N, 3, 55) 1/m by eq. 3, from the nearest vertices (N, k) of each point."""
+        from scipy.sparse import csr_array
+
+        vertices, weights = self.vertices.double().numpy(), self.weights.double().numpy()
+        count = nearest.shape[1]
+        X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
+        square = np.einsum("nki,nkj->nij", X, X)
+        flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
+        shares = np.einsum("nij,nkj->nik", inverse(square + flat[:, None, None] * np.eye(3)), X)
+        rows = np.arange(0, shares.size + 1, count)
+        columns = np.repeat(nearest, 3, axis=0).ravel()
+        planes = csr_array((shares.ravel(), columns, rows), (3 * len(nearest), len(vertices)))
+        slopes = torch.from_numpy(planes @ weights).unflatten(0, (-1, 3))
+        return _largest(slopes, self.options.joints, self.weights)
+
+    def around(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the vertices around points (N, 3), N > 0, and their shares.
+
+        Each of the nearest vertices has weight ((r - d) / (r d))², with d its distance and r that
+        of the first one left out: nothing jumps where another vertex comes near.
+
+        Returns:
+            Shares (N, k), whose rows sum to 1, and the vertices' numbers (N, k) int64.
+        """
+        return self._shares(*self._nearest(points, self.options.neighbours + 1))
+
+    def beneath_points(self, points: Tensor, on_body: Tensor) -> Tensor:
+        """Return means (N, C) of the body's values (V, C) beneath the vertices around points."""
+        shares, vertices = self.around(points)
+        return (shares[..., None] * on_body[self.beneath[vertices]]).sum(1)
+
+    def _nearest(self, points: Tensor, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances and numbers (N, k) of up to ``count`` vertices nearest to points."""
+        from scipy.spatial import cKDTree
+
+        x, tree = points.detach().double().numpy(), cKDTree(self.vertices.double().numpy())
+        found = tree.query(x, k=min(count, len(self.vertices)), workers=-1)
+        return tuple(part.reshape(len(x), -1) for part in found)
+
+    def _shares(self, distance: np.ndarray, nearest: np.ndarray) -> tuple[Tensor, Tensor]:
+        """Return the result of :meth:`around`, from distances and numbers of near vertices."""
+        distance, nearest = (x[:, : self.options.neighbours + 1] for x in (distance, nearest))
+        d = np.maximum(distance, 1e-9)
+        share = np.square(1 / d - 1 / d[:, -1:])
+        share[share.sum(1) == 0, 0] = 1  # all equally far
+        share /= share.sum(1, keepdims=True)
+        return torch.from_numpy(share).to(self.weights), torch.from_numpy(nearest)
+
+
+def inverse(A: np.ndarray) -> np.ndarray:
+    """Invert matrices (N, 3, 3) by cofactors: bits of LAPACK depend on the processor."""
+    a, b, c = A[:, 0], A[:, 1], A[:, 2]
+    columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
+
+
+def _largest(slopes: Tensor, joints: int, like: Tensor) -> Tensor:
+    """Keep the joints with the largest slopes (N, 3, J), make their sum zero, typed as ``like``."""
+    found = slopes.abs().amax(1).topk(min(joints, slopes.shape[2]), dim=1)
+    chosen = found.indices[:, None].expand(-1, 3, -1)
+    steep = (found.values > STEEP)[:, None].to(slopes)
+    kept = slopes.gather(2, chosen) * steep
+    kept = steep * (kept - kept.sum(2, keepdim=True) / steep.sum(2, keepdim=True).clamp_min(1))
+    return like.new_zeros(slopes.shape).scatter(2, chosen, kept.to(like))
+
+
+def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
+    """Return means (N, 3, K) of k vertices' blend shapes (V, 3, K), by their shares (N, k)."""
+    return _means(share, vertices, directions.flatten(1)).unflatten(1, directions.shape[1:])
+
+
+def _means(share: Tensor, rows: Tensor, of: Tensor) -> Tensor:
+    """Return the means (N, K) of k rows of a matrix (V, K), by their shares (N, k)."""
+    from scipy.sparse import csr_array
+
+    N, k = share.shape
+    first = np.arange(0, N * k + 1, k)
+    mean = csr_array((share.numpy().ravel(), rows.numpy().ravel(), first), (N, len(of)))
+    return torch.from_numpy(mean @ of.numpy())
+
+
+def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Tensor) -> Skin:
+    """Make the skin of an outer surface by diffusing the body's weights on it (eq. 2).
+
+    Args:
+        vertices, faces: the outer surface at rest, metres.
+        body: the skin of the rest body; it is the result if its options have no spread.
+        looseness: metres by which clothes displaced each vertex of the body.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+    from scipy.spatial import cKDTree
+
+    spread = body.options.spread
+    if not spread:
+        return body
+    distance, nearest = cKDTree(body.vertices.double().numpy()).query(vertices)
+    off = distance + looseness.double().numpy()[nearest]
+    weights = body.weights.double().numpy()[nearest]
+    loose = off > CLOSE
+    if loose.any():
+        area, laplacian = _laplacian(vertices, faces)
+        width = spread * np.where(loose, off, 1e-3 * CLOSE)  # eq. 1
+        pull = diags_array(area / width**2)
+        used = weights.any(0)
+        weights[:, used] = splu((pull + laplacian).tocsc()).solve(pull @ weights[:, used])
+    as_tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x)).to(body.weights)
+    beneath = body.beneath[torch.from_numpy(nearest)]
+    return Skin(as_tensor(vertices), as_tensor(weights), beneath, body.directions, body.options)
+
+
+def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:
+    """Return areas of vertices (V,) m², and the Laplacian of linear elements (V, V).
+
+    Cotangents of obtuse angles are clipped above zero; otherwise weights could leave the range of
+    their neighbours.
+    """
+    from scipy.sparse import coo_array, diags_array
+
+    count, corners = len(vertices), vertices[faces]
+    area = np.linalg.norm(np.cross(*(corners[:, k] - corners[:, 0] for k in (1, 2))), axis=1) / 2
+    edges = coo_array((count, count))
+    for k in range(3):
+        i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        a, b = (corners[:, (k + s) % 3] - corners[:, k] for s in (1, 2))
+        cotangent = (a * b).sum(1) / np.maximum(2 * area, 1e-12)
+        half = np.clip(cotangent, 0.01, 100) / 2
+        edges = edges + coo_array((half, (i, j)), shape=(count, count))
+    edges = (edges + edges.T).tocsr()
+    share = np.bincount(faces.ravel(), np.repeat(area / 3, 3), count)
+    return np.maximum(share, 1e-12), (diags_array(edges.sum(1)) - edges).tocsr()
+
 
 RIG = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",

@@ -1,10 +1,36 @@
 """Skin Gaussians by linear blend skinning: transforms, stretch and light as one kernel each way.
 
-Each part has its formulas and its adjoint in a file of its own:
+Between two joints that turn differently, skin is pulled apart. The LBS transform A moves a point;
+the derivative of x' = A(x) x moves its surroundings. Beside A_rot it has a part E, by which A
+itself changes from place to place:
 
-    1. A, E    = a Gaussian's LBS transform and its derivative   gva_mi.avatar.lbs_transforms
-    2. μ', Σ'  = the Gaussian moved and stretched by them        gva_mi.avatar.stretch
-    3. f       = its colour in the light                         gva_mi.avatar.lighting
+    1. A, E  a Gaussian's LBS transform and its derivative        gva_mi.avatar.lbs_transforms
+    2. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       no more than cloth would bear
+    3. F  = J M S,   Σ' = F Fᵀ                                    M, S: the Gaussian at rest
+    4. μ' = A_rot μ + A_trans                                     Eq. 5
+
+Eq. 6 of the paper turns a Gaussian by A_rot and keeps its size: where a wide step spreads a skirt,
+Gaussians come apart and show what is behind them. With eq. 3 they grow and shear as the cloth
+does. A rigid motion has no E and moves Gaussians exactly.
+
+Colours depend on the direction of the light, for red, green and blue:
+
+    5. t_k = Σ_i A_ik l_i                         A_rotᵀ l: the light, seen from the rest pose
+    6. f   = f_0 + Σ_k t_k f_k                    a Gaussian's colour
+
+The light l has a direction; its length is always SHARE, so that slopes are learned more slowly
+than f_0, like the higher bands in 3D Gaussian splatting. Otherwise details that hardly depend on
+light while a person turns upright, such as the pattern of a cloth, would be learned half as slopes
+and be wrong once an arm is raised. Near a bent joint the blend A_rot is no rotation and shortens
+the slopes, which is harmless.
+
+The adjoint, for gradients g of μ', G of Σ' (symmetric) and h of f:
+
+    7. grad_F = 2 G F,   grad_S, grad_M, grad_J by F = J M S
+    8. grad_E = β grad_J - (β³ / LARGEST²) (grad_J : E) E
+    9. grad_A = [grad_J + g μᵀ | g],   grad_μ = A_rotᵀ g
+    10. grad_f_0 = h,    grad_f_k = t_k h
+    11. grad_t_k = f_k · h,    grad_A_ik = l_i grad_t_k,    grad_l_i = Σ_n Σ_k A_ik grad_t_k
 
 Separate kernels would move 33 numbers per Gaussian to memory and back, which takes longer than
 computing them. The backward pass reads the A and E that the forward pass kept. It writes rows of 24
@@ -24,13 +50,16 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.nn.functional import pad
 
-from gva_mi.avatar import lbs_reference, lbs_transforms, lighting, stretch
-from gva_mi.avatar.lbs_transforms import PairLists, SparseWeights
+from gva_mi.avatar import lbs_reference, lbs_transforms
+from gva_mi.avatar.lbs_transforms import AXES, LARGEST, PairLists, SparseWeights
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.frozen import Frozen
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
+from gva_mi.splat.kernels.ellipse import Rotation
 
 WIDTHS = (3, 4, 3, 12)  # widths of rows of means, quats, scales and colours
+PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]  # of a covariance's six numbers
+SHARE = 0.3  # |l|
 
 
 def skin_gaussians(
@@ -57,7 +86,7 @@ def skin_gaussians(
         Means (N, 3), covariances (N, 6) as xx, xy, xz, yy, yz, zz, and colours (N, 1, 3).
         Differentiable in all tensors, both ways.
     """
-    T, direction = T_world_rest[:, :3].flatten(1), lighting.light_vector(light)
+    T, direction = T_world_rest[:, :3].flatten(1), light_vector(light)
     coefficients = sh.flatten(1)
     if sh.shape[1] == 1:  # pad() copies even where it adds nothing
         coefficients = pad(coefficients, (0, WIDTHS[3] - 3))
@@ -67,6 +96,92 @@ def skin_gaussians(
     return moved, covars, colors.unsqueeze(1)
 
 
+def _bound(E: Lane) -> Any:  # noqa: ANN401
+    """Return β of eq. 2."""
+    return 1 / dr.sqrt(1 + _dot(E, E) / LARGEST**2)
+
+
+def _jacobian(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
+    """Return J of eq. 2."""
+    return [A[4 * i + c] + beta * E[3 * i + c] for i in AXES for c in AXES]
+
+
+def _times(X: Lane, Y: Lane) -> Lane:
+    """Multiply two matrices."""
+    return [sum(X[3 * i + k] * Y[3 * k + j] for k in AXES) for i in AXES for j in AXES]
+
+
+def _transposed(X: Lane) -> Lane:
+    return [X[3 * j + i] for i in AXES for j in AXES]
+
+
+def _scaled(X: Lane, scale: Lane) -> Lane:
+    """Multiply a matrix by a diagonal one."""
+    return [X[3 * i + j] * scale[j] for i in AXES for j in AXES]
+
+
+def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
+    return sum(a * b for a, b in zip(X, Y, strict=True))
+
+
+def stretch(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
+    """Evaluate eq. 2 to 4: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
+    JM = _times(_jacobian(A, E, _bound(E)), Rotation.of(quat).M)
+    F = _scaled(JM, scale)
+    moved = [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
+    return moved, [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
+
+
+def stretch_adjoint(
+    A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
+) -> tuple[Lane, Lane, Lane, Lane, Lane]:
+    """Evaluate eq. 7 to 9."""
+    rotation, beta = Rotation.of(quat), _bound(E)
+    J, M = _jacobian(A, E, beta), rotation.M
+    JM = _times(J, M)
+    xx, xy, xz, yy, yz, zz = G  # a number beside the diagonal stands for two of a matrix
+    twice = [2 * xx, xy, xz, xy, 2 * yy, yz, xz, yz, 2 * zz]
+    grad_F = _times(twice, _scaled(JM, scale))
+    grad_scale = [sum(grad_F[3 * i + j] * JM[3 * i + j] for i in AXES) for j in AXES]
+    grad_JM = _scaled(grad_F, scale)
+    grad_J, grad_M = _times(grad_JM, _transposed(M)), _times(_transposed(J), grad_JM)
+    along = beta * beta * beta / LARGEST**2 * _dot(grad_J, E)
+    grad_E = [beta * a - along * b for a, b in zip(grad_J, E, strict=True)]
+    grad_A = []
+    for i in AXES:
+        grad_A += [grad_J[3 * i + k] + g[i] * mean[k] for k in AXES] + [g[i]]
+    grad_mean = [sum(A[4 * i + k] * g[i] for i in AXES) for k in AXES]
+    return grad_A, grad_E, grad_mean, rotation.adjoint(grad_M), grad_scale
+
+
+def light_vector(light: Tensor) -> Tensor:
+    """Return l (1, 3) of length SHARE, from a direction (3,) of any length."""
+    return SHARE * torch.nn.functional.normalize(light, dim=0).unsqueeze(0)
+
+
+def _light_at_rest(A: Lane, light: Lane) -> Lane:
+    """Evaluate eq. 5."""
+    return [sum(A[4 * i + k] * light[i] for i in AXES) for k in AXES]
+
+
+def lit_color(A: Lane, sh: Lane, light: Lane) -> Lane:
+    """Evaluate eq. 5 and 6."""
+    t = _light_at_rest(A, light)
+    return [sh[c] + sum(t[k] * sh[3 * (1 + k) + c] for k in AXES) for c in AXES]
+
+
+def lit_color_adjoint(A: Lane, sh: Lane, light: Lane, g: Lane) -> tuple[Lane, Lane, Lane]:
+    """Evaluate eq. 10 and 11: gradients of sh, A and the light."""
+    t = _light_at_rest(A, light)
+    grad_sh = [*g, *(t[k] * g[c] for k in AXES for c in AXES)]
+    grad_t = [sum(sh[3 * (1 + k) + c] * g[c] for c in AXES) for k in AXES]
+    grad_A = []
+    for i in AXES:
+        grad_A += [light[i] * grad_t[k] for k in AXES] + [0 * light[i]]
+    grad_light = [sum(A[4 * i + k] * grad_t[k] for k in AXES) for i in AXES]
+    return grad_sh, grad_A, grad_light
+
+
 @Frozen
 def _forward(
     pairs: PairLists, T: Array, parts: list[Array], light: Array, *, n: int
@@ -74,8 +189,8 @@ def _forward(
     F = type(parts[0])
     mean, quat, scale, sh, l = _own(parts, light, n)
     A, E = ([F(x) for x in some] for some in lbs_transforms.forward(pairs, T, mean))
-    moved, covars = stretch.forward(A, E, mean, quat, scale)
-    color = lighting.forward(A, sh, l)
+    moved, covars = stretch(A, E, mean, quat, scale)
+    color = lit_color(A, sh, l)
     kept = [*A, *E]
     found = [store_columns(some, n, F) for some in (moved, covars, color)]
     dr.eval(found, kept)
@@ -100,10 +215,10 @@ def _adjoint(
     g, G, g_color = (
         load_columns(x, width, lane) for x, width in zip(grads, (3, 6, 3), strict=True)
     )
-    grad_A, grad_E, grad_mean, grad_quat, grad_scale = stretch.adjoint(
+    grad_A, grad_E, grad_mean, grad_quat, grad_scale = stretch_adjoint(
         A, E, mean, quat, scale, g, G
     )
-    grad_sh, grad_A_lit, grad_light = lighting.adjoint(A, sh, l, g_color)
+    grad_sh, grad_A_lit, grad_light = lit_color_adjoint(A, sh, l, g_color)
     grad_A = [a + b for a, b in zip(grad_A, grad_A_lit, strict=True)]
     by_E = lbs_transforms.adjoint_of_means(pairs, T, grad_E)
     grad_mean = [a + b for a, b in zip(grad_mean, by_E, strict=True)]

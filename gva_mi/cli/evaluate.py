@@ -7,7 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.formats.without_body import require_body_of
+from gva_mi.avatar.without_body import require_body_of
 from gva_mi.body.smplx import BodyModel, body_name, load_body
 from gva_mi.cli.arguments import Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.core.console import bar, say

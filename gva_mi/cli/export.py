@@ -11,9 +11,8 @@ import torch
 from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.formats.amass import save_amass
-from gva_mi.avatar.formats.gltf import save_gltf
-from gva_mi.avatar.formats.without_body import require_body_of, save_without_body
+from gva_mi.avatar.export import save_amass, save_gltf
+from gva_mi.avatar.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch, given

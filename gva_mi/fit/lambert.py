@@ -1,8 +1,8 @@
 """Lambert's law, from which a fit learns how colours change with the light.
 
 The colour of a Gaussian is linear in the direction t of the light at rest
-(:mod:`gva_mi.avatar.lighting`). Pictures teach its slopes only along directions that the light
-takes: a person who turns upright never shows a surface in the light from below. So slopes are
+(:mod:`gva_mi.avatar.skin_gaussians`). Pictures teach its slopes only along directions that the
+light takes: a person who turns upright never shows a surface in the light from below. So slopes are
 learned as differences from those of a matt surface,
 
     1. f_k = s n_k a + δ_k          k = x, y, z at rest

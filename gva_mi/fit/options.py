@@ -42,7 +42,7 @@ class Rates:
     quats: PythonOnly[Rate] = 1e-3
     log_scales: PythonOnly[Rate] = 5e-3
     logit_opacities: PythonOnly[Rate] = 5e-2
-    sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.lighting
+    sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.skin_gaussians
     # Share of the slopes' difference from Lambert's law that each step takes away (decoupled weight
     # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: Share = 0.0

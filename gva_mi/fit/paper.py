@@ -9,7 +9,7 @@ from __future__ import annotations
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.reinit import ReinitOptions
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.avatar.skin_weights import SkinningOptions
+from gva_mi.avatar.rig import SkinningOptions
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.pose.single_frame import SingleFrameOptions

@@ -32,8 +32,8 @@ import torch
 
 from gva_mi.avatar.avatar import AVATAR_FILE, Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
-from gva_mi.avatar.formats.without_body import WITHOUT_BODY, with_body
 from gva_mi.avatar.reinit import SurfaceMesh
+from gva_mi.avatar.without_body import WITHOUT_BODY, with_body
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
 from gva_mi.core.atomic import part_of, write_bytes

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from gva_mi.avatar.alpha_shape import alpha_shape
+from gva_mi.avatar.surface import alpha_shape
 
 ALPHA = 0.04
 

@@ -11,9 +11,9 @@ import torch
 from gva_mi import InputError
 from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
-from gva_mi.avatar.lighting import SHARE
 from gva_mi.avatar.residual import ResidualOptions
-from gva_mi.avatar.skin_weights import SkinningOptions
+from gva_mi.avatar.rig import SkinningOptions
+from gva_mi.avatar.skin_gaussians import SHARE
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import strongest
 from gva_mi.splat.principal_axes import matrices

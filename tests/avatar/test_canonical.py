@@ -15,7 +15,7 @@ from gva_mi.avatar.canonical import (
     seed_on_surface,
     spread_over_faces,
 )
-from gva_mi.avatar.skin_weights import Skin
+from gva_mi.avatar.rig import Skin
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from gva_mi.avatar.offset_surface import SurfaceMesh, offset_surface
+from gva_mi.avatar.surface import SurfaceMesh, offset_surface
 
 ALPHA = 0.03
 

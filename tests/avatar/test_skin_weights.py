@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from gva_mi.avatar import skin_weights
-from gva_mi.avatar.skin_weights import CLOSE, Skin, SkinningOptions, diffused
+from gva_mi.avatar import rig
+from gva_mi.avatar.rig import CLOSE, Skin, SkinningOptions, diffused
 from gva_mi.body.pose import JOINTS
 
 LEFT, RIGHT = JOINTS.index("left_hip"), JOINTS.index("right_hip")
@@ -130,7 +130,5 @@ def test_slopes_of_linear_weights_on_a_sheet_are_exact_along_it_and_zero_across(
 def test_the_inverse_by_cofactors_holds_for_nearly_flat_matrices():
     X = np.random.default_rng(0).normal(size=(200, 16, 3)) * [1, 0.3, 1e-3]
     A = np.einsum("nki,nkj->nij", X, X)
-    A += skin_weights.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    np.testing.assert_allclose(
-        skin_weights.inverse(A) @ A, np.broadcast_to(np.eye(3), A.shape), atol=1e-12
-    )
+    A += rig.FLAT * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    np.testing.assert_allclose(rig.inverse(A) @ A, np.broadcast_to(np.eye(3), A.shape), atol=1e-12)

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi.avatar.reinit import ReinitOptions, mesh_gaussians
 from gva_mi.avatar.rig import Rig
-from gva_mi.avatar.spread_limbs import SPREAD, SpreadLimbs
+from gva_mi.avatar.surface import SPREAD, SpreadLimbs
 from gva_mi.body.pose import JOINTS, Shape
 
 STILL = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]

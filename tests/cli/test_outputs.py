@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from gva_mi.avatar.formats.gltf import save_gltf
+from gva_mi.avatar.export import save_gltf
 from gva_mi.body.pose import Pose
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.lock import folder_lock

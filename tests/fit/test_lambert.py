@@ -5,7 +5,7 @@ import copy
 import pytest
 import torch
 
-from gva_mi.avatar.lighting import light_vector
+from gva_mi.avatar.skin_gaussians import light_vector
 from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import to_matrix
 from gva_mi.fit.lambert import Lambert

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gva_mi.avatar import skin_gaussians, stretch
+from gva_mi.avatar import skin_gaussians
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.body import kinematics
@@ -87,9 +87,9 @@ def _plant(monkeypatch, link):
     elif link == "residual":
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "skinning":
-        adjoint = stretch.adjoint
+        adjoint = skin_gaussians.stretch_adjoint
         bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
-        monkeypatch.setattr(stretch, "adjoint", bent)
+        monkeypatch.setattr(skin_gaussians, "stretch_adjoint", bent)
         again = Frozen(skin_gaussians._adjoint.function)  # records the planted one
         monkeypatch.setattr(skin_gaussians, "_adjoint", again)
     elif link == "activations":

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.formats.without_body import save_without_body
+from gva_mi.avatar.without_body import save_without_body
 from gva_mi.body.built_in import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body

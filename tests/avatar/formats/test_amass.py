@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from gva_mi.avatar.formats.amass import save_amass
+from gva_mi.avatar.export import save_amass
 from gva_mi.body.pose import Pose, Shape
 
 

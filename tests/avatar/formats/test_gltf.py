@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.avatar.formats.gltf import save_gltf, surface_colors
+from gva_mi.avatar.export import save_gltf, surface_colors
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.skinning import skin_points, strongest

@@ -7,8 +7,8 @@ import torch
 from gva_mi import InputError
 from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
-from gva_mi.avatar.formats.without_body import body_hash, save_without_body, with_body
 from gva_mi.avatar.residual import ResidualOptions
+from gva_mi.avatar.without_body import body_hash, save_without_body, with_body
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.files import read_arrays

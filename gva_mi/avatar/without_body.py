@@ -21,10 +21,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar, AvatarOptions
-from gva_mi.avatar.rig import RIG, Rig, digest
-from gva_mi.avatar.skin_weights import mean_directions
-from gva_mi.avatar.validate import tensors_of
+from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar, AvatarOptions, tensors_of
+from gva_mi.avatar.rig import RIG, Rig, digest, mean_directions
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting

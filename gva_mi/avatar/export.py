@@ -1,6 +1,9 @@
-"""Export of an avatar's surface to glTF 2.0, for programs that know meshes but no Gaussians.
+"""Export of an avatar's surface and poses to other programs, which know meshes but no Gaussians.
 
-The surface of the rest body hangs on 55 nodes, one per joint, with
+:mod:`gva_mi.splat.formats` writes the Gaussians of one pose.
+
+``save_gltf`` writes a .glb of glTF 2.0: the surface with skeleton, skin, colours, and a motion. The
+surface of the rest body hangs on 55 nodes, one per joint, with
 
     1. node j      at J_j - J_parent(j) of its parent, unrotated at rest     J: joints at rest
     2. inverse bind matrix of j = translation by -J_j
@@ -10,22 +13,40 @@ of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first 
 express the blend shapes of bent joints, so they are left out with those of the face, and so are all
 but the four largest skinning weights of a vertex. Vertices take their colours from the Gaussians
 around them, lit in the rest pose, and are shown unlit.
+
+``save_amass`` writes poses in AMASS's format, which most programs that know a body can read:
+
+========================  ===========  =====================================================
+``poses``                 (T, 165)     axis-angle: root, body 21, jaw, eyes, left, right hand
+``trans``                 (T, 3)       metres
+``betas``                 (B,)         shape
+``gender``                ``str``      of the body model
+``mocap_frame_rate``      number       frames a second
+``surface_model_type``    ``"smplx"``
+``expression``            (T, E)       in addition to AMASS's own keys, which have no face
+========================  ===========  =====================================================
+
+Hands are relative to the flat hand. The world stays the poses' own; AMASS's has z upward.
 """
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.formats.glb import TRIANGLES, VERTICES, Glb
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import strongest
 from gva_mi.body.so3 import to_quaternion
+from gva_mi.core.atomic import atomic_write
+from gva_mi.core.files import write_arrays
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.formats.splat import plain_colors
 
@@ -145,3 +166,80 @@ def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
 def _as_light(colors: np.ndarray) -> np.ndarray:
     """Convert colours from sRGB to linear light, which glTF expects at vertices."""
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+
+
+_COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
+_KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+VERTICES, TRIANGLES = 34962, 34963  # uses of a buffer on a GPU
+_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+
+
+class Glb:
+    """Builder of one .glb file.
+
+    Attributes:
+        description: the JSON; the caller adds scenes, nodes, meshes and so on.
+    """
+
+    def __init__(self) -> None:
+        self._binary = bytearray()
+        self.description: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "gva_mi"},
+            "bufferViews": [],
+            "accessors": [],
+        }
+
+    def add(self, array: np.ndarray, use: int | None = None, normalized: bool = False) -> int:
+        """Store an array and return the number of its accessor.
+
+        It is (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers, matrices
+        row by row. ``use`` is :data:`VERTICES` or :data:`TRIANGLES`; ``normalized`` integers
+        represent [0, 1].
+        """
+        kind = _KINDS[array.shape[1:]]
+        accessor = {
+            "bufferView": len(self.description["bufferViews"]),
+            "componentType": _COMPONENTS[array.dtype.name],
+            "count": len(array),
+            "type": kind,
+        }
+        if array.dtype == np.float32 and kind != "MAT4":  # the format demands some of them
+            low, high = array.min(0), array.max(0)
+            accessor |= {"min": np.atleast_1d(low).tolist(), "max": np.atleast_1d(high).tolist()}
+        if normalized:
+            accessor["normalized"] = True
+        if kind == "MAT4":
+            array = array.swapaxes(1, 2)  # column by column
+        content = np.ascontiguousarray(array).tobytes()
+        view = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(content)}
+        self.description["bufferViews"].append(view | ({"target": use} if use else {}))
+        self.description["accessors"].append(accessor)
+        self._binary += content + b"\0" * (-len(content) % 4)
+        return len(self.description["accessors"]) - 1
+
+    def save(self, path: Path) -> None:
+        """Write the file, atomically."""
+        described = self.description | {"buffers": [{"byteLength": len(self._binary)}]}
+        text = json.dumps(described, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        length = 12 + 8 + len(text) + 8 + len(self._binary)
+        with atomic_write(path) as unfinished, unfinished.open("wb") as file:
+            file.write(struct.pack("<III", _MAGIC, 2, length))
+            for kind, chunk in ((_JSON, text), (_BINARY, self._binary)):
+                file.write(struct.pack("<II", len(chunk), kind))
+                file.write(chunk)
+
+
+def save_amass(path: Path, pose: Pose, shape: Shape, fps: float) -> None:
+    """Write T poses in AMASS's format, atomically."""
+    array = lambda tensor: tensor.detach().numpy()
+    write_arrays(
+        path,
+        poses=array(pose.rotations.flatten(1)),
+        trans=array(pose.transl),
+        betas=array(shape.betas),
+        expression=array(pose.expression),
+        gender=np.array("neutral"),
+        mocap_frame_rate=np.array(float(fps)),
+        surface_model_type=np.array("smplx"),
+    )

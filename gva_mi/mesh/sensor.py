@@ -22,7 +22,7 @@ import numpy as np
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
-    from gva_mi_plugins.mesh_normals.multi_crop import Tile
+    from gva_mi_plugins.mesh_normals.pixel_filter import Tile
 
 NEAR, FAR = 0.01, 1000.0  # metres
 
@@ -66,7 +66,7 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
     Raises:
         ValueError: that camera stands elsewhere, or its pixels have another aspect.
     """
-    from gva_mi_plugins.mesh_normals.multi_crop import Tile
+    from gva_mi_plugins.mesh_normals.pixel_filter import Tile
 
     same = np.array_equal(crop.T_camera_world, whole.T_camera_world) and crop.model == whole.model
     if not same or not math.isclose(pixel_aspect(crop), pixel_aspect(whole), rel_tol=1e-9):

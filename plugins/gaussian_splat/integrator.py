@@ -3,10 +3,10 @@
 It draws any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply,
 with the kernels of ``gva_mi.splat``: no rays, no noise, and right gradients.
 
-1. C, α = splat(ellipsoids, sensor)         ``ellipsoids.py``, ``sensor.py``
+1. C, α = splat(ellipsoids, sensor)         ``scene.py``
 2. I = C + (1 - α) B                        B: the background, or the other shapes' picture
 3. With ``meshes`` = ``depth``, a pixel shows only the ellipsoids whose centers are nearer than the
-   surface at the pixel's center (``other_shapes.py``).
+   surface at the pixel's center.
 
 Parameters:
     ``meshes`` (string): ``none`` shows only the ellipsoids; ``depth`` puts them among the other
@@ -40,9 +40,7 @@ from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.gaussian_splat.ellipsoids import gaussians_of, seen_along
-from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
-from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
+from gva_mi_plugins.gaussian_splat.scene import OtherShapes, SensorCamera, gaussians_of, seen_along
 
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.splat import Image, SplatOptions

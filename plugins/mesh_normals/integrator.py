@@ -5,7 +5,7 @@
  * - channels
    - |string|
    - What the image holds, in this order: some of ``normal`` (3 channels), ``mask`` and
-     ``depth``, as ``channels.py`` defines them. (Default: ``normal, mask``)
+     ``depth``, as ``rays.py`` defines them. (Default: ``normal, mask``)
  * - space
    - |string|
    - Axes of the normals: ``camera`` (x right, y down, z forward) or ``world``. (Default:
@@ -46,12 +46,10 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from gva_mi_plugins.mesh_normals.channels import Channels
 from gva_mi_plugins.mesh_normals.mesh_view import MeshView
-from gva_mi_plugins.mesh_normals.multi_crop import MultiCrop, Tile
-from gva_mi_plugins.mesh_normals.pixel_filter import PixelFilter
+from gva_mi_plugins.mesh_normals.pixel_filter import MultiCrop, PixelFilter, Tile
 from gva_mi_plugins.mesh_normals.projection import SensorProjection
-from gva_mi_plugins.mesh_normals.rays import RayCaster
+from gva_mi_plugins.mesh_normals.rays import Channels, RayCaster
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
 from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of, without_ellipsoids
 

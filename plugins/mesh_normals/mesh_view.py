@@ -1,7 +1,7 @@
 """A sensor's image of the meshes of a scene, with its tangent and its adjoint.
 
 1. A pixel is the mean over its area, ``I = ∫ f v dA``, of what is seen, ``v``: the channels of
-   ``channels.py``. It is estimated by ``spp`` rays at fixed places, one in the middle or a lattice.
+   ``rays.py``. It is estimated by ``spp`` rays at fixed places, one in the middle or a lattice.
    There is no noise: two renderings are equal to the last bit.
 2. **Interior**: triangles that rays meet stay the same under a small motion; normals, depths and
    barycentric coordinates move with the vertices (``interior.py``).

@@ -1,6 +1,20 @@
-"""Rays from the sensor: the faces they meet, the channels there, and jumps between two rays.
+"""Rays from the sensor: the faces they meet, the image's channels there, jumps between two rays.
 
 Interior, contours and intersections share one :class:`RayCaster`.
+
+==================  ========  ==================================================================
+Name                Channels  A pixel holds
+==================  ========  ==================================================================
+``normal``          3         the shading normal, in camera or world space
+``mask``            1         1 where a mesh is seen
+``depth``           1         the distance from the sensor's plane, scene units
+==================  ========  ==================================================================
+
+All are zero where no mesh is seen. A pixel is the mean over its area, and so ``depth`` divided by
+``mask`` is the mean depth of what is seen in it.
+
+Camera space has OpenCV's axes, x right, y down, z forward: a surface that faces the camera has
+``n_z < 0``. A normal is the mesh's own: on the inner side of an open mesh it points away.
 """
 
 from __future__ import annotations
@@ -9,9 +23,93 @@ from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
-from gva_mi_plugins.mesh_normals.channels import Channels
 from gva_mi_plugins.mesh_normals.projection import SensorProjection
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
+
+WIDTHS = {"normal": 3, "mask": 1, "depth": 1}
+SPACES = ("camera", "world")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """Channels of an image, in order."""
+
+    kinds: tuple[str, ...]  # names in WIDTHS
+    space: str  # of the normals
+
+    @staticmethod
+    def parse(channels: str, space: str) -> Channels:
+        """Parse a plugin's parameters, such as ``"normal, mask"`` and ``"camera"``.
+
+        Raises:
+            ValueError: a name that does not exist or comes twice.
+        """
+        kinds = tuple(name.strip() for name in channels.split(","))
+        unknown = [kind for kind in kinds if kind not in WIDTHS]
+        if unknown or len(set(kinds)) < len(kinds):
+            raise ValueError(
+                f"mesh_normals: channels must be some of {', '.join(WIDTHS)}, each once, "
+                f"got '{channels}'"
+            )
+        if space not in SPACES:
+            raise ValueError(f"mesh_normals: space must be 'camera' or 'world', got '{space}'")
+        return Channels(kinds, space)
+
+    @property
+    def names(self) -> list[str]:
+        """One name for each channel."""
+        axes = {"normal": ["normal.X", "normal.Y", "normal.Z"]}
+        return [name for kind in self.kinds for name in axes.get(kind, [kind])]
+
+    @property
+    def moves_inside(self) -> bool:
+        """Whether any channel changes as a surface moves within its contours."""
+        return "normal" in self.kinds or "depth" in self.kinds
+
+    def first(self, kind: str) -> int | None:
+        """Return the number of a kind's first channel; None if the image lacks it."""
+        if kind not in self.kinds:
+            return None
+        return sum(WIDTHS[k] for k in self.kinds[: self.kinds.index(kind)])
+
+    def values(
+        self, n: mi.Vector3f, w: mi.Float, hit: mi.Bool, camera_world: mi.Matrix3f
+    ) -> list[mi.Float]:
+        """Return the channels' values on rays (R,).
+
+        Unit normals n (world) are zero where nothing is hit; w are depths. ``camera_world`` rotates
+        from the world to the camera.
+        """
+        n = self._to_space(n, camera_world)
+        of_kind = {
+            "normal": list(n),
+            "mask": [dr.select(hit, mi.Float(1), 0)],
+            "depth": [dr.select(hit, w, 0)],
+        }
+        return [value for kind in self.kinds for value in of_kind[kind]]
+
+    def tangent(self, dn: mi.Vector3f, dw: mi.Float, camera_world: mi.Matrix3f) -> list[mi.Float]:
+        """Return the tangents of the channels on rays whose hits stay on their faces."""
+        dn = self._to_space(dn, camera_world)
+        of_kind = {"normal": list(dn), "depth": [dw]}
+        zeros = lambda kind: [mi.Float(0)] * WIDTHS[kind]
+        return [value for kind in self.kinds for value in of_kind.get(kind, zeros(kind))]
+
+    def adjoint(
+        self, grads: list[mi.Float], camera_world: mi.Matrix3f
+    ) -> tuple[mi.Vector3f | None, mi.Float | None]:
+        """Convert gradients by channels to those by normal (world) and depth; None if unused."""
+        normal, depth = self.first("normal"), self.first("depth")
+        grad_n = None
+        if normal is not None:
+            grad_n = mi.Vector3f(grads[normal : normal + 3])
+            if self.space == "camera":
+                grad_n = camera_world.T @ grad_n
+        return grad_n, None if depth is None else grads[depth]
+
+    def _to_space(self, n: mi.Vector3f, camera_world: mi.Matrix3f) -> mi.Vector3f:
+        """Convert normals from world space to the image's space."""
+        return n if self.space == "world" else camera_world @ n
 
 
 @dataclass(frozen=True)

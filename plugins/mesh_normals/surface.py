@@ -19,9 +19,8 @@ from functools import cached_property
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from gva_mi_plugins.mesh_normals.flat_faces import ROUNDING
 from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
-from gva_mi_plugins.mesh_normals.topology import Topology
+from gva_mi_plugins.mesh_normals.topology import ROUNDING, Topology
 
 
 @dataclass(frozen=True)

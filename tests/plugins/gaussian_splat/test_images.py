@@ -16,8 +16,7 @@ SENSORS = ["perspective", "window", "orthographic"]
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_picture_is_the_kernels_bit_for_bit(splats, name):
     """For every sensor the picture is that of ``gva_mi.splat``."""
-    from gva_mi_plugins.gaussian_splat.ellipsoids import seen_along
-    from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
+    from gva_mi_plugins.gaussian_splat.scene import SensorCamera, seen_along
 
     g, view = splats.arrays(40, 2), splats.SENSORS[name]()
     scene = splats.scene(g)
@@ -33,7 +32,7 @@ def test_the_picture_is_the_kernels_bit_for_bit(splats, name):
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_camera_is_the_sensors(splats, name):
     """The camera projects points on Mitsuba's ray through a pixel into that pixel."""
-    from gva_mi_plugins.gaussian_splat.sensor import SensorCamera
+    from gva_mi_plugins.gaussian_splat.scene import SensorCamera
 
     view = splats.SENSORS[name]()
     seen = SensorCamera.of(view)

@@ -32,7 +32,7 @@ def among(splats, **parameters):
 
 @pytest.mark.parametrize("name", ["window", "orthographic"])
 def test_depth_is_along_the_sensors_axis(splats, name):
-    from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
+    from gva_mi_plugins.gaussian_splat.scene import OtherShapes
 
     view, radius = splats.SENSORS[name](), 0.8
     scene = splats.scene(splats.arrays(1, 0), ball=ball((0, 0, 0), radius))
@@ -56,7 +56,7 @@ def test_depth_is_along_the_sensors_axis(splats, name):
 
 def shown_alone(splats, view, scene, **parts):
     """Return the nested integrator's picture without ellipsoids, and the surfaces' depth."""
-    from gva_mi_plugins.gaussian_splat.other_shapes import OtherShapes
+    from gva_mi_plugins.gaussian_splat.scene import OtherShapes
 
     surfaces = mi.load_dict({"type": "scene", **parts})
     image = mi.render(surfaces, sensor=view, integrator=mi.load_dict({"type": "direct"}), spp=4)

@@ -7,7 +7,7 @@ import pytest
 @pytest.fixture(scope="module")
 def cut(scenes):
     """The function; it can be imported once Mitsuba has its variant."""
-    from gva_mi_plugins.mesh_normals.triangle_cuts import shared_segments
+    from gva_mi_plugins.mesh_normals.intersections import shared_segments
 
     return shared_segments
 

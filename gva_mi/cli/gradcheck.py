@@ -15,12 +15,11 @@ from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Seed, Within, options_of
-from gva_mi.gradcheck.avatar import check_avatar
+from gva_mi.gradcheck.avatar import PosedAvatar, check_avatar
 from gva_mi.gradcheck.engine import Report, write_reports
 from gva_mi.gradcheck.normals import COORDINATES, LINES, POINTS, SIZE, SPP, check_normals
-from gva_mi.gradcheck.picture import write_picture
-from gva_mi.gradcheck.posed_avatar import PosedAvatar
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
+from gva_mi.gradcheck.splat import write_picture
 from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.scene import Scene, person_scene

@@ -10,11 +10,10 @@ Every check returns a ``Report``, a list of comparisons with errors and toleranc
 ==========================  ===========================================================
 ``engine.py``               comparisons by all methods, a report, its table and JSON
 ``probes.py``               directions, tangents and finite differences
-``splat.py``                a renderer against the reference implementation
-``avatar.py``               an avatar from pose to picture (``posed_avatar.py``)
+``splat.py``                a renderer against the reference implementation; its pictures
+``avatar.py``               an avatar from pose to picture
 ``normals.py``              ``mesh_normals`` by the body's pose, against ``scanlines.py``
-                            and ``interior.py`` (``moving_mesh.py``)
-``picture.py``              what ``gva-mi gradcheck --out`` draws
+                            and the interior in ``moving_mesh.py``
 ==========================  ===========================================================
 
 Importing this package needs drjit, numpy and torch alone; avatar and normals are imported by name.

@@ -9,21 +9,147 @@ input, by ``Avatar.forward`` and ``render`` as a fit calls them, in float64, is 
 
 All inputs are float32 numbers, so float32 is blamed for its arithmetic only. Pixels at a step of
 the picture are left out as in :mod:`gva_mi.gradcheck.splat`; Gaussians at a kink of the network's
-relu too, see posed_avatar.py.
+relu too.
+
+A picture is a function of the pose (``rotations``, ``transl``, ``expression``), the shape
+(``betas``), the ``light``, the canonical Gaussians and the weights of the residual's network. The
+network's derivative by the means is left out of the method (:class:`PoseResidual`): here it always
+reads the means as they are.
 """
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import torch
-from torch import Generator, Tensor
+from torch import Generator, Tensor, nn
+from torch.func import functional_call
+from torch.overrides import TorchFunctionMode
 
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, SeedOptions
+from gva_mi.avatar.residual import PoseResidual, ResidualOptions
+from gva_mi.body.pose import JAW, LEFT_HAND, RIGHT_HAND, Pose, Shape
+from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.threads import one_torch_thread
 from gva_mi.gradcheck.engine import Check, Report
-from gva_mi.gradcheck.posed_avatar import NETWORK, PosedAvatar
 from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, leaves
-from gva_mi.splat import reference, render
+from gva_mi.splat import Camera, Gaussians, look_at, reference, render
+
+NETWORK = "residual.network."  # prefix of the names of the network's weights
+KINK = 3e-4  # Gaussians for which a relu's input is closer to zero are left out
+LARGE_ANGLE, SMALL_ANGLE = 0.35, 0.15  # radians, standard deviations: limbs; hands and jaw
+
+
+@dataclass(frozen=True)
+class PosedAvatar:
+    """An avatar in one pose before a camera, in both precisions."""
+
+    models: Mapping[torch.dtype, tuple[BodyModel, Avatar]]
+    values: Tensors  # what the picture depends on, float64, of numbers that float32 holds
+    camera: Camera
+    background: Tensor  # (3,)
+
+    @staticmethod
+    def random(
+        seed: int = 0, gaussians: int = 400, size: int = 40, body: Path | None = None
+    ) -> PosedAvatar:
+        """An avatar in a random pose, seen whole from 3 m; none of its parameters is zero.
+
+        Args:
+            seed: of all random numbers.
+            gaussians: about how many.
+            size: width and height of the picture, px.
+            body: a body in SMPL-X's .npz format; the built-in body where None.
+        """
+        generator = Generator().manual_seed(seed)
+        normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
+        bodies = {dtype: load_body(body, dtype) for dtype in (torch.float64, torch.float32)}
+        betas = 0.5 * normal(bodies[torch.float64].num_betas)
+        options = AvatarOptions(
+            seed=SeedOptions(count=gaussians, opacity=0.6), residual=ResidualOptions(enabled=True)
+        )
+        # The network has a generator of its own: its size does not change the pose.
+        of_network = Generator().manual_seed(seed)
+        rest = bodies[torch.float32], Shape(betas.float())
+        avatar = seed_avatar(*rest, None, options, of_network).double()
+        with torch.no_grad():
+            G = avatar.canonical
+            G.quats += 0.2 * normal(*G.quats.shape)
+            G.log_scales += 0.2 * normal(*G.log_scales.shape)
+            G.logit_opacities += 0.5 * normal(*G.logit_opacities.shape)
+            G.sh += 0.3 * torch.rand(G.sh.shape, generator=generator).double() - 0.15
+            avatar.residual.offset.weight += 0.3 * normal(*avatar.residual.offset.weight.shape)
+        psi = 0.7 * normal(1, bodies[torch.float64].num_expressions)
+        pose = Pose(LARGE_ANGLE * normal(1, 55, 3), 0.1 * normal(1, 3), psi)
+        for part in (JAW, LEFT_HAND, RIGHT_HAND):
+            pose.rotations[:, part] *= SMALL_ANGLE / LARGE_ANGLE
+        camera = Camera(
+            1.3 * size, 1.35 * size, size / 2 + 0.3, size / 2 - 0.2,
+            look_at((0.4, 0.3, 3.2), (0.0, -0.2, 0.0)), size, size,
+        )  # fmt: skip
+        background = torch.rand(3, generator=generator).double()
+        values = {field: getattr(pose, field)[0] for field in ("rotations", "transl", "expression")}
+        values |= {"betas": betas, "light": avatar.light}
+        values |= {name: getattr(avatar.canonical, name) for name in PARAMETERS}
+        values |= {NETWORK + k: v for k, v in avatar.residual.named_parameters()}
+        values = {k: v.detach().float().double() for k, v in values.items()}
+        avatar, values = _away_from_kinks(avatar, values)
+        models = {k: (b, copy.deepcopy(avatar).to(k)) for k, b in bodies.items()}
+        return PosedAvatar(models, values, camera, background)
+
+    def gaussians(self, values: Tensors) -> Gaussians:
+        """Return the posed Gaussians as a fit has them, in the precision of the values.
+
+        Only the joints of the shape are put in from outside: an avatar holds them as constants.
+        """
+        body, avatar = self.models[values["means"].dtype]
+        state = {k: v for k, v in values.items() if k.startswith(NETWORK)}
+        state |= {f"canonical.{name}": values[name] for name in PARAMETERS}
+        state |= {"rest_joints": body.rest(Shape(values["betas"])).joints, "light": values["light"]}
+        pose = Pose(*(values[name][None] for name in ("rotations", "transl", "expression")))
+        return functional_call(avatar, state, (pose,))
+
+
+class _ResidualOfMeans(nn.Module):
+    """A residual that reads the same means whatever it is given."""
+
+    def __init__(self, network: PoseResidual, means: Tensor) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("means", means)
+
+    def forward(self, _: Tensor, weights: Tensor, rotations: Tensor) -> Tensor:
+        return self.network(self.means, weights, rotations)
+
+
+class _ReluInputs(TorchFunctionMode):
+    """Recorder of the rows for which all inputs of all relus are away from zero."""
+
+    away: Tensor | bool = True
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):  # noqa: ANN001, ANN204
+        if function is torch.relu:
+            self.away = self.away & (args[0].abs() > KINK).all(1)
+        return function(*args, **(kwargs or {}))
+
+
+def _away_from_kinks(avatar: Avatar, values: Tensors) -> tuple[Avatar, Tensors]:
+    """Return an avatar and its values without the Gaussians at a kink of the network's relu."""
+    weights = {k.removeprefix(NETWORK): v for k, v in values.items() if k.startswith(NETWORK)}
+    place = values["means"], avatar.canonical.weights, values["rotations"]
+    with _ReluInputs() as relus:
+        functional_call(avatar.residual, weights, place)
+    some = {name: values[name][relus.away] for name in PARAMETERS}
+    binding = {name: getattr(avatar.canonical, name)[relus.away] for name in BINDING}
+    residual = _ResidualOfMeans(avatar.residual, some["means"])
+    canonical = CanonicalGaussians(**some, **binding)
+    return Avatar(canonical, residual, avatar.rig, avatar.skin, avatar.options), values | some
+
 
 F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed
 BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a difference's steps
@@ -32,7 +158,7 @@ STEPS = {  # times it: inputs that move many pixels, or a small part of one
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
     "light": 30.0,
 }  # fmt: skip
-NETWORK_STEP = 4.0  # the same for the network's weights; well within posed_avatar.py's KINK
+NETWORK_STEP = 4.0  # the same for the network's weights; well within KINK
 FEW = 4  # an input of so many times the entries asked for is differentiated by each of its own
 
 

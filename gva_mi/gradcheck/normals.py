@@ -7,7 +7,7 @@ gives it for the vertices' motion, is compared with two references in float64 th
 with it:
 
 1. the mask's derivative and the normals' boundary term with ``scanlines.py``, the normals' interior
-   with ``interior.py``; each apart, because in their sum errors may cancel;
+   with ``moving_mesh.py``; each apart, because in their sum errors may cancel;
 2. each for WEIGHTINGS linear functions of the image, smooth random fields: the error is
    ``|found - truth| / |truth|``, vectors over these functions. One function alone may be small
    by chance, where opposite sides of a limb cancel.
@@ -27,8 +27,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.gradcheck.engine import Comparison
-from gva_mi.gradcheck.interior import interior
-from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
+from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens, interior
 from gva_mi.gradcheck.scanlines import boundary
 from gva_mi.mesh.mesh_scene import load_plugins
 from gva_mi.mesh.sensor import sensor_of

@@ -11,8 +11,7 @@ from gva_mi.avatar.canonical import CanonicalGaussians
 from gva_mi.body import kinematics
 from gva_mi.body.smplx import BodyModel
 from gva_mi.gradcheck import avatar as checked
-from gva_mi.gradcheck.avatar import check_avatar
-from gva_mi.gradcheck.posed_avatar import NETWORK, PosedAvatar
+from gva_mi.gradcheck.avatar import NETWORK, PosedAvatar, check_avatar
 from gva_mi.jit.frozen import Frozen
 
 SMALL = {"gaussians": 150, "size": 24}

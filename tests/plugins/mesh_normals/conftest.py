@@ -13,12 +13,12 @@ import pytest
 @pytest.fixture(scope="session")
 def references(scenes):
     """References of the derivative; imported once Mitsuba has its variant."""
-    from gva_mi.gradcheck import interior, moving_mesh, scanlines
+    from gva_mi.gradcheck import moving_mesh, scanlines
 
     return SimpleNamespace(
         MovingMesh=moving_mesh.MovingMesh,
         lens=MeasuredLens.of,
-        interior=interior.interior,
+        interior=moving_mesh.interior,
         boundary=scanlines.boundary,
         upper_envelope=scanlines.upper_envelope,
     )

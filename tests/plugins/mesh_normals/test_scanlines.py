@@ -77,7 +77,7 @@ def test_what_stands_behind_the_camera_is_refused(scenes, references):
         boundary(references, references.MovingMesh(v + [0, 0, 9], f, v), scenes.camera(16))
 
 
-@pytest.mark.parametrize("name", ["moving_mesh", "scanlines", "interior"])
+@pytest.mark.parametrize("name", ["moving_mesh", "scanlines"])
 def test_references_share_nothing_with_the_plugin(name):
     """Read from the imports: of the plugin's side only the making of a Mitsuba scene."""
     source = (ROOT / "gva_mi/gradcheck" / f"{name}.py").read_text()

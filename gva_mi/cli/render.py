@@ -18,15 +18,9 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.data.cameras import load_cameras
+from gva_mi.data.film import SEE_THROUGH, require_alpha_codec, write_film
 from gva_mi.data.folder import VIDEO, frame_name
-from gva_mi.data.pictures import (
-    SEE_THROUGH,
-    read_background,
-    read_image,
-    require_alpha_codec,
-    write_film,
-    write_image,
-)
+from gva_mi.data.pictures import read_background, read_image, write_image
 from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 

@@ -5,17 +5,16 @@
 ``video``           ``Video`` and ``Frame``: the folder, opened and checked
 ``cameras``         ``cameras.npz``
 ``splits``          train and test frames
-``pictures``        8-bit pictures and films on disk (``film``: in any order)
-``film_pictures``   a film's pictures at an even rate (``film_colors``: as sRGB)
-``masks``           masks as segmenters write them (``mattes``: of pictures)
+``pictures``        8-bit pictures on disk, also as masks
+``film``            films: any of their pictures, as sRGB; how they are written
+``film_pictures``   a film's pictures at an even rate
+``masks``           masks as segmenters write them
 ``normals``         normal maps as networks write them
 ``landmarks``       named points of a person in every frame
 ``backdrop``        the person without the background
 ``crop``            a frame's part around the person, shrunk
-``joints``          a posed body's joints in the world, a picture and a mask
-``views``           what other cameras saw, for evaluation
 ``check``           what is wrong with a folder (``problems``, ``silhouettes``)
-``ground_truth``    ground truth of a synthetic video
+``ground_truth``    ground truth of a synthetic video, and held-out views
 ``fingerprint``     whether a subject is used with its own body
 ``networks/``       networks that see a person in pictures
 ``matting/``        masks of a film that hold at the person's outline

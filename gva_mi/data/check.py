@@ -19,13 +19,13 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.folder import CAMERAS, FRAMES, MASKS, POSES, VIDEO
+from gva_mi.data.ground_truth import read_views
 from gva_mi.data.importers.one_lens import ONE_LENS, seen_alike, usual_lens
 from gva_mi.data.pictures import write_image
 from gva_mi.data.problems import CheckReport, Faults, Problem, doubt, error
 from gva_mi.data.silhouettes import LEAST_OVERLAP, Silhouettes, draw_sheet, overlap
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Video, read_video
-from gva_mi.data.views import read_views
 from gva_mi.splat import Camera
 
 # A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large

@@ -1,24 +1,63 @@
-"""``Film``: random access to the pictures of a video file, with few of them in memory.
+"""Films: any picture of a video file, with few in memory; their colours; how they are written.
 
 Opening a film decodes all of it once, because damage shows nowhere else, and notes the time stamps.
 The last pictures that were decoded in a row stay in memory as the decoder left them, most in half
 the bytes of an RGB array. Any other is decoded on demand, from the key picture before it.
+
+**Colours** are sRGB of 8 bits, whatever the film was recorded in.
+
+* **Matrix and range** follow the film's tags. Without a tag, a film of at least 720 rows or 1280
+  columns is BT.709, a smaller one BT.601, as players take it.
+* **HDR** (PQ of SMPTE ST 2084, HLG of BT.2100), as phones record it, becomes light in units of the
+  reference white, 203 cd/m² (BT.2408). BT.2020's primaries become those of sRGB. Light x of the
+  brightest channel is compressed above a knee k, and the others by the same factor:
+
+  1. ``f(x) = x`` below k,  ``k + (1 − k) (1 − exp(−(x − k) / (1 − k)))`` above.
+
+* **SDR with BT.2020's primaries** changes primaries alone.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gva_mi.core.errors import InputError
-from gva_mi.data.film_colors import HDR, rgb_of
-from gva_mi.data.pictures import decoding, open_film, require_size, size_of, turned
+from gva_mi.core.atomic import atomic_write
+from gva_mi.core.errors import MALFORMED, InputError, reason_of
+from gva_mi.data.pictures import in_8_bits, require_size
 
+if TYPE_CHECKING:
+    import av
+
+PQ, HLG, BT2020, UNTAGGED = 16, 18, 9, (0, 2)  # ITU-T H.273: transfers; primaries and matrix
+HDR = {PQ: "PQ", HLG: "HLG"}
+REFERENCE_WHITE, PEAK = 203.0, 1000.0  # cd/m²; the peak of a display that HLG is meant for
+KNEE = 0.7  # of eq. 1
+WIDE, TALL = 1280, 720  # pixels: an untagged film of this size is BT.709
+# Linear BT.2020 to linear BT.709, ITU-R BT.2087.
+FROM_2020 = np.array(
+    [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
+)
+LUMA_2020 = np.array([0.2627, 0.6780, 0.0593], np.float32)
+SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
+_WAYS = {  # of a film: container, codec, its pixels and options, the pixels that it is given
+    # x264 writes its settings into the file, the number of threads among them: always use one.
+    "lossless": ("mp4", "libx264rgb", "rgb24", {
+        "crf": "0", "preset": "veryfast", "threads": "1"}, "rgb24"),
+    # mbtree reads uninitialised memory: other bits in every run.
+    "playable": ("mp4", "libx264", "yuv420p", {
+        "crf": "18", "threads": "1", "mbtree": "0"}, "rgb24"),
+    "alpha": ("webm", "libvpx-vp9", "yuva420p", {
+        "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
+        "auto-alt-ref": "0"}, "rgba"),
+}  # fmt: skip
 KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 
 
@@ -137,3 +176,200 @@ class _Near:
 
 def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _decoded)
     return sum(plane.buffer_size for plane in frame.planes)
+
+
+def decoded(path: Path) -> Iterator[av.VideoFrame]:
+    """Yield the frames of a film."""
+    count = 0
+    with decoding(path), open_film(path) as container:
+        for frame in _with_alpha(container):
+            require_size(str(path), frame.width, frame.height)
+            yield frame
+            count += 1
+    if not count:
+        raise InputError(f"{path}: holds no picture")
+
+
+def _with_alpha(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """Yield the frames of a film; with their alpha, which FFmpeg's own decoder of VP9 drops."""
+    import av
+
+    stream = container.streams.video[0]
+    decoder = {"vp8": "libvpx", "vp9": "libvpx-vp9"}.get(stream.codec_context.name)
+    alpha = ("alpha_mode", "1") in {(key.lower(), x) for key, x in stream.metadata.items()}
+    if not alpha or decoder not in av.codecs_available:
+        yield from container.decode(stream)
+        return
+    decoder = av.CodecContext.create(decoder, "r")
+    for packet in container.demux(stream):
+        yield from decoder.decode(packet)
+
+
+def open_film(path: Path) -> av.container.InputContainer:
+    """Open a film whose pictures have an acceptable size."""
+    import av
+
+    with decoding(path):
+        container = av.open(str(path))
+        if not container.streams.video:
+            raise InputError(f"{path}: holds no picture, only sound; expected a film")
+        stream = container.streams.video[0]
+        require_size(str(path), stream.width, stream.height)
+        return container
+
+
+@contextmanager
+def decoding(path: Path) -> Iterator[None]:
+    """Convert any decoding error of a film to an InputError of one sentence."""
+    import av
+
+    try:
+        yield
+    except InputError:
+        raise
+    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
+
+
+def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
+    """Return a decoded frame as a picture (H, W, C) 8-bit, turned as its metadata say.
+
+    ``form`` is FFmpeg's name of the pixels' format: "rgb24", or "rgba" for masks.
+    """
+    return turned(rgb_of(frame) if form == "rgb24" else frame.to_ndarray(format=form), frame)
+
+
+def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
+    """Turn a picture (H, W, C) as the metadata of its frame say."""
+    return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame)))
+
+
+def size_of(frame: av.VideoFrame) -> tuple[int, int]:
+    """Return the size (W, H) of the picture that :func:`pixels_of` returns."""
+    size = frame.width, frame.height
+    return size[::-1] if _quarter_turns(frame) % 2 else size
+
+
+def _quarter_turns(frame: av.VideoFrame) -> int:
+    """Return how many quarter turns counter-clockwise a frame's metadata ask for."""
+    return round(frame.rotation / 90) % 4
+
+
+def steps_of(path: Path) -> tuple[np.ndarray, float]:
+    """Return the seconds (T − 1,) between a film's pictures, and one tick of its clock."""
+    import av
+
+    with decoding(path), av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
+        tick = float(stream.time_base or 0)
+    return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
+
+
+def require_alpha_codec(path: Path) -> None:
+    """Raise an InputError where films with alpha cannot be written."""
+    import av
+
+    if "libvpx-vp9" not in av.codecs_available:
+        raise InputError(
+            f"{path}: the installed PyAV has no libvpx-vp9, which films with alpha need; expected "
+            "its own wheel, pip install av"
+        )
+
+
+def write_film(
+    path: Path,
+    images: Iterable[np.ndarray],
+    fps: int = 25,
+    way: Literal["lossless", "playable", "alpha"] = "lossless",
+) -> None:
+    """Write a film of pictures (H, W, C), floats in [0, 1] or 8-bit.
+
+    Lossless is an mp4 in RGB; playable is an mp4 that every player shows; alpha is a .webm of RGBA
+    pictures, straight alpha. The last two drop the last row or column of odd sizes.
+    """
+    import av
+
+    kind, codec, pixels, options, given = _WAYS[way]
+    bare = {"fflags": "+bitexact"} if way == "alpha" else {}  # no time stamp or random number
+    with (
+        atomic_write(path) as unfinished,
+        av.open(str(unfinished), "w", format=kind, options=bare) as container,
+    ):
+        stream = container.add_stream(codec, rate=fps)
+        stream.pix_fmt, stream.options = pixels, options
+        if way == "alpha":
+            stream.metadata["alpha_mode"] = "1"  # players need it
+        for k, image in enumerate(images):
+            image = in_8_bits(image)
+            if way != "lossless":  # halved colours: even sizes
+                image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
+            if k == 0:
+                stream.height, stream.width = image.shape[:2]
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), given)
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+
+
+def rgb_of(
+    frame: av.VideoFrame, converter: av.video.reformatter.VideoReformatter | None = None
+) -> np.ndarray:
+    """Return a frame as sRGB, (H, W, 3) 8-bit, not turned; it may share the frame's memory.
+
+    ``converter`` is reused for frames alike; each keeps tables.
+    """
+    from av.video.reformatter import Colorspace, VideoReformatter
+
+    wide_gamut = frame.color_primaries == BT2020
+    matrix = None
+    if frame.colorspace in UNTAGGED and not frame.format.is_rgb:
+        large = max(frame.width, frame.height) >= WIDE or min(frame.width, frame.height) >= TALL
+        matrix = Colorspace.BT2020 if wide_gamut else Colorspace.ITU709 if large else None
+    # More than 8 bits go by 16: the converter would cut them off, up to 2 levels too dark.
+    deep = any(component.bits > 8 for component in frame.format.components)
+    kind = "rgb48le" if deep or wide_gamut or frame.color_trc in HDR else "rgb24"
+    found = (converter or VideoReformatter()).reformat(frame, format=kind, src_colorspace=matrix)
+    pixels = found.to_ndarray()
+    if kind == "rgb24":
+        return pixels
+    if not wide_gamut and frame.color_trc not in HDR:
+        return _in_8_bits(False)[pixels]
+    table, gamma = _light_of(frame.color_trc)
+    light = table[pixels]
+    if gamma != 1:  # HLG: a display's contrast depends on the luminance of the scene
+        light *= np.maximum(light @ LUMA_2020, 1e-6)[..., None] ** (gamma - 1)
+        light *= PEAK / REFERENCE_WHITE
+    light = np.maximum(light @ FROM_2020.T, 0)
+    if frame.color_trc in HDR:
+        most = np.maximum(light.max(axis=2), KNEE)
+        light *= ((KNEE + (KNEE - 1) * np.expm1((KNEE - most) / (1 - KNEE))) / most)[..., None]
+    return _in_8_bits(True)[np.round(np.minimum(light, 1) * 65535).astype(np.uint16)]
+
+
+@lru_cache
+def _light_of(transfer: int) -> tuple[np.ndarray, float]:
+    """Return linear light of all 16-bit values, (65536,) float32, and the exponent for HLG.
+
+    PQ in units of the reference white, HLG in [0, 1] of the scene, others as sRGB's in [0, 1].
+    """
+    value = np.arange(65536) / 65535
+    if transfer == PQ:
+        root = value ** (1 / 78.84375)
+        light = np.maximum(root - 0.8359375, 0) / (18.8515625 - 18.6875 * root)
+        return (1e4 / REFERENCE_WHITE * light ** (1 / 0.1593017578125)).astype(np.float32), 1.0
+    if transfer == HLG:
+        a, b, c = 0.17883277, 0.28466892, 0.55991073
+        light = np.where(value <= 0.5, value**2 / 3, (np.exp((value - c) / a) + b) / 12)
+        return light.astype(np.float32), 1.2
+    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return light.astype(np.float32), 1.0
+
+
+@lru_cache
+def _in_8_bits(linear: bool) -> np.ndarray:
+    """Return the 8-bit values (65536,) of sRGB's values, or of linear light, in 16 bits."""
+    if not linear:
+        return np.round(np.arange(65536) / 257).astype(np.uint8)
+    x = np.arange(65536) / 65535
+    value = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return np.round(255 * value).astype(np.uint8)

@@ -2,7 +2,7 @@
 
 ========================  ====================================================
 ``000000.png``            8 or 16 bits: hard, or soft in between; or labels. Of colours,
-                          palettes and alpha: :mod:`.mattes`
+                          palettes and alpha: :mod:`.pictures`
 ``000000.npy``            Boolean; whole numbers as above; or floating point in [0, 1]
 ========================  ====================================================
 
@@ -28,12 +28,10 @@ from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
 from gva_mi.data.folder import array_or_picture
-from gva_mi.data.mattes import VOID
-from gva_mi.data.pictures import read_image
+from gva_mi.data.pictures import VOID, read_image
 
 BARELY = 127  # 8-bit masks above this are inside
 _MOST = 64  # labels; more values are those of a soft and dim mask
-_FEW = 6  # values that are named
 _NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
 
 
@@ -151,23 +149,7 @@ def require_person(where: str, counts: np.ndarray) -> None:
     values = np.flatnonzero(counts).tolist()
     if not values or values[0] <= BARELY < values[-1]:
         return
-    if values == [0]:
-        what = "all masks are empty: every pixel is 0; expected 255 inside the person"
-    elif values[0] > BARELY:
-        what = (
-            f"all masks are full, of {_named(values)} alone: opaque pictures, or of another "
-            "video? Expected 255 inside the person, and 0 outside"
-        )
-    else:
-        what = (
-            f"no pixel of any mask is above half, they hold {_named(values)}; expected 255 inside "
-            "the person"
-        )
-    raise InputError(f"{where}: {what}")
-
-
-def _named(values: list[int]) -> str:
-    if len(values) > _FEW:
-        return f"values {values[0]} to {values[-1]}"
-    *most, last = map(str, values)
-    return f"values {', '.join(most)} and {last}" if most else f"the value {last}"
+    what = f"no pixel of any mask is above half, the greatest value is {values[-1]}"
+    if values[0] > BARELY:
+        what = "all masks are full: opaque pictures, or masks of another video"
+    raise InputError(f"{where}: {what}; expected 255 inside the person, and 0 outside")

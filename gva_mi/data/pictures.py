@@ -1,47 +1,49 @@
-"""Read and write pictures and films; read a render's background."""
+"""Read and write pictures; read a picture as a mask, and a render's background.
+
+A mask chooses the channel that marks the person:
+
+=========================================  ====================================================
+Picture                                    Inside
+=========================================  ====================================================
+with alpha that is somewhere below 255     its alpha
+a palette of greys                         its luminance
+any other palette                          its labels; 255 beside others is a border, and zero
+grey, and RGB that is grey                 its luminance
+colours                                    refused: a photograph, or a drawing of labels
+=========================================  ====================================================
+
+Alpha that is 255 everywhere is ignored: some programs always add it.
+"""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gva_mi.core.atomic import atomic_write
-from gva_mi.core.errors import MALFORMED, InputError, reason_of
+from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import once_a_file, require_file, require_room
-from gva_mi.data.film_colors import rgb_of
-from gva_mi.data.mattes import matte_of
 
 if TYPE_CHECKING:
-    import av
     from PIL import Image
 
 MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
 FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
-SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
-_WAYS = {  # of a film: container, codec, its pixels and options, the pixels that it is given
-    # x264 writes its settings into the file, the number of threads among them: always use one.
-    "lossless": ("mp4", "libx264rgb", "rgb24", {
-        "crf": "0", "preset": "veryfast", "threads": "1"}, "rgb24"),
-    # mbtree reads uninitialised memory: other bits in every run.
-    "playable": ("mp4", "libx264", "yuv420p", {
-        "crf": "18", "threads": "1", "mbtree": "0"}, "rgb24"),
-    "alpha": ("webm", "libvpx-vp9", "yuva420p", {
-        "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
-        "auto-alt-ref": "0"}, "rgba"),
-}  # fmt: skip
+VOID = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
+GREY = 32  # largest difference of a grey pixel's channels, after JPEG
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
     """Read a picture, turned as its metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
-    (H, W), of 8 bits (:mod:`.mattes`) or 16, which :mod:`.masks` interprets.
+    (H, W), of 8 bits (as above) or 16, which :mod:`.masks` interprets.
     """
     from PIL import Image, ImageOps
 
@@ -141,134 +143,45 @@ def read_background(name: str, width: int, height: int) -> np.ndarray:
     return np.asarray(ImageOps.fit(picture, (width, height)), dtype=np.float32) / 255
 
 
-def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """Yield the frames of a film."""
-    count = 0
-    with decoding(path), open_film(path) as container:
-        for frame in _with_alpha(container):
-            require_size(str(path), frame.width, frame.height)
-            yield frame
-            count += 1
-    if not count:
-        raise InputError(f"{path}: holds no picture")
+def matte_of(where: str, image: Image.Image) -> np.ndarray:
+    """Convert an 8-bit picture to a mask (H, W) 8-bit, 255 inside; ``where`` names it in errors.
 
-
-def _with_alpha(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
-    """Yield the frames of a film; with their alpha, which FFmpeg's own decoder of VP9 drops."""
-    import av
-
-    stream = container.streams.video[0]
-    decoder = {"vp8": "libvpx", "vp9": "libvpx-vp9"}.get(stream.codec_context.name)
-    alpha = ("alpha_mode", "1") in {(key.lower(), x) for key, x in stream.metadata.items()}
-    if not alpha or decoder not in av.codecs_available:
-        yield from container.decode(stream)
-        return
-    decoder = av.CodecContext.create(decoder, "r")
-    for packet in container.demux(stream):
-        yield from decoder.decode(packet)
-
-
-def open_film(path: Path) -> av.container.InputContainer:
-    """Open a film whose pictures have an acceptable size."""
-    import av
-
-    with decoding(path):
-        container = av.open(str(path))
-        if not container.streams.video:
-            raise InputError(f"{path}: holds no picture, only sound; expected a film")
-        stream = container.streams.video[0]
-        require_size(str(path), stream.width, stream.height)
-        return container
-
-
-@contextmanager
-def decoding(path: Path) -> Iterator[None]:
-    """Convert any decoding error of a film to an InputError of one sentence."""
-    import av
-
-    try:
-        yield
-    except InputError:
-        raise
-    except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
-
-
-def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
-    """Return a decoded frame as a picture (H, W, C) 8-bit, turned as its metadata say.
-
-    ``form`` is FFmpeg's name of the pixels' format: "rgb24", or "rgba" for masks.
+    Labels of a palette are returned as they are: :mod:`.masks` says what they mean.
     """
-    return turned(rgb_of(frame) if form == "rgb24" else frame.to_ndarray(format=form), frame)
-
-
-def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
-    """Turn a picture (H, W, C) as the metadata of its frame say."""
-    return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame)))
-
-
-def size_of(frame: av.VideoFrame) -> tuple[int, int]:
-    """Return the size (W, H) of the picture that :func:`pixels_of` returns."""
-    size = frame.width, frame.height
-    return size[::-1] if _quarter_turns(frame) % 2 else size
-
-
-def _quarter_turns(frame: av.VideoFrame) -> int:
-    """Return how many quarter turns counter-clockwise a frame's metadata ask for."""
-    return round(frame.rotation / 90) % 4
-
-
-def steps_of(path: Path) -> tuple[np.ndarray, float]:
-    """Return the seconds (T − 1,) between a film's pictures, and one tick of its clock."""
-    import av
-
-    with decoding(path), av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-        tick = float(stream.time_base or 0)
-    return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
-
-
-def require_alpha_codec(path: Path) -> None:
-    """Raise an InputError where films with alpha cannot be written."""
-    import av
-
-    if "libvpx-vp9" not in av.codecs_available:
-        raise InputError(
-            f"{path}: the installed PyAV has no libvpx-vp9, which films with alpha need; expected "
-            "its own wheel, pip install av"
-        )
-
-
-def write_film(
-    path: Path,
-    images: Iterable[np.ndarray],
-    fps: int = 25,
-    way: Literal["lossless", "playable", "alpha"] = "lossless",
-) -> None:
-    """Write a film of pictures (H, W, C), floats in [0, 1] or 8-bit.
-
-    Lossless is an mp4 in RGB; playable is an mp4 that every player shows; alpha is a .webm of RGBA
-    pictures, straight alpha. The last two drop the last row or column of odd sizes.
-    """
-    import av
-
-    kind, codec, pixels, options, given = _WAYS[way]
-    bare = {"fflags": "+bitexact"} if way == "alpha" else {}  # no time stamp or random number
-    with (
-        atomic_write(path) as unfinished,
-        av.open(str(unfinished), "w", format=kind, options=bare) as container,
+    if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
+        image.mode == "P" and "transparency" in image.info
     ):
-        stream = container.add_stream(codec, rate=fps)
-        stream.pix_fmt, stream.options = pixels, options
-        if way == "alpha":
-            stream.metadata["alpha_mode"] = "1"  # players need it
-        for k, image in enumerate(images):
-            image = in_8_bits(image)
-            if way != "lossless":  # halved colours: even sizes
-                image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-            if k == 0:
-                stream.height, stream.width = image.shape[:2]
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), given)
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+        if alpha.min(initial=255) < 255:
+            return alpha
+    if image.mode in ("P", "PA"):
+        return _of_palette(image)
+    if image.mode in ("1", "L", "LA", "La"):
+        return np.asarray(image.convert("L"))
+    return matte_of_pixels(where, np.asarray(image.convert("RGB")))
+
+
+def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
+    """Convert 8-bit pixels (H, W, 3) RGB or (H, W, 4) RGBA, such as a film's, to a mask."""
+    from PIL import Image
+
+    if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
+        return np.ascontiguousarray(pixels[..., 3])
+    rgb = np.ascontiguousarray(pixels[..., :3])
+    if (np.ptp(rgb, axis=2) > GREY).any():
+        raise InputError(
+            f"{where}: a mask in colours, such as a photograph or a drawing of labels, does not "
+            "say what is inside; expected white before black, or alpha"
+        )
+    return np.asarray(Image.fromarray(rgb).convert("L"))
+
+
+def _of_palette(image: Image.Image) -> np.ndarray:
+    """Return the values of a palette picture: colours if all that is used is grey, else labels."""
+    colors = np.asarray(image.convert("RGB"))
+    if (colors == colors[..., :1]).all():
+        return np.ascontiguousarray(colors[..., 0])
+    labels = np.array(image if image.mode == "P" else image.getchannel(0))
+    if (labels == VOID).any() and ((labels > 0) & (labels < VOID)).any():
+        labels[labels == VOID] = 0
+    return labels

@@ -13,7 +13,7 @@ held_out_range a stretch of consecutive test frames, which are not in    the vid
                ``test`` then (:mod:`gva_mi.data.splits`)
 novel_pose     of another motion, synthetic subjects only                ground truth
 novel_view     of the video's motion from other cameras: synthetic       ground truth, or the
-               subjects, or a data set's (:mod:`gva_mi.data.views`)      video's
+               subjects, or a data set's (:mod:`gva_mi.data.ground_truth`)      video's
 =============  ========================================================  ====================
 
 =============  =======================================================================
@@ -42,9 +42,9 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.data.crop import Box
+from gva_mi.data.ground_truth import held_out_views
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Frame, Video, load_video
-from gva_mi.data.views import held_out_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
 from gva_mi.study.regions import Detail, Details, person_box

@@ -22,7 +22,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
-from gva_mi.data.pictures import write_film
+from gva_mi.data.film import write_film
 from gva_mi.data.problems import Problem
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder

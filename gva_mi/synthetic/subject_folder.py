@@ -33,10 +33,10 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.core.stamp import write_record
+from gva_mi.data.film import write_film
 from gva_mi.data.fingerprint import SYNTH, fingerprint
 from gva_mi.data.folder import TRUTH, VIDEO, SubjectWriter
 from gva_mi.data.ground_truth import BODY
-from gva_mi.data.pictures import write_film
 from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion

@@ -8,11 +8,12 @@ import pytest
 
 from gva_mi.body.pose import JOINTS, load_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.data.film import write_film
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.importers.keypoints import LAYOUTS
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.networks.segment_anything import MaskGuess, SegmentAnything
-from gva_mi.data.pictures import read_image, write_film
+from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_video
 
 FRAMES = 12

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.film import Film
-from gva_mi.data.pictures import write_film
+from gva_mi.data.film import Film, write_film
 
 COUNT, SIZE = 40, (24, 32)
 SOME = 1 << 15  # bytes: of some pictures, not of all

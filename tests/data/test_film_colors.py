@@ -6,8 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from gva_mi.data.film import Film
-from gva_mi.data.pictures import decoded, pixels_of
+from gva_mi.data.film import Film, decoded, pixels_of
 
 RAMP = np.array([16, 40, 90, 128, 180, 220, 250])  # greys of sRGB
 COLORS = np.array([(200, 60, 30), (40, 170, 60), (30, 60, 190)])
@@ -109,7 +108,7 @@ def test_hdr_is_mapped_to_srgb(curve, transfer, name, tmp_path):
 
 def test_primaries_of_bt2020_become_those_of_srgb(tmp_path):
     """A red of sRGB, stored in BT.2020's primaries, comes back as itself; so does an SDR grey."""
-    from gva_mi.data.film_colors import FROM_2020
+    from gva_mi.data.film import FROM_2020
 
     decode = lambda v: np.where(v < 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
     encode = lambda v: np.where(v < 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from gva_mi.core.errors import InputError
+from gva_mi.data.film import write_film
 from gva_mi.data.film_pictures import read_film
-from gva_mi.data.pictures import write_film
 
 HEIGHT, WIDTH = 48, 64
 

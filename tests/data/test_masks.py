@@ -1,47 +1,68 @@
-"""Masks of every form read the same."""
+"""Masks of every form are read by one rule, a folder's own and those that ``prepare`` is given."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from gva_mi import InputError
+from gva_mi.data.film import write_film
+from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
 from gva_mi.data.pictures import write_image
 
-INSIDE = np.zeros((5, 7), bool)
-INSIDE[1:4, 2:5] = True
-
-HARD = {
-    "0 and 255": INSIDE.astype(np.uint8) * 255,
-    "0 and 1": INSIDE.astype(np.uint8),
-    "Boolean": INSIDE,
-    "float": INSIDE.astype(np.float64), "whole": INSIDE.astype(np.int64),
-    "16 bits": INSIDE.astype(np.uint16) * 65535, "a label": INSIDE.astype(np.uint8) * 3,
-}  # fmt: skip
+INSIDE = np.zeros((20, 30), bool)
+INSIDE[5:16, 8:20] = True
+HARD = INSIDE * np.uint8(255)
+SOFT = np.round(np.linspace(0, 255, 600)).reshape(20, 30).astype(np.uint8)
+PHOTO = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 
 
-PIXELS = [name for name, mask in HARD.items() if mask.dtype in (np.uint8, np.uint16)]
+def grey(values, *more):
+    """Channels of these values, and others beside them."""
+    return np.stack([values] * 3 + list(more), axis=-1)
 
 
-@pytest.mark.parametrize(
-    ("suffix", "name"), [("npy", name) for name in HARD] + [("png", name) for name in PIXELS]
-)
-def test_hard_masks_of_every_form_read_the_same(name, suffix, tmp_path):
-    if suffix == "npy":
-        np.save(tmp_path / "000003.npy", HARD[name])
+def palette(labels, *colors, transparency=None):
+    image = Image.fromarray(np.asarray(labels, np.uint8), mode="P")
+    image.putpalette([x for color in colors for x in color])
+    if transparency is not None:
+        image.info["transparency"] = transparency
+    return image
+
+
+BLACK, WHITE, RED = (0, 0, 0), (255, 255, 255), (128, 0, 0)
+FULL = np.full_like(HARD, 255)
+FORMS = {  # an array, or a picture, and the mask
+    "0 and 1": (INSIDE.astype(np.uint8), HARD),
+    "a label": (INSIDE.astype(np.uint8) * 3, HARD),
+    "Boolean": (INSIDE, HARD),
+    "whole numbers to 1": (INSIDE.astype(np.int64), HARD),
+    "whole numbers to 255": (HARD.astype(np.int32), HARD),
+    "shares": (SOFT / np.float64(255), SOFT),
+    "16 bits": (SOFT.astype(np.uint16) * 257, SOFT),
+    "soft": (Image.fromarray(SOFT), SOFT),
+    "opaque RGBA": (Image.fromarray(grey(HARD, FULL)), HARD),
+    "a photograph cut out, softly": (Image.fromarray(np.dstack([PHOTO, SOFT])), SOFT),
+    "one bit": (Image.fromarray(INSIDE), HARD),
+    "a picture of 16 bits": (Image.fromarray(HARD.astype(np.uint16) * 257), HARD),
+    "RGB": (Image.fromarray(grey(SOFT)), SOFT),
+    "black and white amid colours": (palette(INSIDE * 3, BLACK, RED, RED, WHITE), HARD),
+    "labels, 0 in colour": (palette(INSIDE, RED, (0, 0, 128)), HARD),
+    "a palette cut out": (palette(INSIDE, RED, RED, transparency=bytes([0, 255])), HARD),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_subjects_and_prepare_read_a_mask_alike(name, tmp_path):
+    given, expected = FORMS[name]
+    if isinstance(given, np.ndarray):
+        np.save(tmp_path / "000000.npy", given)
     else:
-        Image.fromarray(HARD[name]).save(tmp_path / "000003.png")
-    mask = read_mask(tmp_path, 3)
-    assert mask.dtype == np.float32
-    np.testing.assert_array_equal(mask, INSIDE)
-
-
-def test_soft_masks_keep_their_values(tmp_path):
-    soft = np.linspace(0, 1, 35).reshape(5, 7)
-    write_image(tmp_path / "000000.png", soft)
-    np.save(tmp_path / "000001.npy", soft)
-    np.testing.assert_allclose(read_mask(tmp_path, 0), soft, atol=0.5 / 255 + 1e-6)
-    np.testing.assert_allclose(read_mask(tmp_path, 1), soft, atol=1e-7)
+        given.save(tmp_path / "000000.png")
+    (prepared,) = masks(tmp_path)
+    own = read_mask(tmp_path, 0)
+    assert own.dtype == np.float32
+    assert np.array_equal(prepared, expected) and np.allclose(own, expected / 255, atol=1e-6)
 
 
 @pytest.mark.parametrize("full", [65535, 255, 1])
@@ -59,17 +80,44 @@ def test_an_empty_mask_is_one_and_a_missing_one_is_none(tmp_path):
     assert read_mask(tmp_path, 1) is None
 
 
-@pytest.mark.parametrize(
-    ("value", "sentence"),
-    [
-        (np.ones((5, 7, 3), bool), r"must be \(H, W\), got \(5, 7, 3\)"),
-        (np.full((5, 7), np.nan), r"must lie in \[0, 1\]"),
-        (np.full((5, 7), 255.0), r"must lie in \[0, 1\]"),
-        (np.ones((5, 7), complex), "Boolean or numbers, got complex128"),
-        (np.arange(35).reshape(5, 7) % 3, "masks of labels 0-2"),
-    ],
-)
-def test_anything_else_is_refused(value, sentence, tmp_path):
-    np.save(tmp_path / "000000.npy", value)
-    with pytest.raises(InputError, match=sentence):
+def test_films_and_stacks_of_masks_are_read_by_the_same_rule(tmp_path):
+    hard, film = np.kron(HARD, np.ones((2, 2), np.uint8)), tmp_path / "masks.mp4"
+    write_film(film, [grey(hard)] * 3)
+    found = list(masks(film))
+    assert len(found) == 3 and all(np.array_equal(mask, hard) for mask in found)
+    write_film(film, [PHOTO])
+    with pytest.raises(InputError, match=r"masks\.mp4: picture 0: a mask in colours"):
+        list(masks(film))
+    np.save(tmp_path / "masks.npy", np.stack([SOFT / 255, 0 * SOFT]))
+    first, second = masks(tmp_path / "masks.npy")
+    assert np.array_equal(first, SOFT) and not second.any()
+
+
+REFUSED = {
+    "three axes": (np.ones((5, 7, 3), bool), r"must be \(H, W\), got \(5, 7, 3\)"),
+    "NaN": (np.full((5, 7), np.nan), r"must lie in \[0, 1\]"),
+    "floats to 255": (np.full((5, 7), 255.0), r"must lie in \[0, 1\]"),
+    "complex": (np.ones((5, 7), complex), "Boolean or numbers, got complex128"),
+    "labels": (np.arange(35).reshape(5, 7) % 3, "masks of labels 0-2"),
+    "a photograph": (Image.fromarray(PHOTO), r"000000\.png: a mask in colours"),
+    "red": (Image.fromarray(np.dstack([HARD, 0 * HARD, 0 * HARD])), "a mask in colours"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_anything_else_is_refused(name, tmp_path):
+    given, sentence = REFUSED[name]
+    if isinstance(given, np.ndarray):
+        np.save(tmp_path / "000000.npy", given)
+    else:
+        given.save(tmp_path / "000000.png")
+    with pytest.raises(InputError, match=sentence) as error:
         read_mask(tmp_path, 0)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("value", [-4.0, np.nan, 300.0])
+def test_values_beyond_the_range_are_refused(value, tmp_path):
+    np.save(tmp_path / "masks.npy", np.where(INSIDE, 8.0, value)[None])
+    with pytest.raises(InputError, match=r"masks\.npy: mask 0: its values go from"):
+        list(masks(tmp_path / "masks.npy"))

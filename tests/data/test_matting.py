@@ -5,9 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.matting.odds import log_odds
+from gva_mi.data.matting.odds import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, counted, log_odds
 from gva_mi.data.matting.plate import Plate
-from gva_mi.data.matting.shadows import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, counted
 from gva_mi.data.pictures import read_image
 
 H, W, T = 96, 80, 10

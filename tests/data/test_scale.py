@@ -19,7 +19,8 @@ import torch
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.core.spill_cache import KEPT
 from gva_mi.data.cameras import save_cameras
-from gva_mi.data.pictures import write_film, write_image
+from gva_mi.data.film import write_film
+from gva_mi.data.pictures import write_image
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 

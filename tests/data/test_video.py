@@ -8,7 +8,8 @@ import pytest
 
 from gva_mi import InputError
 from gva_mi.body.pose import save_poses
-from gva_mi.data.pictures import read_image, write_film, write_image
+from gva_mi.data.film import write_film
+from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import load_video
 

@@ -9,9 +9,9 @@ import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.core.errors import InputError
+from gva_mi.data.ground_truth import held_out_views, save_views
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.data.views import held_out_views, save_views
 from gva_mi.splat import Camera, look_at
 
 SIZE = (10, 12)

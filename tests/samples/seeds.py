@@ -19,14 +19,14 @@ from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli import series
 from gva_mi.core.files import json_equals, write_json
+from gva_mi.data.film import write_film
 from gva_mi.data.fingerprint import fingerprint, require_same_body
-from gva_mi.data.ground_truth import load_ground_truth
+from gva_mi.data.ground_truth import held_out_views, load_ground_truth, save_views
 from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.pictures import read_background, write_film
+from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
-from gva_mi.data.views import held_out_views, save_views
 from gva_mi.fit import run_folder
 from gva_mi.splat.formats.compressed_ply import save_compressed_ply
 from gva_mi.splat.formats.ply import load_ply, save_ply

@@ -8,9 +8,9 @@ import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.data.crop import Box
+from gva_mi.data.ground_truth import save_views
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.data.views import save_views
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame
 from gva_mi.splat import look_at

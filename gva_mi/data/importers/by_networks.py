@@ -11,10 +11,9 @@ from torch import Tensor
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
-from gva_mi.data.crop import bounds
+from gva_mi.data.crop import CropBox, bounds
 from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.masks import read_mask
-from gva_mi.data.networks.crop import CropBox
 from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.normals import in_convention

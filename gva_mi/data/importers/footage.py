@@ -9,10 +9,10 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
+from gva_mi.data.film import decoded, open_film, pixels_of, steps_of
 from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.masks import MaskMeaning, meaning_of
-from gva_mi.data.mattes import matte_of_pixels
-from gva_mi.data.pictures import decoded, open_film, pixels_of, read_image, steps_of
+from gva_mi.data.pictures import matte_of_pixels, read_image
 
 Pictures = Path | tuple[Path, ...]  # a film or a folder, or single files in order
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -22,7 +22,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
     """Yield the pictures of a film, a folder or files, turned as their metadata say.
 
     ``channels`` is 3 for RGB (H, W, 3), or 1 for the values of masks (H, W):
-    :mod:`gva_mi.data.mattes`.
+    :mod:`gva_mi.data.pictures`.
     """
     files = files_of(source)
     if files is not None:

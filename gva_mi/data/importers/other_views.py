@@ -1,4 +1,4 @@
-"""Write a data set's other cameras as held-out views of the subject: :mod:`gva_mi.data.views`.
+"""Write a data set's other cameras as held-out views of the subject: :mod:`gva_mi.data.ground_truth`.
 
 With E = [R T] of a camera in the data set's world, and the video's camera turned upright by W,
 
@@ -15,12 +15,12 @@ import numpy as np
 from gva_mi.body.rotations import nearest_rotations
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.data.folder import FRAMES, MASKS, VIEWS, frame_name
+from gva_mi.data.ground_truth import save_views
 from gva_mi.data.importers.capture import Capture, FixedCamera
 from gva_mi.data.importers.footage import pictures
 from gva_mi.data.importers.lens import undistort
 from gva_mi.data.pictures import require_sides, write_image
 from gva_mi.data.splits import spread
-from gva_mi.data.views import save_views
 from gva_mi.splat import Camera
 
 ALL = "all"  # in the place of names

@@ -18,8 +18,8 @@ import numpy as np
 from gva_mi.body.pose import BODY
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.tracks import Track
-from gva_mi.data.joints import count_in_mask, joints_in_world
 from gva_mi.data.masks import BARELY
+from gva_mi.data.silhouettes import count_in_mask, joints_in_world
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
 MOSTLY = 0.5  # of the joints: clothes and an estimate that errs leave most in the person's mask

@@ -10,7 +10,7 @@ import numpy as np
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.rotations import composed, to_matrices
-from gva_mi.data.joints import joints_in_world
+from gva_mi.data.silhouettes import joints_in_world
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 UP: tuple[Axis, ...] = get_args(Axis)

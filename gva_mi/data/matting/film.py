@@ -11,7 +11,7 @@ Memory does not grow with the film's length: pictures are read one by one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +20,10 @@ from gva_mi.core.console import Progress, listed
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.crop import bounds
 from gva_mi.data.folder import frame_name
-from gva_mi.data.matting.camera import ShrunkPicture, camera_motion
-from gva_mi.data.matting.grid import WorkGrid
-from gva_mi.data.matting.scene import FilmScene, GridPicture
+from gva_mi.data.matting.camera import ShrunkPicture, WorkGrid, camera_motion, moved
+from gva_mi.data.matting.odds import ColorsByHeight, Shadows, counted, log_odds
+from gva_mi.data.matting.outline import BORDER, outline_alpha, smoothest_cut
+from gva_mi.data.matting.plate import Plate
 from gva_mi.data.pictures import write_image
 from gva_mi.data.splits import spread
 
@@ -32,6 +33,14 @@ STILL = 0.5  # pixels of the grid: the camera stands if the picture's corners mo
 PERSON = 0.5  # probability from which a pixel counts to the person's extent
 SMALLEST = 64  # pixels of that kind: with fewer there is no person
 UNSTEADY = 0.04  # spread of colours: beyond it the background changes too much to help
+POSSIBLE, CERTAIN = 0.05, 0.95  # probabilities: below the one is background, above the other person
+NEAR = 4, 3  # pixels around what is possible that count as possible, too: by the network, the cut
+INNER = 1  # pixels inside of the outline whose colours are not counted
+AROUND = 0.12  # of the person's longer side: where a picture is looked at beyond what is possible
+PRICE, FLAT_PRICE = 1.5, 4.0  # of an outline: anywhere, and added where colours are equal
+EDGE = 0.1  # difference of colours, in [0, 1], at which less than half of this is added
+STEPS = 50  # of the cut
+ISLAND = 0.002  # share of the largest piece's area: smaller ones are dropped
 
 
 def film_masks(
@@ -140,3 +149,142 @@ class _FilmOnGrid:
         corners = np.array([[x, y, 1.0] for x in (-1, 1) for y in (-1, 1)])
         away = (corners @ A.T - corners)[:, :2] * self.grid.picture[::-1] / 2
         return float(np.abs(away).max() * self.grid.scale)
+
+
+@dataclass(frozen=True)
+class GridPicture:
+    """One picture on the working grid."""
+
+    image: np.ndarray  # (h, w, 3) 8-bit
+    probability: np.ndarray  # (h, w) float32 in [0, 1], of the person
+    height: np.ndarray  # (h,) of each row: 0 at the person's highest pixel, 1 at the lowest
+    motion: np.ndarray | None  # (3, 3) from the plate to this picture, as in camera.py; None: lost
+
+
+@dataclass(frozen=True)
+class FilmScene:
+    """The background, its shadows, and the colours of person and background."""
+
+    plate: Plate
+    shadows: Shadows
+    person: ColorsByHeight
+    background: ColorsByHeight
+
+    @staticmethod
+    def gather(views: Sequence[GridPicture]) -> FilmScene:
+        """Gather the scene: by the probabilities, then by the masks found with these."""
+        from scipy.ndimage import binary_dilation, binary_erosion
+
+        inside = [view.probability > CERTAIN for view in views]
+        possible = [view.probability > POSSIBLE for view in views]
+        for near in NEAR:
+            outside = [~binary_dilation(x, iterations=near) for x in possible]
+            person, background = ColorsByHeight(), ColorsByHeight()
+            for k, view in enumerate(views):
+                person.add(view.image, binary_erosion(inside[k], iterations=INNER), view.height)
+                background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
+            scene = FilmScene(_plate(views, outside), Shadows(), person, background)
+            scene = replace(scene, shadows=scene._shadows_of(views, outside))
+            if near == NEAR[0]:
+                inside = list(on_all_cores(scene.inside, views))
+                possible = [
+                    x | (view.probability > CERTAIN) for x, view in zip(inside, views, strict=True)
+                ]
+        return scene
+
+    def mask(self, view: GridPicture) -> np.ndarray:
+        """Return the mask (h, w) float32 in [0, 1] of a picture."""
+        mask, plate = np.zeros(view.probability.shape, np.float32), self._plate_in(view)
+        inside = self.inside(view, plate)
+        if not inside.any():
+            return mask
+        left, top, right, bottom = (int(x) for x in bounds(inside))
+        wide = lambda low, high: slice(max(0, low - BORDER), high + BORDER)
+        part = wide(top, bottom), wide(left, right)
+        image = view.image[part].astype(np.float32) / 255
+        mask[part] = outline_alpha(image, inside[part], plate.part(part))
+        return mask
+
+    def inside(self, view: GridPicture, plate: Plate | None = None) -> np.ndarray:
+        """Return where the person is in a picture (h, w) bool, whose plate may be known."""
+        part = _looked_at(view)
+        image, P = view.image[part], view.probability[part]
+        plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]
+        grid_rows = np.linspace(0, 1, len(view.image))[part[0]]
+        person, background = (
+            self.person.density(image, rows),
+            self.background.density(image, grid_rows),
+        )
+        image = image.astype(np.float32) / 255
+        odds = log_odds(image, P, rows, plate, self.shadows, person, background)
+        cut = smoothest_cut(odds, _prices(image), odds > 0, STEPS) > 0.5
+        whole = np.zeros(view.probability.shape, bool)
+        whole[part] = _person_alone(cut, P)
+        return whole
+
+    def _shadows_of(self, views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Shadows:
+        """Count shadows around the person, in pictures (h, w) bool of where it is not."""
+
+        def count(seen: tuple[GridPicture, np.ndarray]) -> np.ndarray:
+            view, bare = seen
+            part = _looked_at(view)
+            image = view.image[part].astype(np.float32) / 255
+            return counted(image, self._plate_in(view).part(part), bare[part], view.height[part[0]])
+
+        return Shadows.of(sum(on_all_cores(count, zip(views, outside, strict=True))))
+
+    def _plate_in(self, view: GridPicture) -> Plate:
+        """Return the plate as a picture's camera sees and exposes it."""
+        if view.motion is None:
+            return Plate.unknown(view.probability.shape)
+        still = (view.motion == np.eye(3)).all()
+        plate = self.plate if still else self.plate.moved(np.linalg.inv(view.motion))
+        return plate.exposed_as(view.image, view.probability < POSSIBLE)
+
+
+def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate:
+    """Gather the plate of pictures, as the reference's camera sees them."""
+    images, bare = [], []
+    for view, out in zip(views, outside, strict=True):
+        if view.motion is None:
+            continue
+        image = view.image
+        if not (view.motion == np.eye(3)).all():
+            image = np.round(moved(image, view.motion)).astype(np.uint8)
+            out = moved(out[..., None], view.motion, outside=0)[..., 0] > 0.99
+        images.append(image)
+        bare.append(out)
+    return Plate.gather(np.stack(images), np.stack(bare))
+
+
+def _looked_at(view: GridPicture) -> tuple[slice, slice]:
+    """Return rows and columns of a picture that may show the person."""
+    possible = view.probability > POSSIBLE
+    rows, columns = (np.flatnonzero(possible.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 1), slice(0, 1)
+    border = round(AROUND * max(np.ptp(rows), np.ptp(columns)) + 2)
+    return tuple(slice(max(0, x[0] - border), x[-1] + 1 + border) for x in (rows, columns))
+
+
+def _prices(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the price of an outline between each pixel (h, w, 3) and the right and lower one."""
+    found = []
+    for axis in (1, 0):
+        R, G, B = np.moveaxis(np.abs(np.diff(image, axis=axis)), -1, 0)
+        differs = np.maximum(np.maximum(R, G), B) / EDGE
+        found.append(PRICE + FLAT_PRICE * np.exp(-(differs**2)))
+    return found[0], found[1]
+
+
+def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Drop pieces (h, w) bool that are small, or that the network holds for background."""
+    from scipy.ndimage import label
+
+    pieces, count = label(inside)
+    if count < 2:
+        return inside
+    area = np.bincount(pieces.ravel())[1:]
+    likely = np.bincount(pieces.ravel(), probability.ravel())[1:] / area
+    kept = (area >= ISLAND * area.max()) & ((likely > 0.3) | (area == area.max()))
+    return np.concatenate([[False], kept])[pieces]

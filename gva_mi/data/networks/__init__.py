@@ -1,24 +1,20 @@
 """Networks that see a person in pictures.
 
-MediaPipe's landmark networks, fetched once by pip (``weights``) and run by ai-edge-litert:
+MediaPipe's landmark networks:
 
-====================  ==================================================================
-``watch``             one person's landmarks and silhouette in all pictures of a film
-``person_tracker``    keeps to one person, though others walk past
-``known_person``      what is remembered of a person
-``person_detector``   finds the people of a picture
-``body_landmarks``    the body's landmarks and silhouette
-``hand_landmarks``    the landmarks of both hands, ``face_landmarks`` of the face
-``seen_part``         a hand or a face, and how it is looked for
-``turned_square``     the part of a picture that such a network sees
-``tflite``            runs a network
-====================  ==================================================================
+=======================  ==================================================================
+``watch``                one person's landmarks and silhouette in all pictures of a film
+``person_tracker``       finds people, and follows one of them
+``body_landmarks``       the body's landmarks and silhouette
+``hand_face_landmarks``  those of both hands and of the face
+``turned_square``        the part of a picture that such a network sees
+``mediapipe``            their files, fetched once by pip, and how they are run
+=======================  ==================================================================
 
 Networks that users bring as files of their own:
 
-====================  ==================================================================
-``segment_anything``  the person's mask, by Segment Anything, prompted by the pose
-``normals``           the person's normals, by an ONNX file
-``crop``              cuts the person out for a network
-====================  ==================================================================
+=======================  ==================================================================
+``segment_anything``     the person's mask, by Segment Anything, prompted by the pose
+``normals``              the person's normals, by an ONNX file
+=======================  ==================================================================
 """

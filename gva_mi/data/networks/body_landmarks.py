@@ -23,11 +23,10 @@ import numpy as np
 
 from gva_mi.body.pose import SIDES, mirrored_name
 from gva_mi.data.landmarks import BODY
-from gva_mi.data.networks.person_detector import MARGIN
-from gva_mi.data.networks.tflite import TfliteNetwork, sigmoid
+from gva_mi.data.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.data.networks.turned_square import TurnedSquare
-from gva_mi.data.networks.weights import weights_file
 
+MARGIN = 1.25  # side of the square, relative to the diameter of the circle around the person
 _POINTS = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
 _WINDOW = 3  # cells of the heat map on each side of a landmark that refine it

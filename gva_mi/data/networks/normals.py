@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.core.errors import InputError, reason_of
-from gva_mi.data.networks.crop import CropBox
+from gva_mi.data.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network

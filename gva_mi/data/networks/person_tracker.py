@@ -1,41 +1,177 @@
-"""Follow one person through a film, though others may walk past.
+"""Find people in a picture, and follow one of them through a film.
+
+MediaPipe's pose detector gives for each of 2254 anchors a score and, relative to the anchor, a box
+around the head and four points. Two of these count: the middle of the hips, and the top of a circle
+around the whole person, whose centre is the middle of the hips.
 
 In each picture the body network looks where the person was in the picture before. The detector
-searches the rest of the picture when that finds nobody, in every picture while several people are
-around, and now and then to learn whether they are. A person found in a picture is ours only if it
-resembles ours more than any other that is known.
+searches the whole picture when that finds nobody, in every picture for a while after several
+people were seen, and now and then to learn whether there are several. It sees the most prominent
+people, so those who are known are painted over. It misses people who fill less than a fifth of what
+it sees, so parts of the picture are searched, too. A detected person is one if the body network
+agrees twice: on the picture and on its mirror image.
 
-The detector sees the most prominent people: those who are known are painted over. It misses people
-who fill less than a fifth of what it sees, so it looks at parts of the picture too: where people
-were expected, and at squares over all of it while our person is missing. What it takes for a person
-where none was expected is one if the body network agrees twice, of the picture and of its mirror
-image.
+Of several people, the one is followed who is near the expected place, of the same size, in the same
+colours between shoulders and hips. While that person is hidden, nobody is found.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
-from gva_mi.data.networks.known_person import KnownPerson, torso_colours
-from gva_mi.data.networks.person_detector import PersonDetector, squares_over
+from gva_mi.body.pose import SIDES
+from gva_mi.data.landmarks import BODY
+from gva_mi.data.networks.body_landmarks import MARGIN, BodyNetwork, SeenBody
+from gva_mi.data.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.data.networks.turned_square import TurnedSquare
+
+CERTAIN = 0.5  # least score of a detected person
+_SAME_BOX = 0.3  # overlap of boxes (IoU) of one person
+_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
 
 FOUND = 0.5  # least presence of a person
 MOST = 6  # people of a picture
 _EVERY = 5  # pictures between two that are searched for other people
+_WATCHFUL = 60  # pictures after several people were seen in which each one is searched
 _SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
 _LOOKS = 3  # at a detected person: each look centres the next
 _SAME = 0.4  # of the radius: bodies closer than this are one person
 _TRIED = 3  # detected people whom the body network is asked about, of those not known
 _AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
-_GREY = 128
-_AROUND = 0.1  # of the radius: painted over around the landmarks
-_CLEAR = 0.3  # difference of resemblance that tells two people apart
-_LEAST = -0.5  # least resemblance to a known person
+_GREY, _AROUND = 128, 0.1  # what is painted over; of the radius: around the landmarks
+_SURROUNDINGS = 5.0  # of the radius: side of the square in which the person is searched
+
+_BINS = 4  # of each colour channel
+_MEMORY, _STEADY = 0.9, 0.7  # shares of the colours and of the speed that stay in each picture
+# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
+# and in each picture without a sight.
+_STEP, _DRIFT = 1.0, 0.3
+_LEAST = -0.5  # least resemblance to the person
+_DOUBTFUL = 0.6  # of the usual likeness of colours: less is another person, if several are around
+_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
+
+
+class PersonDetector:
+    """MediaPipe's pose detector."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
+        self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
+
+    def find(self, image: np.ndarray, squares: Sequence[TurnedSquare]) -> list[TurnedSquare]:
+        """Return what the landmark network should see of the people of a picture (H, W, 3) 8-bit.
+
+        Only ``squares`` of the picture are searched, in each of which people are seen who fill a
+        fifth of it or more. The most certain person comes first.
+        """
+        scores, boxes, points = (
+            np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
+        )
+        order = np.argsort(-scores, kind="stable")
+        order = order[scores[order] >= CERTAIN]
+        people = []
+        while len(order):  # the mean of overlapping boxes, weighted by their scores, is a person
+            same = _overlap(boxes[order[0]], boxes[order]) > _SAME_BOX
+            same[0] = True
+            group, order = order[same], order[~same]
+            hips, top = np.average(points[group], axis=0, weights=scores[group])
+            radius = float(np.linalg.norm(top - hips))
+            people.append(TurnedSquare.upright(hips, top, 2 * MARGIN * radius))
+        return people
+
+    def _see(
+        self, image: np.ndarray, square: TurnedSquare
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return scores (2254,), boxes (2254, 4) and the points (2254, 2, 2) in the picture."""
+        out = self._network(2 * square.cut(image, self._network.size, edge=False) - 1)
+        values = out["Identity"].astype(np.float64) / self._network.size
+        centres, sizes = values[:, :2] + self._anchors, values[:, 2:4]
+        corners = square.to_picture(np.stack([centres - sizes / 2, centres + sizes / 2], axis=1))
+        points = values[:, 4:8].reshape(-1, 2, 2) + self._anchors[:, None]
+        scores = sigmoid(out["Identity_1"][:, 0])
+        return scores, corners.reshape(-1, 4), square.to_picture(points)
+
+
+def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
+    """Return squares over a whole picture (H, W, 3), of which neighbours share a half or more."""
+    height, width = image.shape[:2]
+    return [
+        TurnedSquare((x, y), side) for y in _middles(height, side) for x in _middles(width, side)
+    ]
+
+
+def _middles(length: int, side: float) -> list[float]:
+    """Return the middles of the intervals that cover a length, which overlap by half or more.
+
+    If the interval is longer than that, one around the middle covers it.
+    """
+    if side >= length:
+        return [length / 2]
+    count = math.ceil(2 * (length - side) / side) + 1
+    return np.linspace(side / 2, length - side / 2, count).tolist()
+
+
+def _anchors(size: int) -> np.ndarray:
+    """Return the centres of the anchors (n, 2) in [0, 1], in the network's order."""
+    grids = []
+    for stride, each in _GRIDS:
+        places = (np.arange(size // stride) + 0.5) * stride / size
+        cells = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+        grids.append(np.repeat(cells, each, axis=0))
+    return np.concatenate(grids)
+
+
+def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the IoU (n,) of a box (4,) with others (n, 4): left, top, right, bottom."""
+    low, high = np.maximum(box[:2], boxes[:, :2]), np.minimum(box[2:], boxes[:, 2:])
+    inside = (high - low).clip(0).prod(-1)
+    areas = (boxes[:, 2:] - boxes[:, :2]).clip(0).prod(-1)
+    union = areas + (box[2:] - box[:2]).clip(0).prod() - inside
+    return inside / np.maximum(union, 1e-12)
+
+
+@dataclass
+class KnownPerson:
+    """The person who is followed: place, size, speed and the colours of the torso."""
+
+    body: SeenBody  # when last seen
+    colours: np.ndarray  # (bins,) of sum 1
+    speed: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels a picture
+    usual: float = 0.7  # likeness of the colours from picture to picture
+    unseen: int = 0  # pictures since then
+
+    @property
+    def expected(self) -> np.ndarray:
+        """Where the hips (2,) are now, if the person has gone on, pixels."""
+        return self.body.hips + self.unseen * self.speed
+
+    def resemblance(self, body: SeenBody, likeness: float) -> float:
+        """Return how much somebody looks like this person: 1 is the expected place and colours."""
+        moved = np.linalg.norm(body.hips - self.expected) / self.body.radius
+        grown = abs(np.log(body.radius / self.body.radius))
+        return likeness - float(moved + grown) / (_STEP + _DRIFT * self.unseen)
+
+    def likeness(self, colours: np.ndarray) -> float:
+        """Return the overlap of two histograms of sum 1."""
+        return float(np.minimum(self.colours, colours).sum())
+
+    def is_at(self, body: SeenBody) -> bool:
+        """Return whether somebody is where this person is expected."""
+        return bool(np.linalg.norm(body.hips - self.expected) < _SAME * self.body.radius)
+
+    def update(self, body: SeenBody, colours: np.ndarray) -> None:
+        """Remember a new sight."""
+        moved = (body.hips - self.body.hips) / max(1, self.unseen)
+        self.speed = _STEADY * self.speed + (1 - _STEADY) * moved
+        self.usual = _MEMORY * self.usual + (1 - _MEMORY) * self.likeness(colours)
+        self.colours = _MEMORY * self.colours + (1 - _MEMORY) * colours
+        self.body, self.unseen = body, 0
 
 
 class PersonTracker:
@@ -50,7 +186,6 @@ class PersonTracker:
         """
         self._detector, self._network, self._person = detector, network, person
         self._ours: KnownPerson | None = None
-        self._others: list[KnownPerson] = []
         self._number = -1
         self.crowded: list[int] = []  # pictures in which several people were seen
         self.lost: list[int] = []  # pictures in which the person was not found
@@ -60,33 +195,34 @@ class PersonTracker:
         """Whether the person was chosen."""
         return self._ours is not None
 
+    @property
+    def _several(self) -> bool:
+        """Whether several people were seen lately."""
+        return bool(self.crowded) and self._number - self.crowded[-1] < _WATCHFUL
+
     def follow(self, image: np.ndarray) -> SeenBody | None:
         """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
         self._number += 1
-        ours = self._ours
-        seen = []
+        ours, seen = self._ours, []
         if ours is not None and not ours.unseen:
             body = self._network.see(image, ours.body.square)
             seen = [body] if body.presence >= FOUND else []
-        if not seen or self._others or self._number % _EVERY == 0:
+        if not seen or self._several or self._number % _EVERY == 0:
             seen = self._search(image, seen)
         if len(seen) > 1:
             self.crowded.append(self._number)
-        found = self._begin(image, seen) if ours is None else self._assign(image, seen)
+        found = self._choose(image, seen) if ours is None else self._recognise(image, seen)
         if found is None:
             self.lost.append(self._number)
         return found
 
-    @property
-    def _known(self) -> list[KnownPerson]:
-        """Our person, once it was chosen, and the others."""
-        return self._others if self._ours is None else [self._ours, *self._others]
-
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Add the people who are not among the seen."""
-        ours, known, due = self._ours, self._known, self._number % _EVERY == 0
+        ours, due = self._ours, self._number % _EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
-        squares += [person.surroundings for person in known if person.unseen or not seen]
+        if ours is not None and not seen:
+            expected = tuple(ours.expected.tolist())
+            squares.append(TurnedSquare(expected, _SURROUNDINGS * ours.body.radius))
         just_lost = ours is not None and ours.unseen < _EVERY
         if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
             squares += squares_over(image, min(image.shape[:2]))
@@ -103,7 +239,7 @@ class PersonTracker:
         for body in seen:
             _paint_over(rest, body)
         while len(seen) < MOST:
-            looks = map(partial(self._look, rest), self._detector.find(rest, squares)[:_TRIED])
+            looks = (self._look(rest, x) for x in self._detector.find(rest, squares)[:_TRIED])
             others = (x for x in looks if x is not None and not any(_is_same(x, y) for y in seen))
             body = next(others, None)
             if body is None:
@@ -124,13 +260,13 @@ class PersonTracker:
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
         if best.presence < FOUND:
             return None
-        if any(person.is_at(best) for person in self._known):
+        if self._ours is not None and self._ours.is_at(best):
             return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
         return best if mirrored.presence >= FOUND and off < _AGREE else None
 
-    def _begin(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
+    def _choose(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Choose the person, if enough people are there."""
         if len(seen) < (self._person or 1):
             return None
@@ -140,50 +276,39 @@ class PersonTracker:
             middle = np.array(image.shape[1::-1]) / 2
             off = lambda body: float(np.linalg.norm((body.hips - middle) / middle))
             chosen = max(seen, key=lambda body: body.radius / (1 + off(body)))
-        known = [KnownPerson(body, torso_colours(image, body)) for body in seen]
-        self._ours = next(person for person in known if person.body is chosen)
-        self._others = [person for person in known if person is not self._ours]
+        self._ours = KnownPerson(chosen, torso_colours(image, chosen))
         return chosen
 
-    def _assign(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
-        """Say who is who; return our person."""
-        colours = [torso_colours(image, body) for body in seen]
-        known = self._known
-        for person in known:
-            person.unseen += 1
-        score = np.full((len(known), len(seen)), -np.inf)
-        for p, person in enumerate(known):
-            hidden = any(person.is_near(other) for other in known if other is not person)
-            for b, body in enumerate(seen):
-                if not (hidden and person.is_doubtful(colours[b])):
-                    score[p, b] = person.resemblance(body, colours[b])
-        found, free = None, set(range(len(seen)))
-        for b in range(len(seen)):
-            if _is_ambiguous(score, b):
-                score[:, b] = -np.inf
-                free.remove(b)
-        while score.size and score.max() > _LEAST:  # the best pair first
-            p, b = np.unravel_index(score.argmax(), score.shape)
-            hidden = any(known[p].is_near(other) for other in known if other is not known[p])
-            known[p].update(seen[b], colours[b], hidden)
-            score[p], score[:, b] = -np.inf, -np.inf
-            free.remove(b)
-            found = seen[b] if p == 0 else found
-        self._others += [KnownPerson(seen[b], colours[b]) for b in sorted(free)]
-        self._others = [person for person in self._others if person.is_expected]
-        return found
+    def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
+        """Return the one of the seen who resembles our person most, if anybody does."""
+        ours, best = self._ours, None
+        ours.unseen += 1
+        least = _LEAST
+        for body in seen:
+            colours = torso_colours(image, body)
+            likeness = ours.likeness(colours)
+            if self._several and likeness < _DOUBTFUL * ours.usual:
+                continue
+            if (resemblance := ours.resemblance(body, likeness)) > least:
+                least, best = resemblance, (body, colours)
+        if best is None:
+            return None
+        ours.update(*best)
+        return best[0]
 
 
-def _is_ambiguous(score: np.ndarray, b: int) -> bool:
-    """Return whether a body may be either of two known people, of whom the other is not seen.
-
-    ``score`` is (known people, seen bodies). It happens while one person hides another.
-    """
-    order = np.argsort(-score[:, b], kind="stable")
-    if len(order) < 2 or score[order[1], b] < max(_LEAST, score[order[0], b] - _CLEAR):
-        return False
-    elsewhere = np.delete(score[order[:2]], b, axis=1)
-    return not elsewhere.size or elsewhere.max() < _LEAST
+def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
+    """Return the histogram of colours (64,) of sum 1 between shoulders and hips."""
+    corners = body.points[_TORSO]
+    limit = np.array(image.shape[1::-1])
+    left, top = np.floor(corners.min(0)).astype(int).clip(0, limit - 1)
+    right, bottom = np.maximum(
+        np.ceil(corners.max(0)).astype(int).clip(0, limit), (left + 1, top + 1)
+    )
+    step = max(1, (bottom - top) // 32)
+    pixels = image[top:bottom:step, left:right:step].reshape(-1, 3) // (256 // _BINS)
+    codes = pixels.astype(int) @ (_BINS * _BINS, _BINS, 1)
+    return np.bincount(codes, minlength=_BINS**3) / len(codes)
 
 
 def _is_same(one: SeenBody, other: SeenBody) -> bool:

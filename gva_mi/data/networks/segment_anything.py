@@ -25,7 +25,7 @@ import torch
 
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import read_json
-from gva_mi.data.networks.crop import CropBox
+from gva_mi.data.crop import CropBox
 
 GET = (
     "a folder as transformers saves it (config.json, model.safetensors), such as "

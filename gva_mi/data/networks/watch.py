@@ -13,11 +13,8 @@ from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.body_landmarks import BodyNetwork, SeenBody
-from gva_mi.data.networks.face_landmarks import FaceNetwork
-from gva_mi.data.networks.hand_landmarks import HandNetwork
-from gva_mi.data.networks.person_detector import PersonDetector
-from gva_mi.data.networks.person_tracker import PersonTracker
-from gva_mi.data.networks.seen_part import SeenPart
+from gva_mi.data.networks.hand_face_landmarks import FaceNetwork, HandNetwork, SeenPart
+from gva_mi.data.networks.person_tracker import PersonDetector, PersonTracker
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
 

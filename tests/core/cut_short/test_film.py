@@ -5,7 +5,7 @@ import signal
 import numpy as np
 import pytest
 
-from gva_mi.data.pictures import write_film
+from gva_mi.data.film import write_film
 from gva_mi.data.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 

@@ -125,9 +125,9 @@ NONE = {
         INSIDE[:, ::-1] + 2 * INSIDE[::-1] * (1 - INSIDE[:, ::-1]) * (1 - INSIDE),
         "none holds most joints of person 0: 0 (",
     ),
-    "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "they hold values 0 to 110;"),
-    "empty": (INSIDE * 0, "all masks are empty: every pixel is 0; expected 255 inside"),
-    "full": (INSIDE * 0 + 255, "all masks are full, of the value 255 alone"),
+    "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "the greatest value is 110;"),
+    "empty": (INSIDE * 0, "no pixel of any mask is above half, the greatest value is 0"),
+    "full": (INSIDE * 0 + 255, "all masks are full"),
 }
 
 

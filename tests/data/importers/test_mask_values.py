@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 
 from gva_mi import InputError
+from gva_mi.data.film import write_film
 from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
-from gva_mi.data.pictures import write_film
 
 SHAPE, FRAMES = (48, 64), 5
 ME, OTHER = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool)

@@ -8,9 +8,9 @@ import torch
 from samples import data_sets as filmed
 
 from gva_mi.body.smplx import load_body
+from gva_mi.data.ground_truth import held_out_views
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.data.views import held_out_views
 
 
 @pytest.mark.parametrize("stem", ["{:06d}", "CoreView_313_Camera_(2)_{:04d}_2019"])

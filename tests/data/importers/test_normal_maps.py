@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from gva_mi.data.film import write_film
 from gva_mi.data.importers.lens import centred
 from gva_mi.data.normals import in_convention
-from gva_mi.data.pictures import read_image, write_film, write_image
+from gva_mi.data.pictures import read_image, write_image
 from gva_mi.data.video import load_video
 from gva_mi.splat import Camera
 

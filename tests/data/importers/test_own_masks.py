@@ -48,7 +48,7 @@ def test_masks_that_do_not_fit_are_described(tmp_path):
     refused(masks()[:4], "holds 4 masks, but picture 5 of the film is used; expected a mask for")
     refused(masks()[:, :, :40], "mask 1: 40x96, but the film's pictures are 32x48")
     refused(masks(offset=24), "its masks do not lie on the person of the film")
-    refused(np.zeros_like(masks()), "all masks are empty")
+    refused(np.zeros_like(masks()), "no pixel of any mask is above half")
 
 
 def test_two_networks_are_two_witnesses(tmp_path):

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.crop import bounds
-from gva_mi.data.networks.crop import CropBox
+from gva_mi.data.crop import CropBox, bounds
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 
 transformers = pytest.importorskip("transformers")

@@ -1,7 +1,5 @@
 """The real landmark networks on a rendered person."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -9,7 +7,6 @@ from PIL import Image
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, FACE
 from gva_mi.data.networks.body_landmarks import SeenBody, mean_of_passes
-from gva_mi.data.networks.known_person import KnownPerson
 from gva_mi.data.networks.watch import NAMES, watch_film
 
 pytest.importorskip("ai_edge_litert")
@@ -160,15 +157,6 @@ def test_a_small_person_in_a_wide_picture_is_found(left, rendered_person):
             true = 0.3 * rendered_person.joints[f"{side}_{part}"] + (left, 500)
             error = found.pixels[1, NAMES.index(f"{side}_{part}")] - true
             assert np.linalg.norm(error) < 0.05 * 150, (side, part)
-
-
-def test_who_was_seen_once_is_soon_forgotten():
-    """A phantom must not be taken for our person later."""
-    nobody = SeenBody(np.zeros((39, 2)), np.ones(39), np.zeros(39), np.zeros((39, 3)), 1.0, ())
-    once = KnownPerson(nobody, np.ones(64) / 64, unseen=10)
-    often = replace(once, sights=10)
-    assert often.is_expected and not once.is_expected
-    assert not replace(often, unseen=100).is_expected
 
 
 def test_people_are_numbered_from_the_left(rendered_person):

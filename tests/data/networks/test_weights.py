@@ -8,11 +8,10 @@ import zipfile
 import pytest
 
 from gva_mi.core.errors import InputError
-from gva_mi.data.networks import weights
-from gva_mi.data.networks.tflite import TfliteNetwork
-from gva_mi.data.networks.weights import weights_file
+from gva_mi.data.networks import mediapipe
+from gva_mi.data.networks.mediapipe import TfliteNetwork, weights_file
 
-NAMES = list(weights._IN_WHEEL)
+NAMES = list(mediapipe._IN_WHEEL)
 
 
 @pytest.fixture
@@ -27,11 +26,11 @@ def small_wheel(tmp_path, monkeypatch):
     files = {name: name.encode() for name in NAMES}
     folder = tmp_path / "wheels"
     folder.mkdir()
-    version = weights.VERSION
+    version = mediapipe.VERSION
     path = folder / f"mediapipe-{version}-cp311-cp311-manylinux_2_28_x86_64.whl"
     about = f"mediapipe-{version}.dist-info"
     with zipfile.ZipFile(path, "w") as wheel:
-        for name, (inside, _) in weights._IN_WHEEL.items():
+        for name, (inside, _) in mediapipe._IN_WHEEL.items():
             wheel.writestr(f"{inside}/{name}", files[name])
         wheel.writestr(f"{about}/LICENSE", "Apache License")
         wheel.writestr(
@@ -40,9 +39,9 @@ def small_wheel(tmp_path, monkeypatch):
         wheel.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: false\n")
     hashed = {
         name: (inside, hashlib.sha256(files[name]).hexdigest())
-        for name, (inside, _) in weights._IN_WHEEL.items()
+        for name, (inside, _) in mediapipe._IN_WHEEL.items()
     }
-    monkeypatch.setattr(weights, "_IN_WHEEL", hashed)
+    monkeypatch.setattr(mediapipe, "_IN_WHEEL", hashed)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
     return path
@@ -51,9 +50,9 @@ def small_wheel(tmp_path, monkeypatch):
 def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
     small_wheel, tmp_path, monkeypatch
 ):
-    monkeypatch.delenv(weights.FOLDER, raising=False)
+    monkeypatch.delenv(mediapipe.FOLDER, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folder = tmp_path / f"cache/gva_mi/mediapipe-{weights.VERSION}"
+    folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.VERSION}"
     assert weights_file(NAMES[0]) == folder / NAMES[0]
     assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE", ".lock"}
     assert "Apache License" in (folder / "LICENSE").read_text()
@@ -69,17 +68,18 @@ def test_a_named_folder_comes_before_the_environment_and_the_cache(
         (tmp_path / folder).mkdir()
         (tmp_path / folder / NAMES[0]).write_text(NAMES[0])
     small_wheel.unlink()  # nothing needs to be fetched
-    monkeypatch.setenv(weights.FOLDER, str(tmp_path / "of the environment"))
+    monkeypatch.setenv(mediapipe.FOLDER, str(tmp_path / "of the environment"))
     assert weights_file(NAMES[0]).parent == tmp_path / "of the environment"
     assert weights_file(NAMES[0], tmp_path / "named").parent == tmp_path / "named"
 
 
 def test_two_processes_fetch_once(small_wheel, tmp_path):
     """The second process waits for the first, and finds its files."""
-    names, folder = repr(weights._IN_WHEEL), tmp_path / "shared"
+    names, folder = repr(mediapipe._IN_WHEEL), tmp_path / "shared"
     program = (
-        "from pathlib import Path; from gva_mi.data.networks import weights; "
-        f"weights._IN_WHEEL = {names}; weights.weights_file({NAMES[0]!r}, Path({str(folder)!r}))"
+        "from pathlib import Path; from gva_mi.data.networks import mediapipe; "
+        f"mediapipe._IN_WHEEL = {names}; "
+        f"mediapipe.weights_file({NAMES[0]!r}, Path({str(folder)!r}))"
     )
     both = [
         subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
@@ -112,8 +112,8 @@ def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatc
     path.write_bytes(b"another network")
     with pytest.raises(InputError, match="another file than MediaPipe's .*remove it"):
         weights_file(NAMES[0], path.parent)
-    inside = weights._IN_WHEEL[NAMES[0]][0]
-    monkeypatch.setitem(weights._IN_WHEEL, NAMES[0], (inside, "0" * 64))
+    inside = mediapipe._IN_WHEEL[NAMES[0]][0]
+    monkeypatch.setitem(mediapipe._IN_WHEEL, NAMES[0], (inside, "0" * 64))
     with pytest.raises(InputError, match="another file"):  # fetched, and not kept
         weights_file(NAMES[0], tmp_path / "there")
     assert not list((tmp_path / "there").glob("*.tflite"))

@@ -1,4 +1,4 @@
-"""Write a data set's other cameras as held-out views of the subject: :mod:`gva_mi.data.ground_truth`.
+"""Write other cameras of a data set as held-out views: :mod:`gva_mi.data.ground_truth`.
 
 With E = [R T] of a camera in the data set's world, and the video's camera turned upright by W,
 

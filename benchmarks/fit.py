@@ -20,7 +20,7 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.cameras import save_cameras
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import Video, load_video

@@ -44,9 +44,8 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.arrays import shape_fault
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_arrays, require_array, write_arrays
+from gva_mi.core.files import read_arrays, require_array, shape_fault, write_arrays
 from gva_mi.core.options import from_json
 from gva_mi.splat.gaussians import Gaussians
 

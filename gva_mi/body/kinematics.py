@@ -40,7 +40,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 
 def joint_transforms(

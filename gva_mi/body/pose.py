@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.core.arrays import Form
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
+from gva_mi.core.files import Form, read_arrays, require_array, require_keys, write_arrays
 
 _FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 _HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 SMALL = 1e-6  # θ² below which C and D take their limits; θ below which exp(x) ≈ I + [x]
 

@@ -15,14 +15,13 @@ from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
 from gva_mi.cli.resume import Step, StepFolder
-from gva_mi.core.atomic import atomic_dir
+from gva_mi.core.atomic import atomic_dir, folder_lock
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, write_json
-from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.core.stamp import stamp
-from gva_mi.core.workers import usual_workers
+from gva_mi.core.tasks import usual_workers
 from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.folder import CAMERAS, LANDMARKS, POSES, REFINED_POSES, SPLITS

@@ -10,11 +10,11 @@ from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, poses_of
 from gva_mi.cli.evaluate import evaluate_run
 from gva_mi.cli.fit import fit_video
+from gva_mi.core.atomic import folder_lock
 from gva_mi.core.console import bar, say
-from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import PictureSide, Seed
 from gva_mi.core.stamp import start_folder
-from gva_mi.core.workers import usual_workers
+from gva_mi.core.tasks import usual_workers
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne

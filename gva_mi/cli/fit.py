@@ -12,10 +12,9 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.cli.arguments import Flat, Switch, body_of, poses_of, warn_if_outside_masks
 from gva_mi.cli.presets import FitPreset
-from gva_mi.core.atomic import require_writable
+from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import make_room
-from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder

@@ -16,11 +16,10 @@ from typing import Any
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
-from gva_mi.core.atomic import holds_something, require_ours, require_writable
+from gva_mi.core.atomic import folder_lock, holds_something, require_ours, require_writable
 from gva_mi.core.console import numbered, say
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import make_room, read_json, write_json
-from gva_mi.core.lock import folder_lock
 from gva_mi.core.stamp import is_fresh, results_version, stamp, start_folder
 from gva_mi.fit.renders import CameraShot
 

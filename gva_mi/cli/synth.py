@@ -12,7 +12,7 @@ from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_replaceable
-from gva_mi.core.workers import usual_workers
+from gva_mi.core.tasks import usual_workers
 from gva_mi.data.fingerprint import SYNTH
 from gva_mi.synthetic import SynthOptions, describe_errors, make_subject
 

@@ -8,9 +8,9 @@ from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch, body_of, poses_of, warn_if_outside_masks
+from gva_mi.core.atomic import folder_lock
 from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_room
-from gva_mi.core.lock import folder_lock
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 from gva_mi.fit.photometric import (

@@ -20,9 +20,9 @@ from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.driving import motion_of
 from gva_mi.core.console import say
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_pictures
 from gva_mi.viewer.panel import FPS, Panel

@@ -1,16 +1,25 @@
-"""Write files and folders whole or not at all, whatever stops the process."""
+"""Write files and folders whole or not at all, and from one process at a time.
+
+A lock is the system's (``flock``) on a small file beside the folder. It dies with its process,
+however that ends, so there is never a stale lock to remove.
+"""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
+import platform
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.lock import folder_lock
+
+_NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)  # on some file systems
 
 
 @contextmanager
@@ -23,7 +32,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     path = link_target(path)
     unfinished = part_of(path)
     try:
-        with with_filename(path, always=True):
+        with _with_filename(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield unfinished
             unfinished.replace(path)
@@ -57,7 +66,7 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
     main = Path(main)
     unfinished = main.with_name(f".{main.name}.gva-mi-part")
     try:
-        with with_filename(main):
+        with _with_filename(main, keep=True):
             if unfinished.exists():  # left by a killed process
                 shutil.rmtree(unfinished)
             unfinished.mkdir(parents=True)
@@ -72,12 +81,12 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
 
 
 @contextmanager
-def with_filename(path: Path, always: bool = False) -> Iterator[None]:
-    """Add a file name to any OSError raised within, or ``always`` replace the one it has."""
+def _with_filename(path: Path, keep: bool = False) -> Iterator[None]:
+    """Add a file name to any OSError raised within, and replace or ``keep`` the one it has."""
     try:
         yield
     except OSError as error:
-        if error.errno is None or (error.filename is not None and not always):
+        if error.errno is None or (keep and error.filename is not None):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
 
@@ -95,23 +104,17 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
     out = link_target(out).absolute()
     unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
     require_writable(out.parent)
-    with folder_lock(out, "gva-mi") as locked:
-        if locked:  # remove what a killed process left
-            if old.exists() and not out.exists():  # killed between its last two renames
-                old.rename(out)
-            for left in filter(Path.exists, (unfinished, old)):
-                shutil.rmtree(left)
+    with folder_lock(out, "gva-mi"):
+        if old.exists() and not out.exists():  # killed between its last two renames
+            old.rename(out)
+        for left in filter(Path.exists, (unfinished, old)):
+            shutil.rmtree(left)
         if holds_something(out):
             if replaced is None or not out.is_dir():
                 raise InputError(f"{out}: already there; expected a new or an empty folder")
             require_ours(out, replaced)
-        if unfinished.exists():  # without locks, another process may own it
-            raise InputError(
-                f"{unfinished}: is there already: another process makes {out}, or one was killed "
-                "while it did; remove it where none does"
-            )
         try:
-            with with_filename(out):
+            with _with_filename(out, keep=True):
                 unfinished.mkdir()
                 yield unfinished
                 if holds_something(out):
@@ -124,6 +127,51 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
         finally:
             for left in (unfinished, old):
                 shutil.rmtree(left, ignore_errors=True)
+
+
+@contextmanager
+def folder_lock(folder: Path, doing: str) -> Iterator[None]:
+    """Keep other processes from writing into a folder, which may be missing or replaced meanwhile.
+
+    A second process gets an InputError that names the writing process and its start; ``doing`` is
+    the command, such as ``gva-mi fit``. A file system without locks keeps nobody out.
+    """
+    folder = Path(os.path.realpath(folder))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    path = folder.with_name(f".{folder.name}.lock")
+    file = _acquire(path, folder)
+    try:
+        since = time.strftime("%Y-%m-%d %H:%M:%S")
+        about = f"{doing} (process {os.getpid()} on {platform.node()}, since {since})"
+        with suppress(OSError):  # on a full disk the lock still holds
+            os.truncate(file, 0)
+            os.write(file, about.encode())
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()
+        os.close(file)
+
+
+def _acquire(path: Path, folder: Path) -> int:
+    """Open and lock the file, and return its descriptor."""
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in _NO_LOCKS:
+                return file
+            holder = os.read(file, 4096).decode(errors="replace") or "another process"
+            os.close(file)
+            raise InputError(
+                f"{folder}: {holder} writes there; wait until it ends, or choose another folder"
+            ) from None
+        # The previous holder may have removed the file between our opening and our locking it.
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file), path.stat()):
+                return file
+        os.close(file)
 
 
 def link_target(path: Path) -> Path:

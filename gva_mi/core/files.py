@@ -1,4 +1,4 @@
-"""Read arrays and JSON with one clear error; write them whole; make room for output."""
+"""Read arrays and JSON with one clear error; name files of other kinds; make room for output."""
 
 from __future__ import annotations
 
@@ -6,24 +6,13 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Callable, Collection, Hashable
+from collections.abc import Callable, Collection, Hashable, Sequence
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from gva_mi.core.arrays import (
-    Budget,
-    Damaged,
-    Form,
-    Refused,
-    arrays_in,
-    read_header,
-    read_npy,
-    require_bytes,
-    shape_fault,
-)
 from gva_mi.core.atomic import (
     atomic_write,
     holds_something,
@@ -32,10 +21,10 @@ from gva_mi.core.atomic import (
     require_writable,
     write_bytes,
 )
-from gva_mi.core.containers import known_container
-from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.errors import InputError, is_memory, reason_of
 
 T = TypeVar("T")
+Form = tuple[int | None, ...]  # of an array: the length of each axis, None for any
 LARGEST_TEXT = 1 << 28  # bytes of a JSON file
 
 
@@ -56,35 +45,36 @@ def read_arrays(
     if not zipfile.is_zipfile(path):
         kind = known_container(path) or "not a readable .npz, or cut short"
         raise InputError(f"{path}: {kind}; expected {expected}")
-    found = {}
+    found, name = {}, ""
     try:
-        with zipfile.ZipFile(path) as file:
-            for name, data in arrays_in(file, Budget(), only):
-                try:
-                    found[name] = read_npy(data)
-                except Exception as error:
-                    raise Damaged(f"'{name}': {reason_of(error)}") from None
+        with np.load(path, allow_pickle=False) as file:
+            for name in file.files:
+                if only is None or name in only:
+                    found[name] = file[name]
+        if not all(isinstance(x, np.ndarray) for x in found.values()):
+            raise ValueError("it is no array of numpy")
     except Exception as error:  # zipfile, zlib and numpy each raise their own
-        reason = reason_of(error)
+        reason = f"'{name}': {reason_of_read(error)}"
         raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
     return found
 
 
 def read_array(path: Path, mapped: bool = False) -> np.ndarray:
     """Read a ``.npy``; pickled objects are refused. A ``mapped`` one is read on access."""
-    path = Path(path)
     require_file(path, "an array (.npy)")
     try:
-        with path.open("rb") as file:
-            dtype, shape, order = read_header(file)
-            if dtype.hasobject:
-                raise Refused("pickled objects")
-            require_bytes(shape, dtype.itemsize, path.stat().st_size - file.tell())
-            if mapped:
-                return np.memmap(path, dtype, "r", file.tell(), shape, order)
-            return np.fromfile(file, dtype).reshape(shape, order=order)
+        with Path(path).open("rb") as file:
+            np.lib.format.read_magic(file)  # np.load opens archives, too
+        return np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
     except Exception as error:
-        raise InputError(f"{path}: not a readable .npy ({reason_of(error)})") from None
+        raise InputError(f"{path}: not a readable .npy ({reason_of_read(error)})") from None
+
+
+def reason_of_read(error: Exception) -> str:
+    """Return in plain words why a file's arrays could not be read."""
+    if "allow_pickle" in str(error):
+        return "pickled objects"
+    return "it claims more than there is memory" if is_memory(error) else reason_of(error)
 
 
 def read_bytes(path: Path, expected: str) -> bytes:
@@ -135,6 +125,16 @@ def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...
         if key not in arrays:
             found = ", ".join(sorted(arrays)) or "none"
             raise InputError(f"{path}: key '{key}' is missing; found: {found}")
+
+
+def shape_fault(shape: Sequence[int], *forms: Form) -> str | None:
+    """Say that a shape has none of some forms; None if it has one, or where none are given."""
+    for form in forms:
+        lengths = zip(form, shape, strict=False)
+        if len(form) == len(shape) and all(want in (None, got) for want, got in lengths):
+            return None
+    said = " or ".join(str(form).replace("None", "*") for form in forms)
+    return f"must be {said}, got {tuple(shape)}" if forms else None
 
 
 _KINDS = {"f": "floating point", "iu": "whole numbers", "iuf": "numbers"}  # of a dtype
@@ -224,3 +224,33 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
     """Write indented JSON; a path is written as its text."""
     with atomic_write(path) as unfinished:
         unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")
+
+
+# What files are that are not read here, and what to do, by their first bytes.
+_BEGINNINGS = {
+    b"version https://git-lfs": "a Git LFS pointer instead of the file: git lfs pull fetches it",
+    b"<!DOCTYPE": "a web page, such as of a download that asks for an account",
+    b"<!doctype": "a web page, such as of a download that asks for an account",
+    b"Kaydara FBX": "an .fbx, a scene: export its skeleton's motion as .bvh",
+    b"HIERARCHY": "a .bvh, the motion of a skeleton of its own",
+    b"\x89HDF": "an HDF5 file (.h5, .hdf5, .mat of version 7.3): save its arrays as .npz",
+    b"MATLAB 5.0": "a .mat: scipy.io.loadmat reads it, numpy.savez saves its arrays",
+    b"glTF": "a .glb, a scene: export its skeleton's motion as .bvh",
+    b"ply": "a .ply, points or a mesh",
+}
+_SUFFIXES = {  # where the beginning says nothing
+    ".json": "a .json file: save its arrays by name as .npz",
+    ".ksplat": "a .ksplat, a splat packed by GaussianSplats3D: save it as .ply",
+    ".csv": "a .csv table: save its columns as .npz", ".txt": "a text: save its numbers as .npz",
+    ".safetensors": "a .safetensors file: save its arrays as .npz", ".onnx": "a network (.onnx)",
+    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".gif"), "a film"),
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), "a picture"),
+}  # fmt: skip
+
+
+def known_container(path: Path) -> str | None:
+    """Name an unsupported container format and how to convert it, or return None."""
+    with path.open("rb") as file:
+        start = file.read(64)
+    found = (text for known, text in _BEGINNINGS.items() if start.startswith(known))
+    return next(found, _SUFFIXES.get(path.suffix.lower()))

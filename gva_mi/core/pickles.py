@@ -22,13 +22,15 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from gva_mi.core.arrays import Refused
-from gva_mi.core.containers import known_container
-from gva_mi.core.errors import InputError, is_memory, reason_of
-from gva_mi.core.files import require_file
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import known_container, reason_of_read, require_file
 
 _PLAIN_DTYPE = re.compile(r"[?biufc]\d{0,2}|[SU]\d{0,6}|O8?")
 _OLD_TORCH = b"\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # its magic number, pickled
+
+
+class Refused(Exception):  # noqa: N818 (a verdict, which becomes an InputError)
+    """A file holds something that is not read; the message names it."""
 
 
 def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
@@ -49,7 +51,7 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
         if kind := known_container(path):
             raise InputError(f"{path}: {kind}; expected {expected}") from None
-        reason = "it claims more than there is memory" if is_memory(error) else reason_of(error)
+        reason = reason_of_read(error)
         raise InputError(
             f"{path}: damaged, cut short, or of another kind ({reason}); expected {expected}"
         ) from None

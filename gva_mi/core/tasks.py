@@ -1,11 +1,21 @@
 """Run independent tasks in this process, or in worker processes that share its cores.
 
-A task holds all that its result depends on, so that it gives the same bits wherever it runs.
+A task holds all that its result depends on, so that it gives the same bits wherever it runs. Worker
+processes never outlive their parent:
+
+* If the parent is killed, its workers notice and end at once, so none goes on writing where the
+  next run of the same command writes. (loky's workers do not; that is why this is not loky.)
+* Ctrl-C reaches every process of a terminal. Workers ignore it; the parent kills them, which is
+  safe because every file is whole at any moment.
+* If a worker dies, the waiting caller gets one sentence about it.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,14 +24,16 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
+    ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from gva_mi.core.console import Progress, part_of_progress
-from gva_mi.core.threads import one_torch_thread
-from gva_mi.core.workers import worker_died
+from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.errors import InputError, reason_of
 
 Item = TypeVar("Item")
 Result = TypeVar("Result", covariant=True)
@@ -73,10 +85,7 @@ def run(
             if executor is None:
                 yield solve(task, of_task)
             else:
-                try:
-                    done = futures[number].result()
-                except (BrokenExecutor, CancelledError) as error:
-                    raise worker_died(error) from None
+                done = _result_of(futures[number])
                 if of_task is not None:
                     of_task(task.steps, task.steps)
                 yield done
@@ -95,23 +104,98 @@ def in_order(
     memory. Items are taken from their iterator in the caller's thread.
     """
     waiting: deque[Future[Result]] = deque()
-    try:
-        for item in items:
-            waiting.append(pool.submit(work, item))
-            if len(waiting) > ahead:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    except BrokenExecutor as error:
-        raise worker_died(error) from None
+    for item in items:
+        waiting.append(pool.submit(work, item))
+        if len(waiting) > ahead:
+            yield _result_of(waiting.popleft())
+    while waiting:
+        yield _result_of(waiting.popleft())
 
 
 def on_all_cores(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield the results of ``work``, in order, from a thread on each core.
 
-    This pays where the work is that of numpy, SciPy or Pillow on large arrays, which let other
-    threads run meanwhile.
+    Worth it when the work releases Python's lock, as numpy, SciPy and Pillow do on large arrays.
     """
     cores = os.cpu_count() or 1
     with ThreadPoolExecutor(cores) as pool:
         yield from in_order(pool, work, items, cores + 1)
+
+
+def usual_workers() -> int:
+    """Return how many processes a command uses unless told: few, as each takes a gigabyte."""
+    return min(4, os.cpu_count() or 1)
+
+
+@contextmanager
+def local_executor(count: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Yield an executor of ``count`` processes that share the cores; of one, None: this process."""
+    if count == 1:
+        yield None
+        return
+    threads = max(1, (os.cpu_count() or 1) // count)
+    with worker_processes(count, _set_drjit_threads, threads) as pool:
+        yield pool
+
+
+@contextmanager
+def worker_processes(
+    count: int,
+    begin: Callable[..., None],
+    *given: Any,  # noqa: ANN401
+) -> Iterator[ProcessPoolExecutor]:
+    """Yield an executor whose processes end with this context.
+
+    Each of them first calls ``begin``, which must be picklable as its arguments.
+    """
+    context = multiprocessing.get_context("spawn")  # Dr.Jit's threads do not survive a fork
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(count, context, _begin, (begin, given))
+    try:
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # workers inherit it
+        try:
+            for _ in range(count):
+                pool.submit(int)  # starts a process
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        yield pool
+    except BaseException:
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.kill()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown(cancel_futures=True)
+
+
+def _begin(begin: Callable[..., None], given: Sequence[Any]) -> None:
+    """Prepare a worker: ignore Ctrl-C, watch the parent, call ``begin``."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    begin(*given)
+
+
+def _end_with_parent() -> None:
+    multiprocessing.parent_process().join()
+    os._exit(1)
+
+
+def _set_drjit_threads(threads: int) -> None:
+    import drjit as dr
+
+    dr.set_thread_count(threads)
+
+
+def _result_of(future: Future[Result]) -> Result:
+    try:
+        return future.result()
+    except (BrokenExecutor, CancelledError) as error:
+        raise worker_died(error) from None
+
+
+def worker_died(error: BaseException) -> InputError:
+    """Return the sentence for a worker that died before its work was done."""
+    return InputError(
+        f"a worker process is gone ({reason_of(error)}): killed, or out of memory; every file that "
+        "is there is whole; run it again, with fewer workers where memory is short"
+    )

@@ -15,7 +15,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import BODY, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene

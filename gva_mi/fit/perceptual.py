@@ -29,9 +29,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
 
+from gva_mi.core.cpu import core_for_torch, in_torch_thread, sqrt
 from gva_mi.core.errors import InputError, reason_of
-from gva_mi.core.same_bits import sqrt
-from gva_mi.core.threads import core_for_torch, in_torch_thread
 
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
 VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers

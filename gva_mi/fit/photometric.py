@@ -57,10 +57,10 @@ from gva_mi.body.pose import Pose, Shape, load_poses, save_poses
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.options import Metres, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import NoEvidence, gather, person_extent
 from gva_mi.data.folder import POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of

@@ -52,9 +52,8 @@ from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress, say
+from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.core.files import write_arrays
-from gva_mi.core.same_bits import sqrt
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import complete_colors, seen_colors

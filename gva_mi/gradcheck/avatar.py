@@ -35,7 +35,7 @@ from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, See
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 from gva_mi.body.pose import JAW, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.gradcheck.engine import Check, Report
 from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, leaves
 from gva_mi.splat import Camera, Gaussians, look_at, reference, render

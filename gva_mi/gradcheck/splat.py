@@ -36,7 +36,7 @@ import torch
 from torch import Generator
 
 from gva_mi.core.atomic import write_bytes
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.gradcheck.engine import PRECISIONS, Check, Comparison, Report
 from gva_mi.gradcheck.probes import (
     IMAGES,

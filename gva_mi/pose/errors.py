@@ -28,7 +28,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose.displacement import hand_vertices
 

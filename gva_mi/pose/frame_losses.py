@@ -1,6 +1,6 @@
 """The data term of a step's frames, shared among processes.
 
-A frame's loss and its gradient are many small kernels (:func:`gva_mi.core.threads.one_thread`). So
+A frame's loss and its gradient are many small kernels (:func:`gva_mi.core.cpu.one_thread`). So
 processes with one thread each take a frame each. Every frame is computed by itself, so any number
 of processes finds the same bits.
 """
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.core.workers import worker_died, worker_processes
+from gva_mi.core.tasks import worker_died, worker_processes
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.evidence.close_ups import close_ups, parts_of
 from gva_mi.pose.evidence.masks_normals import FrameLoss, frame_loss

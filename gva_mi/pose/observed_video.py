@@ -13,9 +13,9 @@ from torch import Tensor
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.core.cpu import one_thread
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import Done
-from gva_mi.core.threads import one_thread
 from gva_mi.data.crop import gather
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.video import Outline, Video

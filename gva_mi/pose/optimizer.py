@@ -21,7 +21,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.body.smplx import Rest
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 BETAS, EPSILON = (0.9, 0.99), 1e-12  # β1 and β2, the decay of ``m`` and ``v``; ε
 

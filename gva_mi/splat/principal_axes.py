@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.splat.gaussians import Gaussians
 
 MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # entries of the upper triangle, row by row

@@ -16,7 +16,7 @@ import torch
 from drjit import ArrayBase as Array
 from torch import Tensor
 
-from gva_mi.core.threads import quiet_openmp
+from gva_mi.core.cpu import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 from gva_mi.splat.camera import Camera

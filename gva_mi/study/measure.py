@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.threads import one_thread
+from gva_mi.core.cpu import one_thread
 from gva_mi.data.crop import Box, NoEvidence, points_extent
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.video import Video

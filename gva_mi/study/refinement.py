@@ -32,7 +32,7 @@ from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.stamp import write_record
-from gva_mi.core.workers import local_executor
+from gva_mi.core.tasks import local_executor
 from gva_mi.data.folder import REFINED_POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits, write_image

@@ -21,8 +21,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.crop import block_means, bounds
 from gva_mi.fit.perceptual import (
     RAND_SEED,

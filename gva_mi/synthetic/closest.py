@@ -28,7 +28,7 @@ from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices
 from gva_mi.body.smplx import BodyModel, Rest
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.synthetic.surface import vertex_normals
 
 REACH, TURN = 0.01, 0.1  # m, rad: eq. 4

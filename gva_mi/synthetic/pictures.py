@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.tasks import in_order
-from gva_mi.core.workers import worker_processes
+from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.data.folder import TRUTH, SubjectWriter
 from gva_mi.synthetic.estimates import PictureErrors, write_estimates, write_pictures
 from gva_mi.synthetic.render import Moment, Renderer

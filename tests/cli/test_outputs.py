@@ -13,8 +13,8 @@ import pytest
 
 from gva_mi.avatar.export import save_gltf
 from gva_mi.body.pose import Pose
+from gva_mi.core.atomic import folder_lock
 from gva_mi.core.files import write_arrays, write_json
-from gva_mi.core.lock import folder_lock
 from gva_mi.data.film import write_film
 from gva_mi.data.pictures import write_image
 from gva_mi.fit.run_folder import save_state

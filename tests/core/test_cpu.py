@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from gva_mi.core import cpu
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import core_for_torch, in_torch_thread, one_torch_thread, sqrt
 
 ROOT = Path(__file__).parents[2]
 LEDGER = Path(__file__).with_name("ledger")  # whose scenes are drawn here, too
@@ -89,7 +89,7 @@ def test_no_tensor_goes_through_the_vector_functions_of_mkl():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Attribute) and node.attr in of_mkl:
                 known = isinstance(node.value, ast.Name) and node.value.id in exact
-                assert known, f"{path}:{node.lineno}: {node.attr}; see gva_mi/core/same_bits.py"
+                assert known, f"{path}:{node.lineno}: {node.attr}; see gva_mi/core/cpu.py"
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -131,23 +131,45 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
         assert run(clean | {"OPENBLAS_CORETYPE": "Prescott"}).endswith("set() False\n")
 
 
-def test_numpy_leaves_out_all_that_is_wider_than_avx2(tmp_path, monkeypatch):
+@pytest.mark.parametrize("machine, flags, pinned, wide", (
+    ("x86_64", "fpu avx avx2 fma", True, False), ("x86_64", "avx2 fma avx512f", True, True),
+    ("x86_64", "fpu avx fma", False, False), ("aarch64", "avx2 fma", False, False),
+))  # fmt: skip
+def test_all_that_is_wider_than_avx2_is_left_out(
+    machine, flags, pinned, wide, tmp_path, monkeypatch
+):
     from numpy._core._multiarray_umath import __cpu_dispatch__
 
-    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(platform, "machine", lambda: machine)
     monkeypatch.setattr(cpu, "_FLAGS", tmp_path / "cpuinfo")
-    for flags, wide in (("avx2 fma avx512f", True), ("avx2 fma", False)):
-        (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu {flags}\n")
-        names = cpu.cpu_settings().get(cpu.LEFT_OUT_BY_NUMPY, "").split()
-        there = {name for name in __cpu_dispatch__ if name == "X86_V4" or "512" in name}
-        assert set(names) == (there if wide else set())
+    (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
+    found = cpu.cpu_settings()
+    there = {name for name in __cpu_dispatch__ if name == "X86_V4" or "512" in name}
+    assert bool(found) == pinned
+    assert set(found.get(cpu.LEFT_OUT_BY_NUMPY, "").split()) == (there if wide else set())
 
 
-def test_only_processors_with_avx2_are_pinned(tmp_path, monkeypatch):
-    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(cpu, "_FLAGS", tmp_path / "cpuinfo")
-    for flags, pinned in (("fpu avx avx2 fma", True), ("fpu avx fma", False)):
-        (tmp_path / "cpuinfo").write_text(f"processor : 0\nflags\t\t: {flags}\n")
-        assert bool(cpu.cpu_settings()) == pinned
-    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
-    assert not cpu.cpu_settings()
+def test_work_beside_gives_the_same_bits_with_the_callers_number_of_threads():
+    count, x, weight = torch.get_num_threads, torch.rand(1, 3, 40, 40), torch.rand(16, 3, 3, 3)
+    before = count()
+    assert in_torch_thread(count).result() == before
+    with one_torch_thread():
+        assert in_torch_thread(count).result() == 1
+        there, here = in_torch_thread(torch.conv2d, x, weight), torch.conv2d(x, weight)
+        assert torch.equal(there.result(), here)
+    assert in_torch_thread(count).result() == before == count()
+    with pytest.raises(RuntimeError, match="size"):
+        in_torch_thread(torch.add, torch.zeros(2), torch.zeros(3)).result()
+
+
+def test_drjit_leaves_torch_a_core_and_gets_it_back_also_after_an_error():
+    before = dr.thread_count()
+    try:
+        for threads, left in ((2, 1), (1, 1)):
+            dr.set_thread_count(threads)
+            with pytest.raises(ZeroDivisionError), core_for_torch():
+                assert dr.thread_count() == left
+                1 / 0  # noqa: B018
+            assert dr.thread_count() == threads
+    finally:
+        dr.set_thread_count(before)

@@ -1,11 +1,112 @@
-"""Tasks run in order, here or in an executor; an error of theirs is raised, lost work explained."""
+"""Tasks run in order, here or in workers, which end with their parent, however that ends."""
 
-from concurrent.futures import CancelledError, Future
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from gva_mi import InputError
-from gva_mi.core.tasks import run
+from gva_mi.core.tasks import in_order, local_executor, run
+
+HOLDS = """
+import os, time
+from gva_mi.core.tasks import worker_processes
+
+def work(number):
+    print("at work", os.getpid(), flush=True)
+    time.sleep(600)
+
+if __name__ == "__main__":
+    with worker_processes(2, print) as pool:
+        for future in [pool.submit(work, k) for k in range(5)]:
+            future.result()
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """A process with two busy workers, in one process group as under a terminal."""
+    (tmp_path / "holds.py").write_text(HOLDS)
+    process = subprocess.Popen(
+        [sys.executable, tmp_path / "holds.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    )  # fmt: skip
+    with process:
+        lines = iter(process.stdout.readline, "")
+        at_work = (line for line in lines if line.startswith("at work"))
+        process.workers = [int(next(at_work).split()[-1]) for _ in range(2)]
+        yield process
+        process.kill()
+
+
+def is_there(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def none_is_left(pids):
+    """Wait for processes to end; return whether they did."""
+    until = time.monotonic() + 60
+    while any(map(is_there, pids)) and time.monotonic() < until:
+        time.sleep(0.05)
+    return not any(map(is_there, pids))
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs /proc")
+
+
+@needs_proc
+@pytest.mark.parametrize("whom", ["the first", "all"])  # kill -INT, and Ctrl-C in a terminal
+def test_ctrl_c_ends_workers(holder, whom):
+    (os.killpg if whom == "all" else os.kill)(holder.pid, signal.SIGINT)
+    out, err = holder.communicate(timeout=60)
+    assert holder.returncode == -signal.SIGINT and none_is_left(holder.workers)
+    assert "at work" not in out
+    assert err.count("Traceback") == 1 and "KeyboardInterrupt" in err  # the holder's own
+
+
+@needs_proc
+def test_workers_do_not_outlive_a_killed_parent(holder):
+    """They would write where the next run of the same command writes."""
+    holder.kill()
+    assert none_is_left(holder.workers)
+
+
+class Waits:
+    """Work that ends its own process."""
+
+    steps = 1
+
+    def __init__(self, sign):
+        self.sign = sign
+
+    def solve(self, progress=None):
+        os.kill(os.getpid(), self.sign)
+        time.sleep(600)
+
+
+@pytest.mark.slow
+@needs_proc
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGKILL])
+def test_a_killed_worker_is_one_sentence(sign):
+    with pytest.raises(InputError) as error, local_executor(2) as pool:
+        list(run([Waits(sign)], pool))
+    assert "a worker process is gone" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_one_worker_is_this_process():
+    with local_executor(1) as executor:
+        assert executor is None
 
 
 class Nested:
@@ -62,3 +163,27 @@ def test_remaining_tasks_are_cancelled():
     assert next(found) == "solved"
     found.close()
     assert Pending.cancelled == 3
+
+
+def test_results_come_in_order_and_few_items_are_taken_ahead():
+    taken, first = [], threading.Event()
+
+    def items():
+        for k in range(40):
+            taken.append(k)
+            yield k
+
+    def work(k):
+        if k == 0:
+            first.wait(10)  # the first is the last to finish
+        if k == 30:
+            raise ValueError("thirty")
+        return k
+
+    found = in_order(pool := ThreadPoolExecutor(4), work, items(), ahead=5)
+    threading.Timer(0.05, first.set).start()
+    assert next(found) == 0 and len(taken) == 6
+    assert [next(found) for _ in range(29)] == list(range(1, 30))
+    with pytest.raises(ValueError, match="thirty"):
+        next(found)
+    pool.shutdown()

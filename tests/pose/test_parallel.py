@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.core.workers import local_executor
+from gva_mi.core.tasks import local_executor
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, frame_losses, refine
 from gva_mi.pose.refine import refine_all
 

@@ -34,7 +34,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import compose, to_matrix
-from gva_mi.core.threads import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face_points import FacePoints
 from gva_mi.pose.film.landmark_noise import MEMORY

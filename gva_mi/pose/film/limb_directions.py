@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 DIRECTIONS = 1000  # N: six degrees apart
 SPEEDS = (0.5, 5.0)  # v_r of rest and of motion, rad/s

@@ -24,7 +24,7 @@ from torch import Tensor
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 _COUNT = len(PARENTS)
 

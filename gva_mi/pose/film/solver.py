@@ -24,9 +24,9 @@ from gva_mi.body import so3
 from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.importers.lens import centred, in_pixels
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.arm_depths import with_arm_depths

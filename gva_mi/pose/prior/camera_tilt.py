@@ -34,7 +34,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.so3 import compose, to_matrix, to_rotvec
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 from gva_mi.pose.stage1 import Stage1
 

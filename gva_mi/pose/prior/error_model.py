@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 
 # Joints that stage 1 is taken to know equally well. Jaw and eyes are in none: they are not turned.
 _KINDS: Mapping[str, Sequence[str]] = {

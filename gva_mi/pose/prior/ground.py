@@ -36,7 +36,7 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import to_matrix
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
 

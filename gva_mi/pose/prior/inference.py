@@ -15,7 +15,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.camera_tilt import TiltPrior
 from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level

@@ -27,7 +27,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.prior.error_model import FREEDOM, median_of_square
 
 SPAN = 8  # h, frames

@@ -32,7 +32,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from gva_mi.core.same_bits import sqrt
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import Stage1ErrorModel, covariance, outlier_factors
 from gva_mi.pose.prior.frame_matrices import FrameMatrices

@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_bytes
+from gva_mi.core.files import known_container, read_bytes
 
 TYPES = {  # each has two names
     **dict.fromkeys(("char", "int8"), "i1"),

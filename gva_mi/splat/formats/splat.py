@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.atomic import write_bytes
-from gva_mi.core.containers import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_bytes
+from gva_mi.core.files import known_container, read_bytes
 from gva_mi.splat.formats.stored import Stored, gaussians_of, to_bytes
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0

@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from gva_mi.core.cpu import quiet_openmp
 from gva_mi.core.errors import InputError
-from gva_mi.core.threads import quiet_openmp
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.not_compiled import not_compiled
 from gva_mi.splat.argument_error import ArgumentError

@@ -21,23 +21,54 @@ J is 55, 52 or 24; SMPL has no hands. Only importers use mean hands and their co
 
 SMPL-X files with 400 directions or more hold 300 betas, then expressions (version 1.1); with fewer,
 10 betas and up to 10 expressions (1.0). In the older formats all directions are betas.
+
+**The older formats** share the first 22 joints with SMPL-X:
+
+========  ======  ==========================================================================
+Format    Joints  Beyond these 22
+========  ======  ==========================================================================
+SMPL      24      one joint per hand, at the knuckles (a mitten)
+SMPL+H    52      15 joints per hand, in SMPL-X's order
+SMPL-X    55      jaw, two eyes, 15 joints per hand
+========  ======  ==========================================================================
+
+A file is *lifted* to 55 joints: missing joints get no skinning weights, and the mitten becomes the
+middle finger's first knuckle. The lifted body is exactly the old one.
+
+Poses of these formats are converted by :mod:`gva_mi.data.importers`.
+
+**The built-in body**, ``puppet.npz``, is under the licence of this package. It is generated from
+scratch, as a smooth union of simple solids, by ``python -m tools.body_generator``.
+
+* 11,000 vertices, watertight, connected, symmetric; denser at hands, face and toes.
+* 1.77 m tall; the pelvis at the origin, y up, facing +z, the left hand toward +x.
+* Separate fingers, a mouth that opens with the jaw, eyes that turn, pose correctives.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.built_in import BUILT_IN_BODY
-from gva_mi.body.pose import JOINTS, PARENTS
-from gva_mi.body.smpl import FORMATS, SMPL, SMPLX, BodyFormat, lift
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_arrays, require_array, require_keys
 from gva_mi.core.options import Within
 from gva_mi.core.pickles import read_objects
 
+BUILT_IN_BODY = Path(__file__).with_name("puppet.npz")
+# Its coefficients; one unit is a clear but common deviation (height: 4 %).
+SHAPES = (
+    "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",
+    "muscles", "size of the head",
+)  # fmt: skip
+EXPRESSIONS = (
+    "mouth open", "smile", "corners of the mouth down", "lips pushed out", "brows up", "brows down",
+    "blink", "cheeks blown", "upper lip up", "mouth to the left",
+)  # fmt: skip
 LICENSED = "https://smpl-x.is.tue.mpg.de"
 LARGEST = 1e9  # absolute value of any number in a body file
 LONGEST_SIDES = Within(0.01, 100)  # metres, longest side of the box around the mean person
@@ -50,6 +81,28 @@ _HANDS = ("hands_meanl", "hands_meanr")
 _WHOLE = ("f", "kintree_table")
 _MARKS = ("lmk_faces_idx", "lmk_bary_coords")
 _OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names", *_MARKS)
+_MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
+
+
+@dataclass(frozen=True)
+class BodyFormat:
+    """A body format, defined by its joints."""
+
+    name: str
+    joints: tuple[int, ...]  # their indices among SMPL-X's 55
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Parents of its joints, -1 for the root."""
+        among_55 = [PARENTS[j] for j in self.joints]
+        return tuple(self.joints.index(p) if p >= 0 else -1 for p in among_55)
+
+
+_SHARED = range(BODY.stop)  # root and body, in the same order in all formats
+SMPL = BodyFormat("SMPL", (*_SHARED, *_MITTENS))
+SMPLH = BodyFormat("SMPL+H", (*_SHARED, *range(LEFT_HAND.start, RIGHT_HAND.stop)))
+SMPLX = BodyFormat("SMPL-X", tuple(range(len(JOINTS))))
+FORMATS = {len(f.joints): f for f in (SMPL, SMPLH, SMPLX)}
 
 
 def read_body(path: Path) -> dict[str, np.ndarray]:
@@ -187,3 +240,36 @@ def _split(directions: int, form: BodyFormat) -> tuple[int, int]:
         return directions, 0
     betas = 300 if directions >= 400 else min(10, directions)
     return betas, directions - betas if directions >= 400 else min(10, directions - betas)
+
+
+def lift(arrays: dict[str, np.ndarray], form: BodyFormat) -> dict[str, np.ndarray]:
+    """Lift the arrays of an SMPL or SMPL+H file to SMPL-X's 55 joints.
+
+    Missing joints are regressed at their nearest relative: jaw and eyes at the head, all fingers of
+    a mitten at its knuckle.
+    """
+    if form is SMPLX:
+        return arrays
+    of_file = {joint: k for k, joint in enumerate(form.joints)}
+    nearest = [of_file[_relative(joint, of_file)] for joint in range(len(JOINTS))]
+    vertices = len(arrays["v_template"])
+    weights = np.zeros((vertices, len(JOINTS)), arrays["weights"].dtype)
+    weights[:, form.joints] = arrays["weights"]
+    posedirs = np.zeros((vertices, 3, len(JOINTS) - 1, 9), arrays["posedirs"].dtype)
+    posedirs[:, :, np.array(form.joints[1:]) - 1] = arrays["posedirs"].reshape(vertices, 3, -1, 9)
+    lifted = {
+        "weights": weights,
+        "posedirs": posedirs.reshape(vertices, 3, -1),
+        "J_regressor": arrays["J_regressor"][nearest],
+    }
+    return arrays | lifted
+
+
+def _relative(joint: int, known: dict[int, int]) -> int:
+    """Return the joint if known, else its mitten, else its nearest known ancestor."""
+    for hand, mitten in zip((LEFT_HAND, RIGHT_HAND), _MITTENS, strict=True):
+        if hand.start <= joint < hand.stop and joint not in known:
+            return mitten
+    while joint not in known:
+        joint = PARENTS[joint]
+    return joint

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from gva_mi.body.anny import anny_body
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.cli.arguments import Switch
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.console import say

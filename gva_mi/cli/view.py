@@ -15,7 +15,7 @@ from tyro.conf import Positional
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import digest
-from gva_mi.body.built_in import EXPRESSIONS
+from gva_mi.body.body_file import EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.driving import motion_of

@@ -29,8 +29,7 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.gradcheck.engine import Comparison
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens, interior
 from gva_mi.gradcheck.scanlines import boundary
-from gva_mi.mesh.mesh_scene import load_plugins
-from gva_mi.mesh.sensor import sensor_of
+from gva_mi.mesh.mesh_scene import load_plugins, sensor_of
 from gva_mi.splat import Camera, look_at
 
 SIZE, SPP, LINES, POINTS = 512, 16, 16000, 89  # see check_normals

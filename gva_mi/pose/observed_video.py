@@ -19,8 +19,8 @@ from gva_mi.core.tasks import Done
 from gva_mi.data.crop import gather
 from gva_mi.data.fingerprint import FILM
 from gva_mi.data.video import Outline, Video
-from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.surface import CoarseBody
 from gva_mi.pose.clips import cut, join, skim
 from gva_mi.pose.evidence.close_ups import FinePicture, close_up_scale, parts_of
 from gva_mi.pose.evidence.landmarks import SeenLandmarks

@@ -7,8 +7,8 @@ import pytest
 import roma
 import torch
 
+from gva_mi.body.body_file import SMPL, SMPLX, BodyFormat
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.smpl import SMPL, SMPLX, BodyFormat
 
 VERTICES = 90
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gva_mi.body.blend_shapes import add_directions, as_rows
+from gva_mi.body.smplx import add_directions, as_rows
 
 F64 = torch.float64
 

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gva_mi.body.built_in import EXPRESSIONS
+from gva_mi.body.body_file import EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
 from gva_mi.body.smplx import load_body
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.body.body_file import SMPL, SMPLH
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smpl import SMPL, SMPLH
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY, SMPLX
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.body.smpl import SMPLX
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.cli.body import body
 from gva_mi.core.errors import InputError
 

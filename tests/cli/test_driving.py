@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import save_poses
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.ply import load_ply

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.fingerprint import fingerprint, prepared_from, require_same_body
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.data.cameras import save_cameras

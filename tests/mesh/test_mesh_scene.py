@@ -8,8 +8,7 @@ import torch
 import trimesh
 
 from gva_mi.body.pose import Shape
-from gva_mi.mesh.mesh_scene import MeshScene, scene_of
-from gva_mi.mesh.sensor import sensor_of
+from gva_mi.mesh.mesh_scene import MeshScene, scene_of, sensor_of
 from gva_mi.splat import Camera
 
 

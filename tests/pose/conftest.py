@@ -11,7 +11,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.video import Frame, Outline
-from gva_mi.mesh.coarse_body import CoarseBody
+from gva_mi.mesh.surface import CoarseBody
 from gva_mi.splat import Camera
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.mesh.coarse_body import CoarseBody
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.surface import CoarseBody
 from gva_mi.pose.evidence.close_ups import parts_of
 from gva_mi.pose.evidence.masks_normals import MaskAndNormals
 from gva_mi.pose.sequence import SequenceOptions

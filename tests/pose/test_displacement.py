@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from gva_mi.mesh.coarse_body import CoarseBody
-from gva_mi.mesh.surface import vertex_normals
+from gva_mi.mesh.surface import CoarseBody, vertex_normals
 from gva_mi.pose import displacement
 from gva_mi.pose.displacement import Displacement, hand_vertices
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.ground_truth import GroundTruth

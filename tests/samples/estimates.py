@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from samples.data_sets import FRAMES, HEIGHT, SMPL, SMPLX, WIDTH

@@ -14,7 +14,7 @@ import torch
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.without_body import save_without_body
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.cli import series

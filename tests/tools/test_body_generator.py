@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
 from tools.body_generator import generate

@@ -1,6 +1,6 @@
 """Rebuild the file of the built-in body: ``python -m tools.body_generator``."""
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.core.files import write_arrays
 from tools.body_generator import generate
 

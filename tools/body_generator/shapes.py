@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gva_mi.body.built_in import SHAPES
+from gva_mi.body.body_file import SHAPES
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
 from gva_mi.synthetic.surface import smoothstep
 from tools.body_generator.anatomy import (

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gva_mi.body.body_file import FORMATS, SMPL, SMPLH, SMPLX
 from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
 from gva_mi.body.rotations import nearest_rotations, to_rotvecs
-from gva_mi.body.smpl import FORMATS, SMPL, SMPLH, SMPLX
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.spellings import WHOLE, NamedArrays
 

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.body.body_file import read_body
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY, SMPL, SMPLH, SMPLX, read_body
 from gva_mi.body.pose import Shape
-from gva_mi.body.smpl import SMPL, SMPLH, SMPLX
 from gva_mi.body.smplx import BodyModel, body_name, resolve_body
 from gva_mi.data.fingerprint import belongs_to
 

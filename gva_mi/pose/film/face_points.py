@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.body.blend_shapes import columns_of
 from gva_mi.body.pose import JOINTS
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.smplx import BodyModel, columns_of
 
 EXPRESSIONS = 10  # coefficients that are fitted, at most
 _HEAD, _JAW, _LEFT, _RIGHT = (

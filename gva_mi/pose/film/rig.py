@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from gva_mi.body.blend_shapes import columns_of
 from gva_mi.body.pose import JOINTS, SIDES
-from gva_mi.body.smplx import BodyModel
+from gva_mi.body.smplx import BodyModel, columns_of
 from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 
 # Landmarks that are joints, and how far off, metres (1σ). A name of two sides lacks its side.

@@ -9,7 +9,7 @@ import roma
 import torch
 from samples.rotations import matrices, same
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import Shape, load_poses
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError

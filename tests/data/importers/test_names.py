@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from samples.rotations import matrices
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.estimator_files import read_source
 from gva_mi.data.importers.fields import find_body

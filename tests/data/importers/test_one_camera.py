@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from samples import data_sets as filmed
 
-from gva_mi.body.built_in import BUILT_IN_BODY
+from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.datasets import dataset_of

@@ -7,8 +7,7 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.body_file import read_body
-from gva_mi.body.built_in import BUILT_IN_BODY, EXPRESSIONS
+from gva_mi.body.body_file import BUILT_IN_BODY, EXPRESSIONS, read_body
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.landmarks import FACE, Landmarks

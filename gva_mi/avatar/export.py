@@ -48,7 +48,7 @@ from gva_mi.body.so3 import to_quaternion
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.files import write_arrays
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat.formats.splat import plain_colors
+from gva_mi.splat.formats.spz import plain_colors
 
 NEIGHBOURS = 8  # Gaussians that colour a vertex
 _NEAR = 0.003  # metres: the smallest distance in the weights

@@ -25,15 +25,12 @@ from gva_mi.core.options import Within, options_of
 from gva_mi.data.folder import frame_name
 from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat import Gaussians
-from gva_mi.splat.axes import half_turned
+from gva_mi.splat.axes import half_turned, with_axes
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.compressed_ply import save_compressed_ply
-from gva_mi.splat.formats.ply import save_ply
-from gva_mi.splat.formats.splat import save_splat
-from gva_mi.splat.formats.spz import save_spz
+from gva_mi.splat.formats.ply import save_compressed_ply, save_ply
+from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
-from gva_mi.splat.principal_axes import with_axes
 
 MARKER = "export.json"  # every folder of exports holds it
 COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too

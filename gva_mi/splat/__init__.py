@@ -29,7 +29,7 @@ from gva_mi.splat.options import SplatOptions
 
 if TYPE_CHECKING:
     from gva_mi.splat.gsplat import rasterization
-    from gva_mi.splat.screen import Screen
+    from gva_mi.splat.torch_passes import Screen
     from gva_mi.splat.torch_render import render
 
 llvm.require()
@@ -47,7 +47,7 @@ __all__ = [
 ]
 
 _NEED_TORCH = {
-    "Screen": "screen",
+    "Screen": "torch_passes",
     "rasterization": "gsplat",
     "render": "torch_render",
 }  # their modules

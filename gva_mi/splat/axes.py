@@ -9,12 +9,23 @@ the world here, SMPL-X, .glb, .spz          up                     toward the vi
 
 x is to the viewer's right in both, so half a turn about x leads from one to the other and back. It
 only changes signs: those of y and z, and of the basis functions of colour that are odd in them.
+
+---
+Gaussians given by covariances, and their principal axes.
+
+A sheared Gaussian, on cloth that a body stretches, has no orthogonal axes with scales of their own;
+it is described by its covariance. Files and viewers need quaternions and scales: the principal axes
+of the covariance.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
+from torch import Tensor
+
+from gva_mi.core.cpu import sqrt
 from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians
 from gva_mi.splat.kernels.sh import basis
 
@@ -47,3 +58,41 @@ def with_signs(gaussians: Gaussians, signs: tuple[int, int, int]) -> Gaussians:
         sh = gaussians.sh
         changed["sh"] = sh * sh.new_tensor(of_colors[: sh.shape[1]])[:, None]
     return replace(gaussians, **changed)
+
+
+MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # entries of the upper triangle, row by row
+
+
+def matrices(covars: Tensor) -> Tensor:
+    """Convert covariances (N, 6) to symmetric matrices (N, 3, 3)."""
+    return covars[:, MATRIX].unflatten(1, (3, 3))
+
+
+@torch.no_grad()
+def with_axes(gaussians: Gaussians) -> Gaussians:
+    """Convert covariances of torch tensors to quaternions and scales; not differentiable."""
+    if gaussians.covars is None:
+        return gaussians
+    squares, axes = torch.linalg.eigh(matrices(gaussians.covars).double())
+    axes = axes * torch.linalg.det(axes).sign()[:, None, None]  # a mirrored frame is not a rotation
+    quats = _quaternions(axes)
+    scales = sqrt(squares.clamp_min(0))
+    as_given = lambda x: x.to(gaussians.covars)
+    return replace(gaussians, quats=as_given(quats), scales=as_given(scales), covars=None)
+
+
+def _quaternions(R: Tensor) -> Tensor:
+    """Convert rotations (N, 3, 3) to quaternions wxyz (N, 4).
+
+    Davenport's matrix 4 q qᵀ - 1 has q as the eigenvector of its largest eigenvalue, whichever
+    entry of q is small.
+    """
+    a, b, c, d, e, f, g, h, i = R.flatten(1).unbind(1)
+    rows = [
+        [a + e + i, h - f, c - g, d - b],
+        [h - f, a - e - i, b + d, c + g],
+        [c - g, b + d, e - a - i, f + h],
+        [d - b, c + g, f + h, i - a - e],
+    ]
+    K = torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+    return torch.linalg.eigh(K).eigenvectors[:, :, -1]

@@ -1,4 +1,6 @@
-"""The camera, and all conventions about axes and pixels.
+"""The error for an argument that a function refuses, in parts, so that a caller can rename it.
+---
+The camera, and all conventions about axes and pixels.
 
 * World: right-handed, y up, metres.
 * Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.
@@ -20,7 +22,22 @@ from typing import Any, Literal, NamedTuple, get_args
 import drjit as dr
 import numpy as np
 
-from gva_mi.splat.argument_error import ArgumentError
+
+class ArgumentError(ValueError):
+    """``function: name[index] problem``: which argument is wrong, where in it, and why."""
+
+    def __init__(self, function: str, name: str, problem: str, index: str = "") -> None:
+        super().__init__(function, name, problem, index)  # all of args: errors are pickled by them
+
+    def __str__(self) -> str:
+        function, name, problem, index = self.args
+        return f"{function}: {name}{index} {problem}"
+
+    def renamed(self, function: str, names: dict[str, str]) -> ArgumentError:
+        """Return the error of another function, whose arguments have other names."""
+        _, name, problem, index = self.args
+        return ArgumentError(function, names.get(name, name), problem, index)
+
 
 CHECKED_VIEWS = 1024  # so many cameras are kept, and not checked again
 MOST_PIXELS = 1 << 28  # of an image; its five channels take 5 GiB

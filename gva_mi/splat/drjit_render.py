@@ -19,7 +19,7 @@ from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
-from gva_mi.splat.kernels.planes import Planes
+from gva_mi.splat.kernels.tile_memory import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
 

@@ -1,13 +1,20 @@
-"""The forward, adjoint and tangent passes on torch tensors.
+"""The forward, adjoint and tangent passes on torch tensors, and what they leave on the screen.
 
 torch and Dr.Jit share the memory of the Gaussians, the picture and the gradients: nothing is
-copied. autograd.py joins the passes to torch's autograd.
+copied. torch_render.py joins the passes to torch's autograd.
+
+A :class:`Screen` has the means, sizes and gradients of the Gaussians in the picture::
+
+    screen = Screen()
+    image = render(gaussians, camera, screen=screen)
+    loss(image).backward()
+    moved = screen.grad.norm(dim=1)  # loss per pixel of motion; 0 where not screen.visible
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -17,16 +24,18 @@ from drjit import ArrayBase as Array
 from torch import Tensor
 
 from gva_mi.core.cpu import quiet_openmp
+from gva_mi.jit import packets
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 from gva_mi.splat.camera import Camera
+from gva_mi.splat.kernels.composite import SavedState
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
 from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
-from gva_mi.splat.kernels.planes import Planes
-from gva_mi.splat.kernels.saved import SavedState
+from gva_mi.splat.kernels.project import ProjectedMemory
+from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
+from gva_mi.splat.kernels.tile_memory import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.screen import Screen, first_two_columns
 
 IMAGE_COUNT = 3  # color, alpha, depth
 NO_BATCHES = (
@@ -49,8 +58,6 @@ class Tensors(NamedTuple):
     background: Any
     T_camera_world: Any
     K: Any
-    means2d: Any  # of some rows, where they are a node of the graph (gsplat/means2d.py)
-    echo: Any  # the same rows, which receive the same gradient
 
     def gaussians(self) -> dict[str, Any]:
         """Return the Gaussians' six tensors, by name."""
@@ -58,56 +65,42 @@ class Tensors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RenderCall:
-    """The constants of one call of ``render``."""
+class Drawn:
+    """What a forward pass keeps for its adjoint and tangent."""
 
-    camera: Camera
-    options: SplatOptions
-    harmonics: bool  # whether the colours are coefficients
+    saved: SavedState | None  # None for a batch
     screen: Screen | None
-    packed: bool = False  # whether means2d has rows only for the Gaussians in the picture
+    elements: tuple[Drawn, ...] = ()  # of a batch, under vmap
 
     def requested(self, by: Tensors) -> RequestedGradients:
         """Return the gradients to compute; ``by`` flags the tensors that need one."""
-        camera = bool(by.T_camera_world or by.K)
-        gaussians = (by.means, by.quats, by.scales, by.covars, by.opacities, by.means2d, by.echo)
-        geometry = any(gaussians) or camera or self.screen is not None
-        absolute = self.screen is not None and self.screen.absolute
+        camera, screen = bool(by.T_camera_world or by.K), self.screen
+        gaussians = (by.means, by.quats, by.scales, by.covars, by.opacities)
+        geometry = any(gaussians) or camera or screen is not None
+        absolute = screen is not None and screen.absolute
         return RequestedGradients(geometry, bool(by.colors) or not geometry, camera, absolute)
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """State of a finished forward pass, for its adjoint and tangent."""
-
-    call: RenderCall
-    saved: SavedState | None = None  # None for a batch
-    rows: Tensor | None = None  # the Gaussians in means2d's rows; None: all
-    elements: tuple[Drawn, ...] = ()  # of a batch, under vmap
-
-    def pick(self, numbers: Tensor) -> Tensor:
-        """Select means2d's rows from numbers (N, ...) of all Gaussians."""
-        return numbers if self.rows is None else numbers.index_select(0, self.rows)
 
 
 @exclusive
 @quiet_openmp()
-def draw(call: RenderCall, given: Tensors) -> Drawn:
-    """Run the forward pass, and fill the call's screen."""
-    screen, F = call.screen, PRECISION[given.means.dtype]
+def draw(
+    given: Tensors, camera: Camera, options: SplatOptions, harmonics: bool, screen: Screen | None
+) -> Drawn:
+    """Run the forward pass, and fill the screen; ``harmonics``: the colours are coefficients."""
+    F = PRECISION[given.means.dtype]
     arrays = {k: to_drjit(x, F) for k, x in given.gaussians().items() if x is not None}
     saved = render_forward(
         Inputs.of_named(arrays),
-        call.harmonics,
-        call.camera,
-        call.options,
+        harmonics,
+        camera,
+        options,
         given.background.tolist(),
         absolute=screen is not None and screen.absolute,
     )
     dr.sync_thread()  # torch reads the memory next
     if screen is not None:
         screen.fill(saved, given.means)
-    return Drawn(call, saved, screen.rows if call.packed else None)
+    return Drawn(saved, screen)
 
 
 @exclusive
@@ -118,7 +111,7 @@ def adjoint(
     """Compute dL/dx from dL/dy; None for a gradient that is not requested."""
     _refuse_batches(*grads)
     color, alpha, depth = grads
-    saved, screen = drawn.saved, drawn.call.screen
+    saved, screen = drawn.saved, drawn.screen
     layout, F = saved.layout, saved.inputs.float_type
     grad = Planes(
         _plane_of(color, layout, F, saved.plan.channels),
@@ -127,13 +120,11 @@ def adjoint(
     )
     found = render_adjoint(saved, grad, requested)
     dr.sync_thread()
-    by_u, by_absolute = found.gaussians.u, found.gaussians.absolute
-    rows = lambda flat: tensor_of(flat, 2 * len(saved.inputs)).view(-1, 2)
-    by_means2d = None if by_u is None else rows(by_u)
     if screen is not None:
-        screen.grad = by_means2d
+        rows = lambda flat: tensor_of(flat, 2 * len(saved.inputs)).view(-1, 2)
+        screen.grad = rows(found.gaussians.u)
         if screen.absolute:
-            screen.absgrad = rows(by_absolute)
+            screen.absgrad = rows(found.gaussians.absolute)
     by_gaussians = {
         name: tensor_of(flat, given.numel()).view(given.shape)
         for name, flat in found.named()
@@ -144,19 +135,14 @@ def adjoint(
         name: new(getattr(found, name)) if requested.camera and given is not None else None
         for name, given in (("T_camera_world", tensors.T_camera_world), ("K", tensors.K))
     }
-    node = echo = None
-    if tensors.means2d is not None:
-        rows = drawn.rows
-        echo = by_means2d if rows is None else first_two_columns(by_means2d.numpy(), rows)
-        node = echo.view(tensors.means2d.shape)
-    rest = {"background": new(found.background), "means2d": node, "echo": echo}
-    return Tensors(**dict.fromkeys(Tensors._fields) | by_gaussians | by_camera | rest)
+    rest = by_camera | {"background": new(found.background)}
+    return Tensors(**dict.fromkeys(Tensors._fields) | by_gaussians | rest)
 
 
 @exclusive
 @quiet_openmp()
 def tangent(given: Tensors, drawn: Drawn) -> Images:
-    """Compute dy from dx; None is zero. The tangent of ``means2d`` is part of the means'."""
+    """Compute dy from dx; None is zero."""
     _refuse_batches(*given)
     saved = drawn.saved
     F = saved.inputs.float_type
@@ -219,3 +205,128 @@ def _refuse_batches(*tensors: Tensor | None) -> None:
                 tensor.data_ptr()
         except RuntimeError:
             raise RuntimeError(NO_BATCHES) from None
+
+
+@dataclass
+class Screen:
+    """The Gaussians in one picture; ``render`` fills it, ``backward`` adds the gradients.
+
+    Every property is read from the kernels' memory when it is used; unused ones cost nothing.
+    """
+
+    absolute: bool = False  # set to have absgrad filled as well
+    grad: Tensor | None = None  # (N, 2) dL/dmeans2d, per px; 0 where not drawn
+    absgrad: Tensor | None = None  # (N, 2) like grad, with the absolute value of each pixel's share
+    _projected: ProjectedMemory | None = field(default=None, repr=False)  # None: no Gaussian
+    _rows: Tensor | None = field(default=None, repr=False)  # once they are known
+    _format: RecordFormat | None = field(default=None, repr=False)  # of its splats
+    _size: tuple[int, int] = field(default=(0, 0), repr=False)  # of the picture, px
+    _empty: Tensor | None = field(default=None, repr=False)  # (0,), of the Gaussians' dtype
+
+    def fill(self, saved: SavedState, means: Tensor) -> None:
+        """Take over the memory of a forward pass of Gaussians with means (N, 3)."""
+        self.grad = self.absgrad = self._rows = None
+        self._projected, self._format = saved.projected, saved.plan.formats[0]
+        self._size = (saved.layout.width, saved.layout.height)
+        self._empty = means.new_zeros(0)
+
+    @property
+    def visible(self) -> Tensor:
+        """Whether each Gaussian touches the picture, (N,) bool."""
+        return self.radii > 0
+
+    @property
+    def means2d(self) -> Tensor:
+        """Means in the picture, (N, 2) px; meaningless where not visible."""
+        return self.means2d_of(None)
+
+    def means2d_of(self, rows: Tensor | None) -> Tensor:
+        """Return ``means2d`` of the rows (M,) int64, (M, 2)."""
+        return first_two_columns(self._footprint_rows(), rows)
+
+    @property
+    def depths(self) -> Tensor:
+        """Depths along the camera's z, (N,) m."""
+        return self._number("depths")
+
+    @property
+    def radii(self) -> Tensor:
+        """3 sigma of the longer axis, (N,) px; 0 where not drawn."""
+        return self._number("radii")
+
+    @property
+    def extents(self) -> Tensor:
+        """Half extents in x and y where alpha >= alpha_min, (N, 2) px; 0 where culled."""
+        found = Footprint.unpack(torch.from_numpy(self._footprint_rows()).unbind(1))
+        return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
+
+    @property
+    def boxes(self) -> Tensor:
+        """Extents in whole pixels, (N, 2) int32; 0 where they lie outside the picture."""
+        radii, means2d = torch.ceil(self.extents), self.means2d
+        inside = (means2d + radii > 0) & (means2d - radii < torch.tensor(self._size))
+        return torch.where(inside.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
+
+    @property
+    def rows(self) -> Tensor:
+        """Indices of the Gaussians that have a box, (M,) int64, ascending."""
+        if self._projected is None:
+            return torch.zeros(0, dtype=torch.int64)
+        if self._rows is None:  # by numpy: torch takes eight times as long
+            with exclusive:
+                self._rows = torch.from_numpy(np.flatnonzero(self._projected.boxed.numpy()))
+        return self._rows
+
+    @property
+    def conics(self) -> Tensor:
+        """Inverse covariances in the picture, (N, 3): xx, xy, yy, per px^2."""
+        splat = self._splat()
+        p, q, r = splat.p, splat.q, splat.r
+        return 2 * math.log(2) * torch.stack([p * p, p * q, q * q + r * r], dim=1)
+
+    @property
+    def opacities(self) -> Tensor:
+        """Opacities as drawn, (N,): with ``antialiased`` lower than the Gaussians' own."""
+        return torch.exp2(self._splat().lo)
+
+    @exclusive
+    def _splat(self) -> Splat:
+        """Return the splats of all Gaussians, fields (N,); colours are those of the first chunk."""
+        if self._projected is None:
+            return Splat.unpack([self._empty] * Splat.columns(self._format), self._format)
+        n, columns = dr.width(self._projected.radii), []
+        widths = packets.widths(Splat.columns(self._format))
+        for part, width in zip(self._projected.splats[0], widths, strict=True):
+            columns += tensor_of(part).view(-1, width)[:n].unbind(1)
+        return Splat.unpack(columns, self._format)
+
+    @exclusive
+    def _footprint_rows(self) -> np.ndarray:
+        """Return the footprints as a table (N, columns)."""
+        width = Footprint.columns()
+        if self._projected is None:  # detached: under torch.func it is no plain tensor
+            return self._empty.detach().view(0, width).numpy()
+        (rows,) = self._projected.footprints
+        return rows.numpy().reshape(-1, width)[: dr.width(self._projected.radii)]
+
+    @exclusive
+    def _number(self, name: str) -> Tensor:
+        """Return the field ``name`` of ``ProjectedMemory``, (N,)."""
+        return self._empty if self._projected is None else tensor_of(getattr(self._projected, name))
+
+
+def first_two_columns(table: np.ndarray, rows: Tensor | None = None) -> Tensor:
+    """Copy the first two columns of a table (N, 2 k), contiguous, of rows (M,) int64 or all, to a
+    tensor.
+
+    A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
+    long ones, and takes longer to be called.
+    """
+    number = np.complex64 if table.dtype == np.float32 else np.complex128
+    pairs = table.view(number)[:, 0]
+    if rows is None:
+        found = pairs.copy()
+    else:  # take() would copy the whole column first if it is not contiguous
+        index = rows.numpy()
+        found = pairs.take(index) if pairs.flags.contiguous else pairs[index]
+    return torch.from_numpy(found.view(table.dtype).reshape(-1, 2))

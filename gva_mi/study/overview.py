@@ -19,7 +19,7 @@ from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
-from gva_mi.splat.principal_axes import with_axes
+from gva_mi.splat.axes import with_axes
 from gva_mi.study.evaluate import SplitView
 from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box

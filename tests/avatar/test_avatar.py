@@ -16,7 +16,7 @@ from gva_mi.avatar.rig import SkinningOptions
 from gva_mi.avatar.skin_gaussians import SHARE
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import strongest
-from gva_mi.splat.principal_axes import matrices
+from gva_mi.splat.axes import matrices
 
 PLAIN = AvatarOptions(residual=ResidualOptions(enabled=False))
 

@@ -14,7 +14,7 @@ from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.ply import load_ply, save_ply
-from gva_mi.splat.formats.splat import load_splat
+from gva_mi.splat.formats.spz import load_splat
 
 
 @pytest.fixture

@@ -19,8 +19,7 @@ from gva_mi.data.film import write_film
 from gva_mi.data.pictures import write_image
 from gva_mi.fit.run_folder import save_state
 from gva_mi.splat.formats.ply import save_ply
-from gva_mi.splat.formats.splat import save_splat
-from gva_mi.splat.formats.spz import save_spz
+from gva_mi.splat.formats.spz import save_splat, save_spz
 
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 

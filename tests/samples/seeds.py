@@ -28,10 +28,8 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
-from gva_mi.splat.formats.compressed_ply import save_compressed_ply
-from gva_mi.splat.formats.ply import load_ply, save_ply
-from gva_mi.splat.formats.splat import load_splat, save_splat
-from gva_mi.splat.formats.spz import load_spz, save_spz
+from gva_mi.splat.formats.ply import load_ply, save_compressed_ply, save_ply
+from gva_mi.splat.formats.spz import load_splat, load_spz, save_splat, save_spz
 from gva_mi.splat.scene import Scene, random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT

@@ -7,8 +7,8 @@ import torch
 from samples.scenes import in_drjit
 
 from gva_mi.splat import Gaussians, drjit_render, rasterization, reference, render
+from gva_mi.splat.axes import matrices, with_axes
 from gva_mi.splat.options import SplatOptions
-from gva_mi.splat.principal_axes import matrices, with_axes
 from gva_mi.splat.scene import random_scene
 
 ROWS, COLUMNS = torch.triu_indices(3, 3)

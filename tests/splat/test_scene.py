@@ -9,8 +9,7 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.ply import save_ply
-from gva_mi.splat.formats.splat import save_splat
-from gva_mi.splat.formats.spz import save_spz
+from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import Scene, person_scene, random_scene
 from gva_mi.splat.torch_render import render

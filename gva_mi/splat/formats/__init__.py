@@ -19,8 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gva_mi.splat.formats.ply import load_ply
-from gva_mi.splat.formats.splat import load_splat
-from gva_mi.splat.formats.spz import load_spz
+from gva_mi.splat.formats.spz import load_splat, load_spz
 from gva_mi.splat.gaussians import Gaussians
 
 LOAD: dict[str, Callable[[Path], Gaussians]] = {

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from gva_mi.core.errors import InputError
+from gva_mi.splat.axes import with_axes
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
-from gva_mi.splat.principal_axes import with_axes
 
 _TINY = 1e-12  # the least scale and length of a quaternion
 

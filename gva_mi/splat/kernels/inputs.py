@@ -1,23 +1,94 @@
-"""The Gaussians as the kernels take them, flat arrays, and where their gradients are written.
+"""The Gaussians and the camera as the kernels take them, and where their gradients are written.
 
-Both front ends (torch's torch_passes.py, Dr.Jit's drjit_render.py) hand their arrays over in this
-form, without copies.
+Both front ends (torch's torch_passes.py, Dr.Jit's drjit_render.py) hand their flat arrays over in
+this form, without copies. A covariance has two forms, ``QuatScale`` and ``Covariance``. Each exists
+twice: in memory its fields are flat arrays of all Gaussians, and in a kernel they are lists of
+columns, one Gaussian per SIMD lane. Gradients and tangents have the same form as the Gaussians. The
+camera is a few arrays of size one, with a tangent and an adjoint of its own on the host.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
+from drjit.llvm import Float64
 
 from gva_mi.jit import packets
-from gva_mi.splat.argument_error import ArgumentError
-from gva_mi.splat.kernels.geometry import Covariance, Geometry, QuatScale
+from gva_mi.splat.camera import ArgumentError, Camera, CameraModel
 from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
 from gva_mi.splat.options import SplatOptions
+
+Columns = Callable[[list[Array]], list[Array]]
+
+
+@dataclass(frozen=True)
+class QuatScale:
+    """Sigma = M S S M^T, with the rotation M of a quaternion and S = diag(scales)."""
+
+    quats: Any  # 4 N numbers wxyz; in a kernel 4 columns
+    scales: Any  # 3 N numbers, metres; in a kernel 3 columns
+
+    @staticmethod
+    def empty(F: type, n: int) -> QuatScale:
+        """Allocate memory for n Gaussians, inside a frozen kernel."""
+        return QuatScale(dr.empty(F, 4 * n), dr.empty(F, 3 * n))
+
+    def load(self, i: Array) -> QuatScale:
+        """Read the columns of the Gaussians ``i``."""
+        F = type(self.scales)
+        scales = [dr.gather(F, self.scales, 3 * i + k) for k in range(3)]
+        return QuatScale(packets.load_rows(self.quats, 4, i), scales)
+
+    def store(self, columns: QuatScale, i: Array) -> None:
+        """Write columns to the Gaussians ``i``."""
+        for k in range(3):
+            mode = dr.ReduceMode.NoConflicts
+            dr.scatter(self.scales, columns.scales[k], 3 * i + k, mode=mode)
+        packets.store_rows(self.quats, columns.quats, i)
+
+    def columns(self) -> list[Array]:
+        """All columns, in a kernel."""
+        return [*self.quats, *self.scales]
+
+    def map(self, function: Columns) -> QuatScale:
+        """Apply a function to each list of columns."""
+        return QuatScale(function(self.quats), function(self.scales))
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Sigma by its upper triangle: xx, xy, xz, yy, yz, zz."""
+
+    covars: Any  # 6 N numbers, square metres; in a kernel 6 columns
+
+    @staticmethod
+    def empty(F: type, n: int) -> Covariance:
+        """Allocate memory for n Gaussians, inside a frozen kernel."""
+        return Covariance(dr.empty(F, 6 * n))
+
+    def load(self, i: Array) -> Covariance:
+        """Read the columns of the Gaussians ``i``."""
+        return Covariance(packets.load_rows(self.covars, 6, i))
+
+    def store(self, columns: Covariance, i: Array) -> None:
+        """Write columns to the Gaussians ``i``."""
+        packets.store_rows(self.covars, columns.covars, i)
+
+    def columns(self) -> list[Array]:
+        """All columns, in a kernel."""
+        return list(self.covars)
+
+    def map(self, function: Columns) -> Covariance:
+        """Apply a function to the list of columns."""
+        return Covariance(function(self.covars))
+
+
+Geometry = QuatScale | Covariance
 
 
 @dataclass(frozen=True)
@@ -100,7 +171,7 @@ class Plan:
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D
-    formats: tuple[RecordFormat, ...]  # of the splats, one per chunk (chunks.py)
+    formats: tuple[RecordFormat, ...]  # of the splats, one per chunk (composite.py)
 
 
 @dataclass(frozen=True)
@@ -175,3 +246,78 @@ class GradientMemory:
         self.geometry.store(grad.geometry, i)
         packets.store_rows(self.u, grad_u, i)
         dr.scatter(self.opacities, grad.o, i, mode=mode)
+
+
+MARGIN = 0.15  # of the picture's size, on each side, where a pinhole's J still follows the mean
+
+
+@dataclass(frozen=True)
+class CameraArrays:
+    """A camera, or its tangent, as arrays of size one: another pose needs no other kernel.
+
+    R, t, o are the rotation, the translation and the position: ``x = R m + t``, ``R o + t = 0``.
+    """
+
+    R: list[Array]  # 9, row by row
+    t: list[Array]  # 3
+    f: list[Array]  # 2, px
+    c: list[Array]  # 2, px
+    o: list[Array]  # 3, world
+    low: list[Array]  # 2, least w of ``held``, px
+    high: list[Array]  # 2, greatest
+    near: Array  # least depth of a Gaussian that is drawn, m
+    far: Array  # greatest, m
+    blur: Array  # added to the diagonal of the covariances in the picture, px^2
+    radius: Array  # Gaussians that reach no further are not drawn, px; negative draws all
+    model: CameraModel
+
+    def to(self, F: type) -> CameraArrays:
+        """Convert to another precision, inside a kernel."""
+        lists = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
+        cut_offs = (self.near, self.far, self.blur, self.radius)
+        return CameraArrays(
+            *([F(x) for x in part] for part in lists), *map(F, cut_offs), self.model
+        )
+
+
+def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
+    """Return the camera and the cut-offs that may change from call to call, float64, evaluated."""
+    f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
+    size = np.array([camera.width, camera.height])
+    T = camera.T_camera_world
+    low, high = -MARGIN * size - c, (1 + MARGIN) * size - c
+    radius = options.radius_min if options.radius_min > 0 else -1
+    reach = np.array([options.near, options.far, options.blur, radius])
+    parts = [T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high, reach]
+    return _arrays(parts, camera.model)
+
+
+def camera_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> CameraArrays:
+    """Tangent of :func:`camera_arrays` along those of T_camera_world (4, 4) and K (3, 3)."""
+    T = camera.T_camera_world
+    dR, dt, dc = dT[:3, :3], dT[:3, 3], dK[:2, 2]
+    do = -np.linalg.solve(T[:3, :3], dR @ camera.position + dt)
+    parts = [dR.ravel(), dt, dK.diagonal()[:2], dc, do, -dc, -dc, np.zeros(4)]
+    return _arrays(parts, camera.model)
+
+
+def camera_adjoint(camera: Camera, grad: CameraGradient) -> tuple[np.ndarray, np.ndarray]:
+    """Convert the gradient by R, t, f, c, o to those by ``T_camera_world`` and ``K``."""
+    T = camera.T_camera_world
+    go = -np.linalg.solve(T[:3, :3].T, grad.o)
+    grad_T, grad_K = np.zeros((4, 4)), np.zeros((3, 3))
+    grad_T[:3, :3] = np.reshape(grad.R, (3, 3)) + np.outer(go, camera.position)
+    grad_T[:3, 3] = grad.t + go
+    grad_K[0, 0], grad_K[1, 1] = grad.f
+    grad_K[:2, 2] = grad.c
+    return grad_T, grad_K
+
+
+def _arrays(parts: list[np.ndarray], model: CameraModel) -> CameraArrays:
+    numbers = np.concatenate(parts)
+    array = Float64(numbers)
+    x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
+    dr.eval(x)
+    return CameraArrays(
+        x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], *x[23:], model
+    )

@@ -31,7 +31,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
-from gva_mi.splat.kernels.camera_arrays import CameraArrays
+from gva_mi.splat.kernels.inputs import CameraArrays
 
 Matrix = list[Array | None]  # row by row; None is a zero
 

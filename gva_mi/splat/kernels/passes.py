@@ -24,25 +24,31 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
-from gva_mi.splat.argument_error import ArgumentError
-from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels import chunks, tiles
-from gva_mi.splat.kernels.camera_arrays import (
+from gva_mi.splat.camera import ArgumentError, Camera
+from gva_mi.splat.kernels import tiles
+from gva_mi.splat.kernels.blend import sum_slots
+from gva_mi.splat.kernels.composite import (
+    Gradients,
+    SavedState,
+    add_slots,
+    background_gradient,
+    chunk_formats,
+    composite,
+    composite_adjoint,
+    composite_tangent,
+    split_splat,
+    sum_rows,
+)
+from gva_mi.splat.kernels.inputs import (
     CameraArrays,
+    GradientMemory,
+    Inputs,
+    Plan,
+    RequestedGradients,
     camera_adjoint,
     camera_arrays,
     camera_tangent,
 )
-from gva_mi.splat.kernels.composite import (
-    background_gradient,
-    composite,
-    composite_adjoint,
-    composite_tangent,
-    sum_rows,
-)
-from gva_mi.splat.kernels.inputs import GradientMemory, Inputs, Plan, RequestedGradients
-from gva_mi.splat.kernels.pair_gradient import sum_slots
-from gva_mi.splat.kernels.planes import Limit, Planes
 from gva_mi.splat.kernels.project import (
     ProjectedMemory,
     project,
@@ -56,7 +62,7 @@ from gva_mi.splat.kernels.records import (
     RecordFormat,
     Splat,
 )
-from gva_mi.splat.kernels.saved import Gradients, SavedState
+from gva_mi.splat.kernels.tile_memory import Limit, Planes
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
 
@@ -93,7 +99,7 @@ def render_forward(
     layout, view = Layout(camera.width, camera.height), camera_arrays(camera, options)
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
-    formats = chunks.formats(D, options.depth, whole=absolute)
+    formats = chunk_formats(D, options.depth, whole=absolute)
     plan = Plan(options.kernel_constants(), harmonics, inputs.color_width, D, formats)
     projected = lists = saved_pixels = stop = None
     if len(inputs):
@@ -184,7 +190,7 @@ def project_gaussians(
     splats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
     footprints = packets.empty(Footprint, None, rows, F)
     found = project(inputs, plan, view)
-    parts = chunks.split_splat(found.splat, plan.formats)
+    parts = split_splat(found.splat, plan.formats)
     for target, part in zip(splats, parts, strict=True):
         packets.store(target, part, i)
     packets.store(footprints, found.footprint, i)
@@ -217,7 +223,7 @@ def gaussians_adjoint(
     dr.eval(memory)  # two kernels: a single one would run out of registers
     rows_of = zip(memory, formats, strict=True)
     parts = [packets.load(sums, PairGradient, part, inputs.index()) for sums, part in rows_of]
-    slot = chunks.add_slots(parts, plan.channels)
+    slot = add_slots(parts, plan.channels)
     project_adjoint(inputs, plan, view, slot, counts > 0, target)
     dr.eval(target)
     return target
@@ -236,7 +242,7 @@ def _project_tangent(
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
     F, i = inputs.float_type, inputs.index()
     dsplats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
-    for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
+    for target, part in zip(dsplats, split_splat(dsplat, plan.formats), strict=True):
         packets.store(target, part, i)
     dr.eval(dsplats)
     return dsplats

@@ -36,7 +36,7 @@ Tangent, where d_ marks tangents and ln2 comes from the base in eq. 12:
       d_y_k   = sum_i (d_T_i alpha + T_i d_alpha) f_k + T_i alpha d_f_k
                 + d_T background_k + T d_background_k,   d_alpha of the picture = -d_T
 
-The steps are below, beside each other; the sums of eq. 16 are in pair_gradient.py. The loops over
+The steps are below, beside each other; the sums of eq. 16 are in blend.py. The loops over
 the lists are in blend.py.
 """
 

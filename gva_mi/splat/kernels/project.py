@@ -2,7 +2,7 @@
 
 (1)      x = R m + t            mean in camera space, depth z = x_2
 (2)-(3)  u, J                   position in the picture, and du/dx: lens.py
-(4)-(7)  p, q, r, lo            ellipse and opacity there: ellipse.py, covariance.py
+(4)-(7)  p, q, r, lo            ellipse and opacity there: ellipse.py
 (8)-(10) color                  colour from spherical harmonics, if it has some: sh.py
 
 The equations continue in pixel.py. Each of the three functions below is one kernel with one lane
@@ -29,11 +29,15 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
 from gva_mi.splat.kernels import sh
-from gva_mi.splat.kernels.camera_arrays import CameraArrays
-from gva_mi.splat.kernels.covariance import CovarianceEllipse
-from gva_mi.splat.kernels.ellipse import LN2, Ellipse, dot
-from gva_mi.splat.kernels.geometry import Covariance
-from gva_mi.splat.kernels.inputs import Gaussian3D, GradientMemory, Inputs, Plan
+from gva_mi.splat.kernels.ellipse import LN2, CovarianceEllipse, Ellipse, dot
+from gva_mi.splat.kernels.inputs import (
+    CameraArrays,
+    Covariance,
+    Gaussian3D,
+    GradientMemory,
+    Inputs,
+    Plan,
+)
 from gva_mi.splat.kernels.lens import LENSES, Lens
 from gva_mi.splat.kernels.records import (
     CameraGradient,

@@ -9,7 +9,7 @@
 
 In memory a record is a row of floats (packets.py); in a kernel its fields are Dr.Jit arrays, one
 record per lane. A *pair* is a tile and a Gaussian that touches it; a *chunk* is some channels of
-the colour (chunks.py). Only ``pack`` and ``unpack`` know the order of the columns.
+the colour (composite.py). Only ``pack`` and ``unpack`` know the order of the columns.
 """
 
 from __future__ import annotations

@@ -7,7 +7,11 @@ A tile is ``WIDTH x HEIGHT`` pixels, the work of one SIMD lane. The steps:
 2. sort the Gaussians by depth, stably, and sum up the counts: where the pairs of each start;
 3. emit one (tile, Gaussian) pair per touched tile, in depth order;
 4. sort the pairs by tile, stably, so that every tile's list is in depth order;
-5. schedule (schedule.py).
+5. assign the lists to SIMD lanes and threads.
+
+A packet works until its longest list ends. Therefore lists of similar length share a packet.
+Packets are dealt round-robin over the blocks that threads work on, or one thread would get all long
+lists. The result of a list does not depend on its lane.
 
 The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*: M rounded
 up to one of four sizes per octave. So memory stays that of the largest picture so far, without
@@ -26,7 +30,6 @@ from drjit import ArrayBase as Array
 from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.records import Footprint
-from gva_mi.splat.kernels.schedule import BLOCKS, SIMD, lists_by_length
 
 WIDTH, HEIGHT = 8, 4  # pixels of a tile
 LONG = 32  # pairs per lane from which on it pays to schedule the adjoint's lists again
@@ -281,3 +284,20 @@ def make_lists(
     dr.make_opaque(begin, end)
     ids, begin, end = _ranges(emitted, permutation, dr.opaque(U, pairs - 1), begin, end, size=size)
     return Lists(ids, permutation, order, start, sorted_counts, *_schedule(begin, end))
+
+
+SIMD = 16  # lanes of a packet with AVX-512; AVX2's 8 lanes divide it
+BLOCKS = 16  # packets are dealt over so many parts
+LONGEST = 8191  # lists are ordered by length up to this one
+
+
+def lists_by_length(length: Array, lanes: int) -> Array:
+    """Return the list of each lane, given their lengths; their number for lanes without one."""
+    U, lists = type(length), dr.width(length)
+    order = dr.detail.block_mkperm(LONGEST - dr.minimum(length, LONGEST), lists, LONGEST + 1)
+    lane = dr.arange(U, lanes)
+    # arrays: another size needs no other kernel
+    stride, count = dr.opaque(U, lanes // (BLOCKS * SIMD)), dr.opaque(U, lists)
+    packet = lane // SIMD
+    rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
+    return dr.select(rank < count, dr.gather(U, order, rank, active=rank < count), count)

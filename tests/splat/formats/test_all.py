@@ -7,14 +7,12 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.splat import Gaussians, reference
+from gva_mi.splat.axes import matrices
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.compressed_ply import save_compressed_ply
-from gva_mi.splat.formats.ply import load_ply, save_ply
-from gva_mi.splat.formats.splat import load_splat, save_splat
-from gva_mi.splat.formats.spz import load_spz, save_spz
+from gva_mi.splat.formats.ply import load_ply, save_compressed_ply, save_ply
+from gva_mi.splat.formats.spz import load_splat, load_spz, save_splat, save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.kernels.sh import C0
-from gva_mi.splat.principal_axes import matrices
 
 FORMATS = {
     "ply": (save_ply, load_ply), "compressed ply": (save_compressed_ply, load_ply),

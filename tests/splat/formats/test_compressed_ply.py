@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.splat.formats.compressed_ply import CHUNK, save_compressed_ply
-from gva_mi.splat.formats.ply import load_ply
+from gva_mi.splat.formats.ply import CHUNK, load_ply, save_compressed_ply
 from gva_mi.splat.formats.ply_elements import read_elements
 from gva_mi.splat.gaussians import Gaussians
 

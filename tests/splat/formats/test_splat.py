@@ -6,7 +6,7 @@ import torch
 from samples.scenes import some_gaussians
 
 from gva_mi import InputError
-from gva_mi.splat.formats.splat import load_splat, plain_colors, save_splat
+from gva_mi.splat.formats.spz import load_splat, plain_colors, save_splat
 
 
 def in_order(g):

@@ -5,10 +5,8 @@ import torch
 
 from gva_mi.splat import Screen, render
 from gva_mi.splat.gaussians import Gaussians
-from gva_mi.splat.kernels import chunks
+from gva_mi.splat.kernels.composite import CHUNK
 from gva_mi.splat.scene import random_scene
-
-CHUNK = chunks.CHUNK
 
 
 def scene(channels):

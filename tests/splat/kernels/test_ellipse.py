@@ -9,7 +9,7 @@ from drjit.llvm import Float64
 
 from gva_mi.splat import reference
 from gva_mi.splat.kernels.ellipse import Ellipse
-from gva_mi.splat.kernels.geometry import QuatScale
+from gva_mi.splat.kernels.inputs import QuatScale
 from gva_mi.splat.options import SplatOptions
 
 N = 100

@@ -8,7 +8,7 @@ from drjit.llvm import Float, Float64
 
 from gva_mi.splat import reference
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels.camera_arrays import camera_adjoint, camera_arrays, camera_tangent
+from gva_mi.splat.kernels.inputs import camera_adjoint, camera_arrays, camera_tangent
 from gva_mi.splat.kernels.lens import LENSES
 from gva_mi.splat.kernels.records import CameraGradient
 from gva_mi.splat.options import SplatOptions

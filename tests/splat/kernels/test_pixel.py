@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from drjit.llvm import Float, Float64, UInt32
 
-from gva_mi.splat.kernels.pair_gradient import PairGradientSums
+from gva_mi.splat.kernels.blend import PairGradientSums
 from gva_mi.splat.kernels.pixel import (
     PLACES,
     Alpha,

@@ -27,16 +27,13 @@ from gva_mi.fit.run_folder import body_of_run, load_avatar
 from gva_mi.splat import Gaussians
 from gva_mi.splat.axes import half_turned, with_axes
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.ply import save_compressed_ply, save_ply
+from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
 
 MARKER = "export.json"  # every folder of exports holds it
-COMPRESSED = ".compressed.ply"  # the ending by which SuperSplat knows its files, too
-SAVE = {
-    ".ply": save_ply, COMPRESSED: save_compressed_ply, ".splat": save_splat, ".spz": save_spz,
-}  # fmt: skip
+SAVE = {".ply": save_ply, ".splat": save_splat, ".spz": save_spz}
 
 
 @options_of("export")
@@ -49,7 +46,7 @@ class ExportOptions:
     frame: Annotated[int, Within(0, 1_000_000)] | None = None
     # Into a folder: write one file for every n-th frame.
     every: Annotated[int, Within(1, 1_000_000)] = 1
-    each: Literal["ply", "compressed.ply", "splat", "spz"] = "ply"  # kind of the files in a folder
+    each: Literal["ply", "splat", "spz"] = "ply"  # kind of the files in a folder
     fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
     # Of the harmonics of Gaussians: cut or filled up with zeros; 3 makes 248 bytes each in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
@@ -94,11 +91,11 @@ def export(
     If writing a folder was interrupted, the same command resumes it.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz; or a .ply, also a compressed one, a
-            .splat or a .spz, which becomes another of these.
+        run: the folder of a finished fit, or an avatar.npz; or a .ply, a .splat or
+            a .spz, which becomes another of these.
         options: content of the file.
-        out: the file, whose suffix says what it is: .ply, .compressed.ply (SuperSplat's), .splat,
-            .spz (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
+        out: the file, whose suffix says what it is: .ply, .splat, .spz
+            (Gaussians in one pose), .glb (the surface with skeleton and skin), .npz (poses as
             AMASS has them, or with --no-rig the avatar); or a folder for one file a frame.
         body: the body file of an avatar without its body, or for --no-rig; without it the built-in
             puppet.
@@ -121,7 +118,6 @@ def export(
 def _suffix(out: Path) -> str:
     """Return the key of :data:`FORMATS` that a file name selects."""
     suffix = out.suffix.lower()
-    suffix = COMPRESSED if suffix and out.name.lower().endswith(COMPRESSED) else suffix
     if suffix not in FORMATS:
         there = ", ".join(f"{name} ({format.what})" for name, format in FORMATS.items() if name)
         raise InputError(
@@ -233,7 +229,6 @@ class OutputFormat(NamedTuple):
 _ONE_POSE = _gaussians, ("poses", "frame", "sh_degree")
 FORMATS = {
     ".ply": OutputFormat("Gaussians in one pose, for viewers of 3DGS", *_ONE_POSE),
-    COMPRESSED: OutputFormat("the same in 16 bytes each, as SuperSplat writes it", *_ONE_POSE),
     ".splat": OutputFormat(
         "the same in 32 bytes each, for viewers in a browser", _gaussians, ("poses", "frame")
     ),

@@ -1,17 +1,14 @@
-"""The axes of Gaussians in files, and half a turn between them and this program's world.
+"""The axes of Gaussians: those of files, half a turn from the world's, and of a covariance.
 
 ==========================================  =====================  ==================
 Where                                       y                      z
 ==========================================  =====================  ==================
 the world here, SMPL-X, .glb, .spz          up                     toward the viewer
-.ply of 3DGS, compressed .ply, .splat       down                   away from it
+.ply of 3DGS, .splat                        down                   away from it
 ==========================================  =====================  ==================
 
 x is to the viewer's right in both, so half a turn about x leads from one to the other and back. It
 only changes signs: those of y and z, and of the basis functions of colour that are odd in them.
-
----
-Gaussians given by covariances, and their principal axes.
 
 A sheared Gaussian, on cloth that a body stretches, has no orthogonal axes with scales of their own;
 it is described by its covariance. Files and viewers need quaternions and scales: the principal axes
@@ -34,23 +31,13 @@ _SOMEWHERE = (0.3, 0.5, 0.7)  # any direction in which no basis function is zero
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
     """Turn Gaussians (torch tensors) half a turn about x, without rounding; its own inverse."""
-    return with_signs(gaussians, (1, -1, -1))
-
-
-def with_signs(gaussians: Gaussians, signs: tuple[int, int, int]) -> Gaussians:
-    """Change the signs of the axes x, y, z of Gaussians (torch tensors), without rounding.
-
-    An odd number of changes mirrors the scene; each ellipsoid is its own mirror image in the planes
-    of its axes, so that it keeps a rotation.
-    """
-    x, y, z = (float(sign) for sign in signs)
-    there = tuple(sign * c for sign, c in zip(signs, _SOMEWHERE, strict=True))
-    pairs = zip(basis(MAX_DEGREE, *_SOMEWHERE), basis(MAX_DEGREE, *there), strict=True)
+    x, y, z = _SOMEWHERE
+    pairs = zip(basis(MAX_DEGREE, x, y, z), basis(MAX_DEGREE, x, -y, -z), strict=True)
     of_colors = [1.0 if a * b > 0 else -1.0 for a, b in pairs]
     turned = {
-        "means": (x, y, z),
-        "quats": (1.0, y * z, x * z, x * y),
-        "covars": (1.0, x * y, x * z, 1.0, y * z, 1.0),
+        "means": (1.0, -1.0, -1.0),
+        "quats": (1.0, 1.0, -1.0, -1.0),
+        "covars": (1.0, -1.0, -1.0, 1.0, 1.0, 1.0),
     }
     arrays = gaussians.arrays()
     changed = {k: x * x.new_tensor(turned[k]) for k, x in arrays.items() if k in turned}

@@ -1,6 +1,4 @@
-"""The error for an argument that a function refuses, in parts, so that a caller can rename it.
----
-The camera, and all conventions about axes and pixels.
+"""The camera, and all conventions about axes and pixels.
 
 * World: right-handed, y up, metres.
 * Camera: OpenCV axes, x right, y down, z forward. ``x_cam = T_camera_world · x_world``.

@@ -43,7 +43,7 @@ class Scene:
         """Load a scene from a file.
 
         Args:
-            path: a .ply of Gaussians, also a compressed one, a .splat or a .spz, turned to the
+            path: a .ply of Gaussians, a .splat or a .spz, turned to the
                 world's axes (:mod:`gva_mi.splat.axes`) and seen by :func:`in_front`; or an .npz,
                 which holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3)
                 or colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,

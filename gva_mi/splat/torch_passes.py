@@ -28,9 +28,8 @@ from gva_mi.jit import packets
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 from gva_mi.splat.camera import Camera
-from gva_mi.splat.kernels.composite import SavedState
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients
-from gva_mi.splat.kernels.passes import render_adjoint, render_forward, render_tangent
+from gva_mi.splat.kernels.passes import SavedState, render_adjoint, render_forward, render_tangent
 from gva_mi.splat.kernels.project import ProjectedMemory
 from gva_mi.splat.kernels.records import Footprint, RecordFormat, Splat
 from gva_mi.splat.kernels.tile_memory import Planes
@@ -95,7 +94,6 @@ def draw(
         camera,
         options,
         given.background.tolist(),
-        absolute=screen is not None and screen.absolute,
     )
     dr.sync_thread()  # torch reads the memory next
     if screen is not None:
@@ -226,7 +224,7 @@ class Screen:
     def fill(self, saved: SavedState, means: Tensor) -> None:
         """Take over the memory of a forward pass of Gaussians with means (N, 3)."""
         self.grad = self.absgrad = self._rows = None
-        self._projected, self._format = saved.projected, saved.plan.formats[0]
+        self._projected, self._format = saved.projected, saved.plan.format
         self._size = (saved.layout.width, saved.layout.height)
         self._empty = means.new_zeros(0)
 
@@ -291,12 +289,12 @@ class Screen:
 
     @exclusive
     def _splat(self) -> Splat:
-        """Return the splats of all Gaussians, fields (N,); colours are those of the first chunk."""
+        """Return the splats of all Gaussians, fields (N,)."""
         if self._projected is None:
             return Splat.unpack([self._empty] * Splat.columns(self._format), self._format)
         n, columns = dr.width(self._projected.radii), []
         widths = packets.widths(Splat.columns(self._format))
-        for part, width in zip(self._projected.splats[0], widths, strict=True):
+        for part, width in zip(self._projected.splats, widths, strict=True):
             columns += tensor_of(part).view(-1, width)[:n].unbind(1)
         return Splat.unpack(columns, self._format)
 

@@ -49,29 +49,25 @@ def test_gaussians_at_rest_in_a_frame_and_in_a_motion(run, dance, known, cli, tu
 def test_files_of_gaussians_become_each_other(run, cli):
     for source, out in (
         ("run", "a.ply"), ("a.ply", "b.splat"), ("b.splat", "c.ply"), ("run", "d.spz"),
-        ("a.ply", "e.spz"), ("e.spz", "f.ply"), ("a.ply", "g.Compressed.ply"),
+        ("a.ply", "e.spz"), ("e.spz", "f.ply"),
     ):  # fmt: skip
         cli.works("export", run.parent / source, "--out", run.parent / out)
     assert (run.parent / "d.spz").read_bytes() == (run.parent / "e.spz").read_bytes()
-    plain, again, packed = (load_ply(run.parent / f"{x}.ply") for x in ("a", "f", "g.Compressed"))
+    plain, again = (load_ply(run.parent / f"{x}.ply") for x in ("a", "f"))
     assert (plain.means - again.means).abs().max() < 1e-5 and again.sh.shape == plain.sh.shape
-    nearest = torch.cdist(plain.means, packed.means).amin(1)
-    assert nearest.max() < 3 / 1023  # of 2 m at most
-    assert b"packed_position" in (run.parent / "g.Compressed.ply").read_bytes()[:2000]
     rows = load_splat(run.parent / "b.splat")
     assert same(load_ply(run.parent / "c.ply"), rows)
     assert torch.equal(plain.means.sort(0).values, rows.means.sort(0).values)
 
 
 def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
-    for each in ("ply", "compressed.ply"):
+    for each in ("ply", "spz"):
         out = run.parent / f"as {each[:3]}"
         command = ("export", run, "--poses", dance, "--out", out, "--every", 2, "--each", each)
         cli.works(*command)
         assert sorted(path.name for path in out.iterdir()) == [
             *(f"{k:06d}.{each}" for k in (0, 2, 4)), "export.json"
         ]  # fmt: skip
-        assert (b"packed" in (out / f"000002.{each}").read_bytes()[:2000]) == (each != "ply")
     with torch.no_grad():
         assert same(
             load_ply(run.parent / "as ply/000002.ply"), half_turned(known(turning(5, 1.0)[0][2]))
@@ -181,7 +177,7 @@ def test_gaussians_of_other_programs_lose_nothing_without_a_word(run, cli):
     g = load_ply(run / "a.ply")
     g.means[[3, 5], 1] = torch.nan
     save_anyway(run / "b.ply", g)
-    for suffix in (".spz", ".splat", ".ply", ".compressed.ply"):
+    for suffix in (".spz", ".splat", ".ply"):
         out = cli.works("export", run / "b.ply", "--out", run / f"c{suffix}")
         assert f"c{suffix}: 2 of 600 Gaussians hold NaN" in out, out
     assert (

@@ -28,7 +28,7 @@ from gva_mi.data.importers.target import TargetBody
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
-from gva_mi.splat.formats.ply import load_ply, save_compressed_ply, save_ply
+from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.spz import load_splat, load_spz, save_splat, save_spz
 from gva_mi.splat.scene import Scene, random_scene
 from gva_mi.study import report
@@ -43,29 +43,6 @@ from samples.scenes import save_scene
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
-TEXT_PLY = """ply
-format ascii 1.0
-element face 2
-property list uchar int vertex_indices
-element vertex 1
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-property float opacity
-property double scale_0
-property float scale_1
-property float rot_0
-property float rot_1
-property float rot_2
-property float rot_3
-end_header
-3 0 1 2
-4 0 1 2 3
-1 2 3 255 128 0 0.5 -3 -4 1 0 0 0
-"""
 MADE_WITH = {"sources": "0"}
 
 
@@ -190,13 +167,10 @@ def seeds(subject, avatar):
         save_splat(folder / "a.splat", scene.gaussians)
         save_spz(folder / "a.spz", scene.gaussians)
         save_scene(folder / "a.npz", scene)
-        save_compressed_ply(folder / "compressed.ply", scene.gaussians)
-        (folder / "text.ply").write_text(TEXT_PLY)
 
     def read_gaussians(folder, path=None):
         each(folder, path, {
-            "a.ply": load_ply, "a.splat": load_splat, "a.npz": Scene.load,
-            "compressed.ply": load_ply, "a.spz": load_spz, "text.ply": load_ply,
+            "a.ply": load_ply, "a.splat": load_splat, "a.npz": Scene.load, "a.spz": load_spz,
         })  # fmt: skip
 
     def bodies(folder):

@@ -1,14 +1,12 @@
 """Gradients by some of the inputs have the same bits as those by all."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from gva_mi.splat import Camera, Gaussians, Screen, reference, render
 from gva_mi.splat.kernels.inputs import RequestedGradients
 from gva_mi.splat.scene import random_scene
-from gva_mi.splat.torch_passes import RenderCall, Tensors
+from gva_mi.splat.torch_passes import Drawn, Tensors
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 40, 32, 24)
 IMAGES = {"all": ("color", "alpha", "depth"), "depth": ("depth",)}
@@ -55,15 +53,15 @@ def test_a_gradient_by_some_inputs_is_that_by_all_to_the_bit(channels, images):
 
 def test_only_requested_gradients_are_computed():
     nothing = Tensors(*[False] * len(Tensors._fields))
-    call = RenderCall(SCENE.camera, SCENE.options, False, None)
-    asked = lambda call, **by: call.requested(nothing._replace(**by))
-    colors, means = asked(call, colors=True), asked(call, means=True)
+    drawn = Drawn(None, None)
+    asked = lambda drawn, **by: drawn.requested(nothing._replace(**by))
+    colors, means = asked(drawn, colors=True), asked(drawn, means=True)
     assert colors == RequestedGradients(geometry=False) and means == RequestedGradients(
         colors=False
     )
-    assert asked(call, K=True) == RequestedGradients(colors=False, camera=True)
-    assert asked(call, means=True, colors=True) == RequestedGradients()
-    assert asked(replace(call, screen=Screen()), colors=True).geometry  # a screen keeps a gradient
+    assert asked(drawn, K=True) == RequestedGradients(colors=False, camera=True)
+    assert asked(drawn, means=True, colors=True) == RequestedGradients()
+    assert asked(Drawn(None, Screen()), colors=True).geometry  # a screen keeps a gradient
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])

@@ -5,11 +5,9 @@ forward. :func:`gva_mi.splat.axes.half_turned` turns them to this program's worl
 
 ==================  =======================================================
 ``ply``             the .ply of 3D Gaussian Splatting and its viewers
-``compressed_ply``  the .ply of PlayCanvas' SuperSplat, 16 bytes a Gaussian and up
-``ply_elements``    header and tables of any .ply
+``spz``             Niantic's, about 20 bytes a Gaussian before compression, and
+                    the .splat, 32 bytes a Gaussian, for viewers in a browser
 ``stored``          numbers to store, and Gaussians read back, for all formats
-``splat``           32 bytes a Gaussian, for viewers in a browser
-``spz``             Niantic's, about 20 bytes a Gaussian before compression
 ==================  =======================================================
 """
 

@@ -1,19 +1,15 @@
-"""The .splat of browser viewers (antimatter15's): reader and writer, 32 bytes a Gaussian.
+"""Files for viewers in a browser: Niantic's .spz and antimatter15's .splat.
+
+The .splat has 32 bytes a Gaussian, without a header, little-endian:
 
     means 3 float32 · scales 3 float32 · rgb and opacity 4 uint8 · quaternion 4 uint8
 
-* no header, little-endian; scales are standard deviations, not logarithms;
-* a quaternion wxyz of length one is stored as q 128 + 128;
-* the largest and most opaque come first, because viewers draw while the rest loads.
+* scales are standard deviations, not logarithms; a quaternion wxyz of length one is q 128 + 128;
+* the largest and most opaque come first, because viewers draw while the rest loads;
+* it holds one colour a Gaussian: view-dependent colour is dropped.
 
-It holds one colour a Gaussian: view-dependent colour is dropped.
-
----
-Niantic's .spz, at most a quarter of a .ply: reader of versions 2 to 4, writer of version 3.
-
-Versions 2 and 3 are one gzip stream: a header of 16 bytes, then all Gaussians' positions, then all
-opacities, and so on. Version 4 has a header of 32 bytes and compresses each of these streams with
-zstd. Most viewers read version 3.
+The .spz is at most a quarter of a .ply: one gzip stream with a header of 16 bytes, then all
+Gaussians' positions, then all opacities, and so on. This is version 3, which most viewers read.
 
 ============  ==============================  ===========================  ======================
 Stream        Stored, little-endian           Means                        Rounding error
@@ -30,10 +26,9 @@ quaternions   the largest's number, 2 bits;   x 2^−½ / 511, the sign in    0.
 harmonics     8-bit each, colours innermost   (b − 128) / 128              0.5 / 128 in [−1, 0.99]
 ============  ==============================  ===========================  ======================
 
-Version 2 stores quaternions xyz in 3 × 8 bits. Harmonics keep all 8 bits here; Niantic's own
-program drops three or four. In a file y is up and z points to the viewer, if no extension of Adobe
-says otherwise. Readers of this package return, and its writers take, the axes of the .ply of 3DGS
-(:mod:`gva_mi.splat.axes`).
+Harmonics keep all 8 bits here; Niantic's own program drops three or four. In a file y is up and z
+points to the viewer. Readers of this package return, and its writers take, the axes of the .ply of
+3DGS (:mod:`gva_mi.splat.axes`).
 """
 
 from __future__ import annotations
@@ -47,9 +42,10 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.atomic import write_bytes
+from gva_mi.core.files import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import known_container, read_bytes
-from gva_mi.splat.axes import half_turned, with_signs
+from gva_mi.core.files import read_bytes
+from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.stored import (
     Stored,
     gaussians_of,
@@ -120,21 +116,14 @@ def plain_colors(gaussians: Gaussians) -> np.ndarray:
 MAGIC = 0x5053474E  # NGSP
 MAX_FRACTION_BITS = 16  # of means: rounding error 8 µm within ±128 m
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, flags, reserved
-_HEADER_4 = struct.Struct(
-    "<IIIBBBBI12x"
-)  # the last two: number of streams, and offset of their sizes
+_VERSION = 3
 _ANTIALIASED = 1  # the flag of opacities fitted with Mip-Splatting's filter
-_EXTENDED = 2  # the flag of extensions: behind the streams, in version 4 before them
-_HARMONICS, _AXES = 0xADBE0001, 0xADBE0003  # Adobe's extensions: another range, other axes
-_SYSTEMS = (
-    "RUB LDB RDB LUB RUB LDF RDF LUF RUF LFD RFD LFU RFU LBD RBD LBU RBU".split()
-)  # where x, y, z point: right, up, down, back to the viewer, ...; without a number the usual ones
-_EXTENSIONS = 4096  # bytes that are looked at
+_EXTENDED = 2  # the flag of extensions, which may mean other axes or another range
 _MAX_24_BIT = 0x7FFFFF  # signed
 _COLOR = 0.15
 _ROTATION = (2, 10, 10, 10)  # bits of a quaternion
 _HALF = np.sqrt(0.5)  # bound of all components but the largest
-_MAX_RATIO = 1100  # gzip and zstd compress such a file no further
+_MAX_RATIO = 1100  # gzip compresses such a file no further
 _MAX_COUNT = 1 << 26  # Gaussians
 
 
@@ -161,92 +150,47 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
         to_bytes(128 * stored.sh[:, 1:] + 128),
     ]
     flags = _ANTIALIASED if gaussians.antialiased else 0
-    header = _HEADER.pack(MAGIC, 3, len(means), stored.degree, bits, flags, 0)
+    header = _HEADER.pack(MAGIC, _VERSION, len(means), stored.degree, bits, flags, 0)
     content = header + b"".join(stream.tobytes() for stream in streams)
     write_bytes(path, gzip.compress(content, mtime=0))  # the same bytes every time
 
 
 def load_spz(path: Path) -> Gaussians:
-    """Read a .spz of version 2, 3 or 4.
+    """Read a .spz of version 3.
 
     Raises:
         InputError: no such file, another format or version, or truncated.
     """
     content = read_bytes(path, "a .spz")
-    packed = content[:2] == b"\x1f\x8b"
-    head = _unzipped(path, content, _HEADER.size) if packed else content[: _HEADER_4.size]
-    if len(head) < (_HEADER.size if packed else _HEADER_4.size):
-        raise InputError(f"{path}: {len(content)} bytes; expected a .spz")
-    magic, version, count, degree, bits, flags, *_ = (_HEADER if packed else _HEADER_4).unpack(head)
-    if magic != MAGIC or version not in ((2, 3) if packed else (4,)):
-        kind = known_container(path)
-        other = f"something else, {kind}" if kind else "something else"
-        found = f"version {version}" if magic == MAGIC else other
-        raise InputError(f"{path}: holds {found}; expected a .spz of version 2, 3 or 4")
-    widths = (9, 1, 3, 3, 3 if version == 2 else 4, 3 * (degree + 1) ** 2 - 3)
-    sizes = [count * width for width in widths]
-    if degree > 4 or bits > 23 or count > _MAX_COUNT or sum(sizes) > _MAX_RATIO * len(content):
+    head = _unzipped(path, content, _HEADER.size)
+    magic, version, count, degree, bits, flags, _ = _HEADER.unpack(head)
+    if magic != MAGIC or version != _VERSION or flags & _EXTENDED:
+        what = f"version {version}" + " with extensions" * bool(flags & _EXTENDED)
+        found = what if magic == MAGIC else "something else"
+        raise InputError(f"{path}: holds {found}; expected a .spz of version {_VERSION}")
+    widths = (9, 1, 3, 3, 4, 3 * (degree + 1) ** 2 - 3)
+    size = count * sum(widths)
+    if degree > 4 or bits > 23 or count > _MAX_COUNT or size > _MAX_RATIO * len(content):
         raise InputError(
             f"{path}: announces {count} Gaussians of degree {degree} with {bits} bits in "
             f"{len(content)} bytes; expected a .spz"
         )
-    if packed:
-        body = _unzipped(path, content, _HEADER.size + sum(sizes) + _EXTENSIONS)[_HEADER.size :]
-        ends, more = np.cumsum(sizes), body[sum(sizes) :]
-        streams = [body[end - size : end] for size, end in zip(sizes, ends, strict=True)]
-    else:
-        streams = _of_version_4(path, content, sizes)
-        more = content[_HEADER_4.size : _HEADER_4.unpack(head)[-1]][:_EXTENSIONS]
-    signs = _signs(path, more if flags & _EXTENDED else b"")
-    if any(len(stream) != size for stream, size in zip(streams, sizes, strict=True)):
-        raise InputError(f"{path}: cut short, {count} Gaussians were announced")
-    rows = [
-        np.frombuffer(stream, "u1").reshape(count, width)
-        for stream, width in zip(streams, widths, strict=True)
-    ]
-    found = with_signs(_gaussians(rows, bits, version), signs)
-    return replace(found, antialiased=bool(flags & _ANTIALIASED))
-
-
-def _gaussians(rows: list[np.ndarray], bits: int, version: int) -> Gaussians:
-    """Decode the streams' bytes (N, n)."""
+    body = np.frombuffer(_unzipped(path, content, _HEADER.size + size), "u1")[_HEADER.size :]
+    streams = np.split(body, np.cumsum([count * width for width in widths[:-1]]))
+    rows = [stream.reshape(count, width) for stream, width in zip(streams, widths, strict=True)]
     means, opacities, colors, scales, quats, sh = rows
-    fixed = np.zeros((len(means), 3, 4), "u1")
+    fixed = np.zeros((count, 3, 4), "u1")
     fixed[..., 1:] = means.reshape(-1, 3, 3)  # in the upper bytes, for the sign
     dc = (colors / 255 - 0.5) / _COLOR
-    higher = (sh.reshape(len(sh), sh.shape[1] // 3, 3) - 128.0) / 128
-    return gaussians_of(
+    higher = (sh.reshape(count, widths[-1] // 3, 3) - 128.0) / 128
+    found = gaussians_of(
         means=(fixed.view("<i4")[..., 0] >> 8) / 2.0**bits,
-        quats=_of_first_three(quats) if version == 2 else _of_smallest_three(quats),
+        quats=_of_smallest_three(quats),
         scales=np.exp(scales / 16 - 10),
         opacities=opacities[:, 0] / 255,
         sh=np.concatenate([dc[:, None], higher], axis=1),
     )
-
-
-def _signs(path: Path, extensions: bytes) -> tuple[int, int, int]:
-    """Return the signs that lead from a file's axes to those of a .ply: right, down, forward.
-
-    ``extensions`` are records of a type, a length, and so many bytes.
-    """
-    system, at = 0, 0
-    while at + 8 <= len(extensions):
-        kind, length = struct.unpack_from("<II", extensions, at)
-        if kind == _AXES and length == 4 and at + 12 <= len(extensions):
-            (system,) = struct.unpack_from("<I", extensions, at + 8)
-        elif kind in (_HARMONICS, _AXES):
-            raise InputError(
-                f"{path}: Adobe's extension {kind:#x} of {length} bytes says that its harmonics or "
-                "axes mean something else, which is not read; expected a .spz without it"
-            )
-        at += 8 + length
-    axes = _SYSTEMS[system] if system < len(_SYSTEMS) else f"number {system}"
-    if axes[0] not in "LR" or axes[1] not in "UD" or axes[2] not in "BF":
-        raise InputError(
-            f"{path}: an extension says that its axes are {axes}; expected y up or down, such as "
-            "RUB (right, up, back) or RDF"
-        )
-    return tuple(1 if axis in "RDF" else -1 for axis in axes)
+    return replace(half_turned(found), antialiased=bool(flags & _ANTIALIASED))
 
 
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
@@ -264,42 +208,15 @@ def _of_smallest_three(stored: np.ndarray) -> np.ndarray:
     return with_largest(largest, np.where(others >> 9, -sizes, sizes))[:, [3, 0, 1, 2]]
 
 
-def _of_first_three(stored: np.ndarray) -> np.ndarray:
-    """Unpack unit quaternions wxyz (N, 4) of xyz in a byte each; w is not negative."""
-    xyz = stored / 127.5 - 1
-    return np.column_stack([np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0)), xyz])
-
-
-def _unzipped(path: Path, content: bytes, most: int) -> bytes:
-    """Decompress at most so many bytes of a gzip stream."""
+def _unzipped(path: Path, content: bytes, size: int) -> bytes:
+    """Decompress the first ``size`` bytes of a gzip stream."""
+    found = known_container(path)
+    if content[:2] != b"\x1f\x8b":
+        raise InputError(f"{path}: holds {found or 'something else'}; expected a .spz")
     try:
-        return zlib.decompressobj(wbits=31).decompress(content, most)
+        head = zlib.decompressobj(wbits=31).decompress(content, size)
     except zlib.error as error:
         raise InputError(f"{path}: damaged ({error}); expected a .spz") from None
-
-
-def _of_version_4(path: Path, content: bytes, sizes: list[int]) -> list[bytes]:
-    """Decompress the streams of a version 4 file."""
-    try:
-        import zstandard
-    except ModuleNotFoundError:
-        raise InputError(
-            f"{path}: a .spz of version 4 needs the package zstandard to be read; "
-            "pip install zstandard"
-        ) from None
-    number, start = _HEADER_4.unpack(content[: _HEADER_4.size])[-2:]
-    toc = content[start : start + 16 * number]
-    expected = (
-        {len(sizes)} if sizes[-1] else {len(sizes) - 1, len(sizes)}
-    )  # the last may be left out
-    if number not in expected or len(toc) < 16 * number:
-        raise InputError(f"{path}: holds {number} streams; expected the {len(sizes)} of a .spz")
-    streams, start = [], start + 16 * number
-    for (packed, _), size in zip(struct.iter_unpack("<QQ", toc), sizes, strict=False):
-        try:
-            source = zstandard.ZstdDecompressor().stream_reader(content[start : start + packed])
-            streams.append(source.read(size))
-        except zstandard.ZstdError as error:
-            raise InputError(f"{path}: damaged ({error}); expected a .spz") from None
-        start += packed
-    return streams + [b""] * (len(sizes) - number)
+    if len(head) < size:
+        raise InputError(f"{path}: cut short; expected a .spz")
+    return head

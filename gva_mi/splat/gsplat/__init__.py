@@ -2,9 +2,8 @@
 
 ==================  ==========================================================
 ``rasterization``   the function, a drop-in replacement for gsplat's
-``arguments``       checks of its arguments, by the names the caller used
-``views``           all pictures of one call, and the dictionary ``meta``
-``means2d``         ``meta["means2d"]`` as a node of torch's graph
+``views``           all pictures of one call, ``meta``, and ``meta["means2d"]``
+                    as a node of torch's graph
 ==================  ==========================================================
 """
 

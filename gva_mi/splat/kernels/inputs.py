@@ -171,7 +171,7 @@ class Plan:
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D
-    formats: tuple[RecordFormat, ...]  # of the splats, one per chunk (composite.py)
+    format: RecordFormat  # of the splats
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ an argument would be copied at every call.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
@@ -26,19 +29,7 @@ from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.camera import ArgumentError, Camera
 from gva_mi.splat.kernels import tiles
-from gva_mi.splat.kernels.blend import sum_slots
-from gva_mi.splat.kernels.composite import (
-    Gradients,
-    SavedState,
-    add_slots,
-    background_gradient,
-    chunk_formats,
-    composite,
-    composite_adjoint,
-    composite_tangent,
-    split_splat,
-    sum_rows,
-)
+from gva_mi.splat.kernels.blend import blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.kernels.inputs import (
     CameraArrays,
     GradientMemory,
@@ -62,9 +53,44 @@ from gva_mi.splat.kernels.records import (
     RecordFormat,
     Splat,
 )
-from gva_mi.splat.kernels.tile_memory import Limit, Planes
+from gva_mi.splat.kernels.tile_memory import Limit, Planes, SavedPixels
 from gva_mi.splat.kernels.tiles import Grid, Layout, Lists
 from gva_mi.splat.options import SplatOptions
+
+
+@dataclass(frozen=True)
+class SavedState:
+    """A picture, with the forward pass's state that its adjoint and tangent need."""
+
+    inputs: Inputs
+    plan: Plan
+    camera: Camera
+    view: CameraArrays
+    background: list[Array]  # D
+    layout: Layout
+    grid: Grid
+    planes: Planes  # the picture comes first; there may be unused memory behind it
+    projected: ProjectedMemory | None  # None if there is no Gaussian
+    lists: Lists | None  # None if none is drawn
+    saved_pixels: SavedPixels | None
+    stop: Array | None  # where each lane of blend stopped
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Result of :func:`render_adjoint`; None for a gradient that was not requested."""
+
+    gaussians: GradientMemory
+    background: list[float]  # D
+    T_camera_world: np.ndarray | None  # (4, 4)
+    K: np.ndarray | None  # (3, 3)
+
+    def named(self) -> Iterator[tuple[str, Array]]:
+        """Yield the gradients by the Gaussians' arrays that were requested, by name."""
+        g = self.gaussians
+        parts = {"means": g.means, "opacities": g.opacities, "colors": g.colors}
+        parts |= {} if g.geometry is None else vars(g.geometry)
+        yield from ((name, array) for name, array in parts.items() if array is not None)
 
 
 def render_forward(
@@ -73,7 +99,6 @@ def render_forward(
     camera: Camera,
     options: SplatOptions,
     background: list[float],
-    absolute: bool = False,
     limit: Array | None = None,
 ) -> SavedState:
     """Draw the picture into ``.planes``, padded to whole tiles.
@@ -84,8 +109,6 @@ def render_forward(
         camera: the view.
         options: cut-offs.
         background: one number per channel.
-        absolute: whether the absolute gradient will be requested, which forbids splitting the
-            channels into chunks.
         limit: m, a plane; a pixel shows only the Gaussians nearer than its number.
 
     Raises:
@@ -99,8 +122,8 @@ def render_forward(
     layout, view = Layout(camera.width, camera.height), camera_arrays(camera, options)
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
-    formats = chunk_formats(D, options.depth, whole=absolute)
-    plan = Plan(options.kernel_constants(), harmonics, inputs.color_width, D, formats)
+    format, constants = RecordFormat(D, options.depth), options.kernel_constants()
+    plan = Plan(constants, harmonics, inputs.color_width, D, format)
     projected = lists = saved_pixels = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)
@@ -111,8 +134,16 @@ def render_forward(
         planes = Planes.of_background(behind, layout.pixels, options.depth)
     else:
         far = None if limit is None else Limit(limit, projected.depths)
-        planes, saved_pixels, stop = composite(
-            projected.splats, lists, grid, behind, far, layout.pixels, plan
+        pixels = tiles.capacity(layout.pixels)  # few sizes for the boxes of a video
+        planes, saved_pixels, stop = blend(
+            projected.splats,
+            lists,
+            grid,
+            behind,
+            far,
+            pixels=pixels,
+            format=format,
+            options=constants,
         )
     seen = (layout, grid, planes, projected, lists, saved_pixels, stop)
     return SavedState(inputs, plan, camera, view, behind, *seen)
@@ -137,16 +168,16 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     plan, n = saved.plan, len(saved.inputs)
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, requested)
-    slots, formats, by_lanes = composite_adjoint(saved, grad, requested)
+    slots, format, by_lanes = _pair_gradients(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
     given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
-    found = gaussians_adjoint(*given, slots, formats=formats, **constants)
-    by_background = background_gradient(by_lanes, plan)  # last: the host waits for its kernels here
+    found = gaussians_adjoint(*given, slots, format=format, **constants)
+    by_background = _sum_rows(by_lanes, plan.channels).tolist()  # the host waits for its kernels
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
         parts = zip(found.camera, columns, strict=True)
-        sums = [sum_rows(part, width, n) for part, width in parts]
+        sums = [_sum_rows(part, width, n) for part, width in parts]
         by_camera = camera_adjoint(saved.camera, CameraGradient.unpack(np.concatenate(sums)))
     return Gradients(found, by_background, *by_camera)
 
@@ -174,7 +205,38 @@ def render_tangent(
     dview = camera_tangent(saved.camera, dT, dK)
     rows = tiles.capacity(len(saved.inputs))
     dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, rows=rows, plan=plan)
-    return composite_tangent(saved, dsplats, behind)
+    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid, saved.background, behind)
+    pixels = tiles.capacity(saved.layout.pixels)
+    constants = {"pixels": pixels, "format": plan.format, "options": plan.options}
+    return blend_tangent(saved.projected.splats, dsplats, *of_all, **constants)
+
+
+def _pair_gradients(
+    saved: SavedState, grad: Planes, requested: RequestedGradients
+) -> tuple[packets.Packets, RecordFormat, Array]:
+    """Return the slots of all pairs, their format, and each lane's gradient by the background."""
+    plan, lists = saved.plan, tiles.walked(saved.lists, saved.stop)
+    colors = requested.colors or plan.harmonics  # harmonics reach the means too
+    slot_format = RecordFormat(
+        plan.channels if colors else 0,
+        grad.depth is not None and requested.geometry,
+        requested.absolute,
+        requested.geometry,  # the moments
+    )
+    slots, by_lanes = blend_adjoint(
+        saved.projected.splats,
+        lists,
+        saved.grid,
+        saved.background,
+        saved.saved_pixels,
+        grad,
+        pairs=dr.width(lists.ids),
+        lanes=dr.width(lists.tile),
+        format=plan.format,
+        slot_format=slot_format,
+        options=plan.options,
+    )
+    return slots, slot_format, by_lanes
 
 
 @Frozen
@@ -187,12 +249,11 @@ def project_gaussians(
     plan: Plan,
 ) -> ProjectedMemory:
     F, i = inputs.float_type, inputs.index()
-    splats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
+    splats = packets.empty(Splat, plan.format, rows, F)
     footprints = packets.empty(Footprint, None, rows, F)
     found = project(inputs, plan, view)
-    parts = split_splat(found.splat, plan.formats)
-    for target, part in zip(splats, parts, strict=True):
-        packets.store(target, part, i)
+    splat = found.splat if plan.format.depth else replace(found.splat, depth=None)
+    packets.store(splats, splat, i)
     packets.store(footprints, found.footprint, i)
     counts = tiles.count(found.footprint, grid)
     radii = dr.select(counts > 0, found.radii, 0)
@@ -209,21 +270,18 @@ def gaussians_adjoint(
     lists: Lists,
     places: Array,
     counts: Array,
-    slots: list[packets.Packets],
+    slots: packets.Packets,
     *,
     rows: int,
     requested: RequestedGradients,
     plan: Plan,
-    formats: tuple[RecordFormat, ...],
+    format: RecordFormat,
 ) -> GradientMemory:
     target = GradientMemory.empty(inputs, rows, plan.color_width, requested)
-    memory = [packets.empty(PairGradient, part, rows, inputs.float_type) for part in formats]
-    for part, sums, format in zip(slots, memory, formats, strict=True):
-        sum_slots(lists, places, part, format, sums)
+    memory = packets.empty(PairGradient, format, rows, inputs.float_type)
+    sum_slots(lists, places, slots, format, memory)
     dr.eval(memory)  # two kernels: a single one would run out of registers
-    rows_of = zip(memory, formats, strict=True)
-    parts = [packets.load(sums, PairGradient, part, inputs.index()) for sums, part in rows_of]
-    slot = add_slots(parts, plan.channels)
+    slot = packets.load(memory, PairGradient, format, inputs.index())
     project_adjoint(inputs, plan, view, slot, counts > 0, target)
     dr.eval(target)
     return target
@@ -238,12 +296,11 @@ def _project_tangent(
     *,
     rows: int,
     plan: Plan,
-) -> list[packets.Packets]:
+) -> packets.Packets:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
-    F, i = inputs.float_type, inputs.index()
-    dsplats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
-    for target, part in zip(dsplats, split_splat(dsplat, plan.formats), strict=True):
-        packets.store(target, part, i)
+    dsplat = dsplat if plan.format.depth else replace(dsplat, depth=None)
+    dsplats = packets.empty(Splat, plan.format, rows, inputs.float_type)
+    packets.store(dsplats, dsplat, inputs.index())
     dr.eval(dsplats)
     return dsplats
 
@@ -260,3 +317,13 @@ def _gradients_of_nothing(
     by_gaussians = (zeros.means, zeros.geometry, zeros.opacities, zeros.colors)
     found = GradientMemory(*by_gaussians, by_u, by_absolute, None)
     return Gradients(found, by_channel, *by_camera)
+
+
+def _sum_rows(flat: Array, width: int, rows: int | None = None) -> np.ndarray:
+    """Add up the first ``rows`` rows of a flat array, or all, on the host.
+
+    numpy adds in one thread, in float64: the same bits for any number of threads. Column by
+    column, because it takes ten times as long for all at once.
+    """
+    columns = flat.numpy().reshape(-1, width)[:rows].T
+    return np.array([column.sum(dtype=np.float64) for column in columns])

@@ -9,14 +9,13 @@ from gva_mi import InputError
 from gva_mi.splat import Gaussians, reference
 from gva_mi.splat.axes import matrices
 from gva_mi.splat.formats import LOAD
-from gva_mi.splat.formats.ply import load_ply, save_compressed_ply, save_ply
+from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.formats.spz import load_splat, load_spz, save_splat, save_spz
 from gva_mi.splat.formats.stored import finite_ones, with_degree
 from gva_mi.splat.kernels.sh import C0
 
 FORMATS = {
-    "ply": (save_ply, load_ply), "compressed ply": (save_compressed_ply, load_ply),
-    "splat": (save_splat, load_splat), "spz": (save_spz, load_spz),
+    "ply": (save_ply, load_ply), "splat": (save_splat, load_splat), "spz": (save_spz, load_spz),
 }  # fmt: skip
 
 

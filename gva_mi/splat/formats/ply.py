@@ -21,9 +21,8 @@ import numpy as np
 import torch
 
 from gva_mi.core.atomic import write_bytes
-from gva_mi.core.files import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_bytes
+from gva_mi.core.files import known_container, read_bytes
 from gva_mi.splat.formats.stored import Stored, from_rest, gaussians_of
 from gva_mi.splat.gaussians import Gaussians, degree_of
 

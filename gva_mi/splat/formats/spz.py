@@ -42,9 +42,8 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.atomic import write_bytes
-from gva_mi.core.files import known_container
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_bytes
+from gva_mi.core.files import known_container, read_bytes
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.stored import (
     Stored,

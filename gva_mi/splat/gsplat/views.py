@@ -25,8 +25,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
-from gva_mi.core.cpu import sqrt
-from gva_mi.core.cpu import quiet_openmp
+from gva_mi.core.cpu import quiet_openmp, sqrt
 from gva_mi.jit.exclusive import exclusive
 from gva_mi.jit.not_compiled import not_compiled
 from gva_mi.splat.camera import Camera

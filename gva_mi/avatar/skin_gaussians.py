@@ -52,8 +52,7 @@ from torch.nn.functional import pad
 
 from gva_mi.avatar import lbs_reference, lbs_transforms
 from gva_mi.avatar.lbs_transforms import AXES, LARGEST, PairLists, SparseWeights
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.splat.kernels.ellipse import Rotation
 

@@ -28,8 +28,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.data.crop import Box
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.packets import store_rows
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.jit.tensors import tensor_of

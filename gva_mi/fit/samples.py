@@ -52,8 +52,7 @@ from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import flat_array, load_columns
 from gva_mi.jit.tensors import PRECISION
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions

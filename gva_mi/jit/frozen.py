@@ -1,4 +1,4 @@
-"""Kernels that are traced once: ``dr.freeze``, with constants kept apart from arrays.
+"""Kernels that are traced once (``dr.freeze``), and the lock that every entry point takes.
 
 A frozen function replays its first call as long as its arguments look the same. Arrays may change
 in size and values. Python numbers and strings may not: they are constants of the code, and another
@@ -15,14 +15,34 @@ code. So ``dr.freeze`` gets flat lists of arrays, and the records are flattened 
 Python's garbage collection is off while a function is traced. It may free objects of others, such
 as a Mitsuba scene whose ray tracer is destroyed on Dr.Jit's queue; during a recording that ends the
 process.
+
+``dr.freeze`` of Dr.Jit 1.5.0 is not made for threads: two that record or replay at once end the
+process (``jit_var(r14): unknown variable!``). So every pass, forward, adjoint or tangent, holds the
+lock :data:`exclusive` from its first array to its last. Nothing is lost, because the kernels use
+all cores themselves.
+
+Threads enter in the order in which they came, so that a viewer that draws all the time leaves a
+training beside it every other turn. Python's own locks let the thread that just left in again.
+
+The lock covers this library. A program that freezes functions of its own, or runs Dr.Jit's autodiff
+or Mitsuba in another thread than the one that renders, holds it there too::
+
+    with exclusive:
+        image = mi.render(scene)
+
+A process forked from one that had imported Dr.Jit lacks Dr.Jit's threads and would wait for them
+forever. A ``DataLoader``'s workers may be forked as long as they do not render.
 """
 
 from __future__ import annotations
 
 import functools
 import gc
+import os
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ContextDecorator, contextmanager
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -32,6 +52,9 @@ LIMIT = 64  # sets of constants to keep, and recordings of each
 
 Shape = tuple[type, Any] | None  # of nested records, hashable: a type and its parts; None: array
 Key = tuple[Shape, tuple[tuple[str, Any], ...]]  # of the arrays, and the constants by name
+# Seconds after which a waiting thread looks for a Ctrl-C: Python does not notice one that comes
+# just before a lock starts to wait.
+SIGNALS_EVERY = 0.5
 
 
 class Frozen:
@@ -129,3 +152,61 @@ def _without_garbage_collection() -> Iterator[None]:
     finally:
         if collecting:
             gc.enable()
+
+
+class Exclusive(ContextDecorator):
+    """A reentrant lock, first come, first served, as a context manager and as a decorator."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()  # of the queue
+        self._queue: deque[threading.Lock] = deque()  # the turn of the thread inside, then others'
+        self._inside: int | None = None  # the thread
+        self._depth = 0  # how often it entered
+        self._forked = False
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._note_fork)
+
+    def __enter__(self) -> None:
+        if self._forked:
+            raise RuntimeError(
+                "render(): this process was forked from one that had imported Dr.Jit, whose "
+                "threads stayed there: render in that one, or start workers with "
+                "multiprocessing's 'spawn'"
+            )
+        if self._inside == threading.get_ident():
+            self._depth += 1
+            return
+        turn = threading.Lock()
+        try:
+            with self._guard:
+                if self._queue:
+                    turn.acquire()  # the thread before releases it
+                self._queue.append(turn)
+            while not turn.acquire(timeout=SIGNALS_EVERY):
+                pass
+            self._inside, self._depth = threading.get_ident(), 1
+        except BaseException:  # Ctrl-C while waiting
+            self._leave(turn)
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        if self._depth > 1:
+            self._depth -= 1
+            return
+        self._inside = None
+        self._leave(self._queue[0])
+
+    def _leave(self, turn: threading.Lock) -> None:
+        """Leave the queue, and let the next thread in if this one was the first."""
+        with self._guard:
+            first = bool(self._queue) and self._queue[0] is turn
+            if turn in self._queue:
+                self._queue.remove(turn)
+            if first and self._queue:
+                self._queue[0].release()
+
+    def _note_fork(self) -> None:
+        self._forked = True
+
+
+exclusive = Exclusive()

@@ -13,8 +13,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 from torch import Tensor
 
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.frozen import Frozen
+from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.packets import load_rows, store_rows
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 

@@ -22,7 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from gva_mi.core import llvm
-from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import exclusive
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions

@@ -14,7 +14,7 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import exclusive
 from gva_mi.splat.camera import Camera, CameraTensors
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from gva_mi.core.cpu import quiet_openmp
 from gva_mi.jit import packets
-from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import exclusive
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels.inputs import Inputs, RequestedGradients

@@ -23,9 +23,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.not_compiled import not_compiled
-from gva_mi.jit.tensors import PRECISION
+from gva_mi.jit.frozen import exclusive
+from gva_mi.jit.tensors import PRECISION, not_compiled
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions

@@ -42,7 +42,7 @@ import drjit as dr
 import mitsuba as mi
 from gva_mi_plugins.gaussian_splat.scene import OtherShapes, SensorCamera, gaussians_of, seen_along
 
-from gva_mi.jit.exclusive import exclusive
+from gva_mi.jit.frozen import exclusive
 from gva_mi.splat import Image, SplatOptions
 from gva_mi.splat.drjit_render import render
 

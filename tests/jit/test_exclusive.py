@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from gva_mi.jit.exclusive import Exclusive
+from gva_mi.jit.frozen import Exclusive
 
 
 def until(condition):

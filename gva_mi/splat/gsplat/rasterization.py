@@ -16,8 +16,8 @@ from torch import Tensor
 
 from gva_mi.core.cpu import quiet_openmp
 from gva_mi.core.errors import InputError
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.not_compiled import not_compiled
+from gva_mi.jit.frozen import exclusive
+from gva_mi.jit.tensors import not_compiled
 from gva_mi.splat.camera import ArgumentError, Camera, CameraModel
 from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians, Image
 from gva_mi.splat.gsplat.views import GsplatView, Meta, RenderedView, RenderedViews, joined

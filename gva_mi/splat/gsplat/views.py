@@ -26,8 +26,8 @@ from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
 from gva_mi.core.cpu import quiet_openmp, sqrt
-from gva_mi.jit.exclusive import exclusive
-from gva_mi.jit.not_compiled import not_compiled
+from gva_mi.jit.frozen import exclusive
+from gva_mi.jit.tensors import not_compiled
 from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions

@@ -49,7 +49,7 @@ class Counter:
 def work(task):
     """Run a command in the fork; return its exit code."""
     from gva_mi.__main__ import main
-    from gva_mi.jit.exclusive import exclusive
+    from gva_mi.jit.frozen import exclusive
 
     exclusive._forked = False  # Dr.Jit was imported but has started no thread
     signal.alarm(PATIENCE)

@@ -3,5 +3,5 @@
 * ``surface.py``: normals and Laplacian of a surface, a body with fewer faces, in torch;
 * ``mesh_scene.py``: render vertices through a camera, by the plugin ``mesh_normals``;
 * ``overlay.py``: pictures of a mesh, alone or over a photograph;
-* ``visibility.py``: normals where rays enter and leave a mesh; vertices visible from given places.
+* ``visibility.py``: vertices visible from given places.
 """

@@ -7,19 +7,15 @@ from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
-from torch import Tensor
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
-from gva_mi.data.crop import CropBox, bounds
+from gva_mi.data.crop import bounds
 from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.masks import read_mask
-from gva_mi.data.networks.normals import BodyNormals, NormalNetwork
+from gva_mi.data.networks.normals import NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
-from gva_mi.data.normals import in_convention
 from gva_mi.data.pictures import read_image, write_image
-from gva_mi.mesh.visibility import normals_of_both_sides
-from gva_mi.splat import Camera
 
 HELD = 0.5  # of the person's points: a mask with fewer is doubtful
 
@@ -64,9 +60,7 @@ def write_masks(
 def write_normals(
     folder: Path,
     network: NormalNetwork,
-    cameras: Sequence[Camera],
-    posed: Callable[[int], Tensor],
-    faces: Tensor,
+    count: int,
     progress: Progress | None = None,
 ) -> list[str]:
     """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
@@ -76,37 +70,20 @@ def write_normals(
     Args:
         folder: of the subject.
         network: that sees the pictures.
-        cameras: of the T frames.
-        posed: gives a frame's vertices (V, 3) of the body, world, for a network that needs it.
-        faces: (F, 3) of the body.
+        count: of the frames.
         progress: called after every frame.
     """
-    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * len(cameras), 0
-    for k, camera in enumerate(cameras):
+    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * count, 0
+    for k in range(count):
         mask = read_mask(folder / MASKS, k)
         box = None if mask is None else bounds(mask > 0.5)
         if box is not None:
             image = read_image(folder / FRAMES / frame_name(k), 3)
-            body = _body_normals(network, camera, posed(k), faces) if network.needs_body else None
-            crop, normals = network.see(image, mask, box, body)
+            crop, normals = network.see(image, mask, box)
             boxes[k] = list(astuple(crop))
             writer.normals(k, normals)
             maps += 1
         if progress:
-            progress(k + 1, len(cameras))
+            progress(k + 1, count)
     writer.normals_record(network.spec.convention, boxes)
     return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]
-
-
-def _body_normals(
-    network: NormalNetwork, camera: Camera, vertices: Tensor, faces: Tensor
-) -> BodyNormals:
-    """Return what gives a network the normals of the body in a part of a camera's frame."""
-
-    def normals(crop: CropBox) -> tuple[np.ndarray, np.ndarray]:
-        seen = crop.cut_camera(camera).resized(*network.spec.size)
-        front, back = normals_of_both_sides(vertices, faces, seen)
-        axes = network.spec.convention
-        return in_convention(front, seen, axes), in_convention(back, seen, axes)
-
-    return normals

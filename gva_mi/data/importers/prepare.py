@@ -102,8 +102,7 @@ def prepare_folder(
     writer.cameras(cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
-        posed = lambda k: body.model(pose[k], shape).vertices[0]
-        more += write_normals(out, normal_network, cameras, posed, body.model.faces, progress)
+        more += write_normals(out, normal_network, count, progress)
     elif options.normals:
         maps = maps_of(options.normals, capture.frames, count, capture.loose)
         more += write_maps(out, maps, options.normals_convention, cameras, straight)

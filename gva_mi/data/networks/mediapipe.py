@@ -19,16 +19,14 @@ machine does.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +55,6 @@ _IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
         "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
     ),
 }
-_SCRATCH = ".fetching-"  # folders to download into
 _LICENCE = f"mediapipe-{VERSION}.dist-info/LICENSE"
 _NOTICE = f"""\
 The .tflite files of this folder are networks of MediaPipe {VERSION}, Copyright The MediaPipe
@@ -81,9 +78,7 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
     path = _place(folder) / name
     if not path.is_file():
         require_writable(path.parent)
-        with _lock(path.parent):
-            if not path.is_file():  # another process may have fetched it meanwhile
-                _fetch(path.parent)
+        _fetch(path.parent)
     _require_hash(path, _IN_WHEEL[name][1])
     return path
 
@@ -100,10 +95,8 @@ def _place(folder: Path | None) -> Path:
 
 def _fetch(folder: Path) -> None:
     """Download the wheel, and move its networks and its licence into the folder."""
-    for left in folder.glob(f"{_SCRATCH}*"):  # by a killed process
-        shutil.rmtree(left, ignore_errors=True)
     say(f"fetching MediaPipe's landmark networks by pip (36 MB, once) into {folder}")
-    with tempfile.TemporaryDirectory(dir=folder, prefix=_SCRATCH) as scratch:
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".fetching-") as scratch:
         wheel = _download(Path(scratch), folder)
         try:
             with zipfile.ZipFile(wheel) as archive:
@@ -148,15 +141,6 @@ def _require_hash(path: Path, expected: str) -> None:
             f"{path}: is another file than MediaPipe's (SHA-256 {found[:12]}..., expected "
             f"{expected[:12]}...); remove it, so that it can be fetched again"
         )
-
-
-@contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """Wait until no other process fetches into the folder; without file locks, do not wait."""
-    with (folder / ".lock").open("w") as file:
-        with suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 class TfliteNetwork:

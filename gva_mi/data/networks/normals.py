@@ -4,23 +4,18 @@
 input                  what it is given
 =====================  ==========================================================================
 (1, 3, h, w)           the person cut out, (rgb/255 − mean) / std; its name is free
-``T_normal_F``, (…)    normals of the posed body where rays meet it first, as ICON's network takes
-``T_normal_B``         likewise where they leave it, in the same axes and on the same pixels
-(1, 6, h, w)           the picture, then ``T_normal_F``: the half of ICON's that sees the front
 an integer             patches of 14 by 14 pixels in the picture: the ``num_tokens`` of MoGe-2
 =====================  ==========================================================================
 
 Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. A network with
 several outputs needs the name of one.
 
-With the convention ``icon`` the background becomes the mean first, as ICON, ECON and PIFuHD are
-trained. With the other conventions it stays. The body's normals are in the network's convention,
-zero beside the body.
+With the convention ``icon`` the background becomes the mean first, as PIFuHD is trained. With the
+other conventions it stays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,18 +27,14 @@ from gva_mi.data.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
-FRONT, BACK = "T_normal_F", "T_normal_B"
 PATCH = 14  # pixels
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 _ASKED = (
-    f"a network that takes a picture (1, 3, h, w), and perhaps ICON's {FRONT} and {BACK}, and "
-    "answers with normals (1, 3, h, w) or (1, h, w, 3)"
+    "a network that takes a picture (1, 3, h, w) and answers with normals (1, 3, h, w) or "
+    "(1, h, w, 3)"
 )
-# Gives of a part of the frame the normals (h, w, 3) of the posed body, in the network's convention
-# and size: where rays meet the body, and where they leave it.
-BodyNormals = Callable[[CropBox], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -69,12 +60,11 @@ class NormalNetwork:
         self.path, self._session = path, _session(path)
         inputs = self._session.get_inputs()
         pictures = [x for x in inputs if len(x.shape) == 4 and x.type == "tensor(float)"]
-        others = [x for x in pictures if x.name not in (FRONT, BACK)]
         numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
-        if len(others) != 1 or len(pictures) + len(numbers) != len(inputs) or len(numbers) > 1:
+        if len(pictures) != 1 or 1 + len(numbers) != len(inputs) or len(numbers) > 1:
             found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
             raise InputError(f"{path}: takes {found}; expected {_ASKED}")
-        names, self._picture = [x.name for x in self._session.get_outputs()], others[0]
+        names, self._picture = [x.name for x in self._session.get_outputs()], pictures[0]
         self._output = names[0] if spec.output is None and len(names) == 1 else spec.output
         if self._output not in names:
             several = (
@@ -87,24 +77,13 @@ class NormalNetwork:
         sides = all(isinstance(side, int) for side in fixed)
         self.spec = replace(spec, size=tuple(fixed) if sides else spec.size)
 
-    @property
-    def needs_body(self) -> bool:
-        """Whether it takes normals of the posed body."""
-        names = {given.name for given in self._session.get_inputs()}
-        return bool(names & {FRONT, BACK}) or self._picture.shape[1] == 6
-
     def see(
         self,
         image: np.ndarray,
         mask: np.ndarray,
         box: np.ndarray,
-        body: BodyNormals | None = None,
     ) -> tuple[CropBox, np.ndarray]:
         """Estimate normals of a picture (H, W, 3) 8-bit, of a mask (H, W) with a box (4,).
-
-        Args:
-            image, mask, box: the picture, and where the person is.
-            body: gives the normals of the posed body, if the network needs them.
 
         Returns:
             the part that is shown, and (h, w, 3) unit normals in the convention's axes, zero where
@@ -118,19 +97,13 @@ class NormalNetwork:
         shown = crop.resized(
             image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist())
         )
-        planes = lambda x: x.astype(np.float32).transpose(2, 0, 1)[None]
-        given = {self._picture.name: planes((shown / 255 - mean) / std)}
-        if body is not None:
-            given |= dict(zip((FRONT, BACK), map(planes, body(crop)), strict=True))
-            if self._picture.shape[1] == 6:
-                both = [given[self._picture.name], given[FRONT]]
-                given[self._picture.name] = np.concatenate(both, axis=1)
+        planes = ((shown / 255 - mean) / std).astype(np.float32).transpose(2, 0, 1)[None]
+        inputs = {self._picture.name: planes}
         width, height = self.spec.size
-        inputs = {
-            x.name: given[x.name] if x.name in given
-            else np.array(round(width * height / PATCH**2)).reshape([1] * len(x.shape))
-            for x in self._session.get_inputs()
-        }  # fmt: skip
+        for x in self._session.get_inputs():
+            if x.name != self._picture.name:
+                patches = np.array(round(width * height / PATCH**2))
+                inputs[x.name] = patches.reshape([1] * len(x.shape))
         try:
             answer = np.asarray(self._session.run([self._output], inputs)[0])
         except Exception as error:  # noqa: BLE001 (each of its errors is a class of its own)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from samples.networks import onnx_file, onnx_graph
+from samples.networks import onnx_file
 
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
@@ -145,33 +145,3 @@ def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
         middle = np.median(normals, axis=0)
         y = min(0.6, (215 - 10 * k) / 127.5 - 1)  # of green; red gives the greatest x
         assert np.abs(middle - (0.6, -y, -np.sqrt(1 - 0.36 - y * y))).max() < 0.02
-
-
-def test_icon_s_network_is_given_the_posed_body(tmp_path, cli, people, joints, wham_file):
-    """A network that answers with the body's own normals: those that Mitsuba's camera sees."""
-    pytest.importorskip("mitsuba")
-    from gva_mi.mesh.mesh_scene import MeshScene
-
-    drawn = draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
-    np.save(tmp_path / "masks.npy", np.stack(drawn) & (np.arange(FRAMES) == 0)[:, None, None])
-    picture = ("FLOAT", [1, 3, 160, 120])
-    onnx_graph(
-        tmp_path / "icon.onnx",
-        [("Identity", [f"T_{name}"], [name], {}) for name in ("normal_F", "normal_B")],
-        {"image": picture, "T_normal_F": picture, "T_normal_B": picture},
-        ["normal_F", "normal_B"],
-    )
-    out = tmp_path / "subject"
-    said = cli.works(
-        "prepare", "wham", wham_file, out, "--body", "puppet", "--frames", tmp_path / "shots",
-        "--masks", tmp_path / "masks.npy", "--person", "0", "--normals", tmp_path / "icon.onnx",
-        "--normals-convention", "icon", "--normals-output", "normal_F",
-    )  # fmt: skip
-    assert "normals of 1 frames by icon.onnx, icon" in said
-    body, video = load_body(), load_video(out)
-    vertices = body(video.pose[:1], video.shape).vertices[0]
-    seen = MeshScene(body.faces, vertices).render(vertices, video.cameras[0]).numpy()
-    frame = video[0]
-    both = (seen[..., 3] == 1) & (np.linalg.norm(frame.normals, axis=-1) > 0.9)
-    off = np.degrees(np.arccos((seen[..., :3] * frame.normals).sum(-1)[both].clip(-1, 1)))
-    assert both.sum() > 0.6 * (seen[..., 3] == 1).sum() and np.median(off) < 3

@@ -76,27 +76,6 @@ def test_one_of_several_outputs_is_chosen_by_its_name(person, tmp_path):
             NormalNetwork(path, NormalsSpec("perspective", SIZE, output=name))
 
 
-@pytest.mark.parametrize("inputs", ["T_normal_F", "T_normal_F T_normal_B", "six channels"])
-def test_normals_of_the_body_are_given_by_icon_s_names(inputs, person, tmp_path):
-    """Networks that answer with what they are given of the body's front, or its back."""
-    front, back = (np.zeros((SIZE[1], SIZE[0], 3)) for _ in range(2))
-    front[..., 2], back[..., 0] = 1, np.linspace(-1, -0.9, SIZE[0])
-    picture = {"image": ("FLOAT", [1, 3, "h", "w"])}
-    names, cut = inputs.split(), []
-    if inputs == "six channels":
-        names, picture = ["front"], {"image": ("FLOAT", [1, 6, "h", "w"])}
-        cut = [("Slice", ["image", "three", "six", "one"], ["front"], {})]
-    given = picture | {name: ("FLOAT", [1, 3, "h", "w"]) for name in names if not cut}
-    nodes = [*cut, ("Identity", [names[-1]], ["answer"], {})]
-    constants = {"three": [3], "six": [6], "one": [1]}
-    path = onnx_graph(tmp_path / "icon.onnx", nodes, given, ["answer"], constants)
-    network = NormalNetwork(path, NormalsSpec("icon", SIZE))
-    assert network.needs_body
-    _, normals = network.see(*person, lambda crop: (front, back))
-    expected = back / -back[..., :1] if len(names) == 2 else front
-    assert np.allclose(normals, expected, atol=1e-6)
-
-
 def test_a_bad_network_is_refused_in_one_sentence(person, tmp_path):
     def refused(path, words):
         with pytest.raises(InputError, match=words) as error:

@@ -1,7 +1,6 @@
 """The networks' files: where they are looked for, fetched and checked."""
 
 import hashlib
-import subprocess
 import sys
 import zipfile
 
@@ -54,7 +53,7 @@ def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.VERSION}"
     assert weights_file(NAMES[0]) == folder / NAMES[0]
-    assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE", ".lock"}
+    assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE"}
     assert "Apache License" in (folder / "LICENSE").read_text()
     assert "Apache License 2.0" in (folder / "NOTICE").read_text()
     small_wheel.unlink()
@@ -73,29 +72,11 @@ def test_a_named_folder_comes_before_the_environment_and_the_cache(
     assert weights_file(NAMES[0], tmp_path / "named").parent == tmp_path / "named"
 
 
-def test_two_processes_fetch_once(small_wheel, tmp_path):
-    """The second process waits for the first, and finds its files."""
-    names, folder = repr(mediapipe._IN_WHEEL), tmp_path / "shared"
-    program = (
-        "from pathlib import Path; from gva_mi.data.networks import mediapipe; "
-        f"mediapipe._IN_WHEEL = {names}; "
-        f"mediapipe.weights_file({NAMES[0]!r}, Path({str(folder)!r}))"
-    )
-    both = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    said = [process.communicate()[0] for process in both]
-    assert [process.returncode for process in both] == [0, 0]
-    assert sum("fetching" in text for text in said) == 1
-    assert not list(folder.glob(".fetching*"))
-
-
 def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
     with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
         weights_file(NAMES[0], tmp_path / "empty")
     assert "\n" not in str(error.value) and NAMES[0] in str(error.value)
-    assert [path.name for path in (tmp_path / "empty").iterdir()] == [".lock"]
+    assert not list((tmp_path / "empty").iterdir())
 
 
 def test_without_pip_the_sentence_names_it(tmp_path, monkeypatch):

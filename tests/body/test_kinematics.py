@@ -51,17 +51,6 @@ def test_gradients_against_differences(angle, shared):
     )
 
 
-def test_gradients_on_the_whole_tree_are_those_of_autograd():
-    leaves = [x.requires_grad_() for x in moves()]
-    R, T = turn_joints(*leaves[:2], PARENTS, leaves[2])
-    weights = torch.randn(2, 55, 4, 4, generator=torch.Generator().manual_seed(4), dtype=F64)
-    found = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
-    R, T = reference(*leaves)
-    wanted = torch.autograd.grad((T * weights).sum() + R.sin().sum(), leaves)
-    for name, x, y in zip(("rotations", "joints", "transl"), found, wanted, strict=True):
-        torch.testing.assert_close(x, y, msg=name)
-
-
 def test_a_tree_in_the_wrong_order_is_refused():
     zero = torch.zeros(1, 3, 3)
     with pytest.raises(ValueError, match="every parent before its children"):

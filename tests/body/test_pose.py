@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, SMPLX_FIELDS, Pose, Shape, load_poses, save_poses
-from gva_mi.core.errors import InputError
 
 
 @pytest.fixture
@@ -36,16 +35,6 @@ def test_a_file_holds_smplx_s_names_in_their_order(pose, tmp_path):
         assert file.files == [*pose.to_smplx(), "betas", "stage"]
     again, shape = load_poses(tmp_path / "poses.npz")
     assert torch.equal(again.rotations, pose.rotations) and len(shape.betas) == 3
-
-
-def test_poses_of_a_refined_focal_length_are_refused(pose, tmp_path):
-    save_poses(tmp_path / "poses.npz", pose, Shape(torch.zeros(3)), stage=2)
-    held = dict(np.load(tmp_path / "poses.npz"))
-    np.savez(tmp_path / "poses.npz", **held, focal=1.0)
-    load_poses(tmp_path / "poses.npz")
-    np.savez(tmp_path / "poses.npz", **held, focal=1.04)
-    with pytest.raises(InputError, match="fx and fy of cameras.npz times 1.04"):
-        load_poses(tmp_path / "poses.npz")
 
 
 def test_wrong_rotations_are_refused():

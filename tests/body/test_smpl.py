@@ -46,17 +46,6 @@ def test_a_lifted_body_is_exactly_the_old_one(form, random_body, reference, tmp_
         np.testing.assert_allclose(posed.joints[t, list(form.joints)], joints, atol=1e-12)
 
 
-def test_joints_missing_in_smpl_have_no_effect(random_body, tmp_path):
-    body = load(random_body(SMPL, 16), tmp_path)
-    still, turned = torch.zeros(1, 55, 3, dtype=F64), torch.zeros(1, 55, 3, dtype=F64)
-    missing = [j for j in range(55) if j not in SMPL.joints]
-    turned[:, missing] = 0.7
-    zero = torch.zeros(1, 3, dtype=F64)
-    shape = Shape(torch.zeros(16, dtype=F64))
-    surfaces = [body(Pose(r, zero, zero[:, :0]), shape).vertices for r in (still, turned)]
-    torch.testing.assert_close(*surfaces, rtol=0, atol=1e-14)
-
-
 def test_an_unknown_tree_is_named(random_body, tmp_path):
     arrays = random_body(SMPL, 16) | {"kintree_table": np.zeros((2, 30), np.int64)}
     with pytest.raises(InputError, match=r"one of \(2, 24\) SMPL.*found \(2, 30\)"):

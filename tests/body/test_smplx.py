@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.body_file import BUILT_IN_BODY, SMPLX
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 
@@ -105,18 +105,14 @@ def test_a_pickle_without_a_body_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("key, value, sentence", [
-    ("v_template", None, "body.npz: key 'v_template' is missing; found: .*weights"),
     ("hands_meanr", None, "body.npz: key 'hands_meanr' is missing; found: .*weights"),
-    ("J_regressor", np.zeros((24, 90)), r"'J_regressor' must be \(55, 90\), got \(24, 90\)"),
     ("f", np.zeros((9, 3)), "'f' must be whole numbers, got float64"),
     ("v_template", np.zeros((90, 3)), "'v_template' is 0 x 0 x 0 metres in size"),
-    ("v_template", np.array(1.0), r"'v_template' must be \(\*, 3\), got \(\)"),
     ("f", np.full((9, 3), 90), "'f' names vertex 90, but there are 90"),
     ("shapedirs", np.full((90, 3, 18), 1e308), r"'shapedirs' holds 1e\+308 at \[0, 0, 0\]"),
     ("f", np.arange(90).reshape(30, 3), "'f' is no surface, 0% of its edges belong to two"),
     ("weights", np.full((90, 55), 0.5), "'weights' must have rows that sum to 1"),
     ("kintree_table", np.zeros((2, 55), int), "'kintree_table' is not the tree"),
-    ("joint_names", np.array(JOINTS[::-1]), "'joint_names' is not the tree"),
     ("weights", np.array([{}]), "'weights': pickled objects"),
 ])  # fmt: skip
 def test_a_wrong_array_is_named(random_arrays, tmp_path, key, value, sentence):

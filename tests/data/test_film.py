@@ -97,22 +97,6 @@ def test_reading_forward_decodes_no_picture_twice(path, decoded):
         assert len(decoded) <= 12 + 1
 
 
-def test_reading_back_a_little_decodes_nothing_again(path, decoded):
-    """As `evaluate` does, to see how an avatar flickers: a frame, and the one before it."""
-    film = Film(path, SOME)
-    for k in range(31):
-        film[k]
-    decoded.clear()
-    for k in (29, 28, 29, 30):
-        film[k]
-    at_hand = film._near._frames.values()
-    assert not decoded and 3 <= len(at_hand) < COUNT and sum(map(_bytes, at_hand)) <= SOME
-
-
-def _bytes(frame):
-    return sum(plane.buffer_size for plane in frame.planes)
-
-
 def test_a_damaged_film_is_refused(tmp_path):
     path = tmp_path / "film.mp4"
     write_film(path, (shown(k) for k in range(COUNT)))

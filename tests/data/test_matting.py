@@ -119,13 +119,6 @@ def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):
     assert "0-9" in note and not found(tmp_path / "none").any()
 
 
-def test_the_same_film_gives_the_same_bits(film, tmp_path):
-    pictures, _, rough = film
-    for name in ("a", "b"):
-        film_masks(pictures, rough, tmp_path / name)
-    assert (found(tmp_path / "a") == found(tmp_path / "b")).all()
-
-
 def test_a_hand_held_camera_is_followed(film, tmp_path):
     pictures, truth, rough = film
     ways = [(round(3 * np.sin(k)), round(2 * np.cos(2 * k))) for k in range(T)]

@@ -1,6 +1,5 @@
 """Views that are held out: pictures by other cameras, under whichever poses the video has."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -45,23 +44,23 @@ def test_a_subject_without_them_has_none(subject):
     assert held_out_views(load_video(subject)) is None
 
 
-def test_damaged_views_are_refused_in_one_sentence(views):
-    video = load_video(views)
+FRAMES = "views/views.json"
+DAMAGED = {
+    "no frames": (lambda s: (s / FRAMES).write_text("{}"), "views.json: .*; expected .*frames"),
+    "no such frame": (lambda s: (s / FRAMES).write_text('{"frames": [0, 3]}'), "frames 0 to 2"),
+    "Boolean": (lambda s: (s / FRAMES).write_text('{"frames": [true]}'), "frames 0 to 2"),
+    "more": (lambda s: (s / FRAMES).write_text('{"frames": [0, 1, 2]}'), "2 cameras for 3 pict"),
+    "a small picture": (
+        lambda s: write_image(s / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8)),
+        "picture 1 is 5x4, expected 12x10"),
+    "no mask": (lambda s: (s / "views/masks/000000.png").unlink(), "mask 0 is not there"),
+}  # fmt: skip
 
-    def refused(words):
-        with pytest.raises(InputError, match=words) as error:
-            held_out_views(video)
-        assert "\n" not in str(error.value)
 
-    lists = ("[]", "[0, 3]", "1", "[true]", "[0")
-    for text in ("{}", "[", *(f'{{"frames": {some}}}' for some in lists)):
-        (views / "views/views.json").write_text(text)
-        refused("views.json: .*; expected .*frames")
-    (views / "views/views.json").write_text(json.dumps({"frames": [0, 1, 2]}))
-    refused("holds 2 cameras for 3 pictures")
-    (views / "views/views.json").write_text(json.dumps({"frames": [0, 1]}))
-    write_image(views / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8))
-    refused("picture 1 is 5x4, expected 12x10")
-    write_image(views / "views/frames/000001.png", np.zeros((*SIZE, 3), np.uint8))
-    (views / "views/masks/000000.png").unlink()
-    refused("mask 0 is not there")
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_views_are_refused_in_one_sentence(name, views):
+    damage, words = DAMAGED[name]
+    damage(views)
+    with pytest.raises(InputError, match=words) as error:
+        held_out_views(load_video(views))
+    assert "\n" not in str(error.value)

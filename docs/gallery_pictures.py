@@ -74,7 +74,7 @@ def exports(run: Path, folder: Path) -> list[Path]:
 
 if __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
-    shutil.copyfile(demo / "overview.png", out / "overview.png")  # its normals need all colours
+    shutil.copyfile(demo / "run/overview.png", out / "overview.png")  # its normals need all colours
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         gva_mi("check", demo / "subject", "--sheet", folder / "check.png")

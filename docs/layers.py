@@ -28,6 +28,7 @@ LAYERS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("fit", "training and tracking of an avatar", ("gva_mi.fit",)),
     ("gradcheck", "gradients against references", ("gva_mi.gradcheck",)),
     ("study", "evaluation, reports, studies", ("gva_mi.study",)),
+    ("app", "the steps from a video to an avatar, as functions", ("gva_mi.app",)),
     ("cli", "the command line and the viewer", ("gva_mi.cli", "gva_mi.viewer", "gva_mi.__main__")),
 )
 

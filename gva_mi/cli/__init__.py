@@ -1,4 +1,4 @@
-"""The commands of ``gva-mi``: each verb is a function in a file of its own.
+"""The commands of ``gva-mi``: each verb is a function.
 
 ::
 
@@ -10,9 +10,9 @@
 
 ``prepare`` makes such a subject/ from a real video, and ``check`` reports what is wrong with one.
 ``avatar`` runs all steps on a film, ``demo`` on a synthetic subject. Each command reads a folder,
-writes a folder, and can be run alone; no output is replaced unless asked for. A command checks its
-arguments, calls the library, and reports the result. A new command is a new file and a line in
-:data:`VERBS`.
+writes a folder, and can be run alone; no output is replaced unless asked for. A command reads its
+arguments and calls the library: for a step the function of its name in :mod:`gva_mi.app`. A new
+command is a function in a new file, and a line in :data:`VERBS`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,11 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
 }
 
 
+# Modules of the commands that share one; each other command has the module of its name.
+MODULES = dict.fromkeys(("refine", "fit", "evaluate", "track", "render"), "steps")
+MODULES["demo"] = "avatar"
+
+
 def load(verb: str) -> Callable[..., None]:
     """Import a verb's module, and no other, and return its function."""
-    name = verb.replace("-", "_")
-    return getattr(import_module(f"gva_mi.cli.{name}"), name)
+    return getattr(import_module(f"gva_mi.cli.{MODULES.get(verb, verb)}"), verb)

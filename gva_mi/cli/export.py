@@ -10,14 +10,13 @@ from typing import Annotated, Literal, NamedTuple
 import torch
 from tyro.conf import Positional
 
+from gva_mi.app.driving import motion_of, series, stamp_of
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.export import save_amass, save_gltf
 from gva_mi.avatar.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch, given
-from gva_mi.cli.driving import motion_of
-from gva_mi.cli.resume import series, stamp_of
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room

@@ -1,7 +1,8 @@
 """Read a command's arguments with tyro, from its signature and its option dataclasses.
 
 The range of a number (:mod:`gva_mi.core.options`) is shown in ``--help``. Every refused value ends
-in one sentence that names the option.
+in one sentence that names the option. A command with ``--preset`` keeps the options of its presets
+in an attribute ``presets``; they replace the defaults, so explicit options override them.
 """
 
 from __future__ import annotations
@@ -14,27 +15,22 @@ import operator
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stderr
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from gva_mi.cli.presets import with_preset
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, python_only
 
 if TYPE_CHECKING:
-    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec
+    from tyro.constructors import PrimitiveConstructorSpec, StructConstructorSpec, StructTypeInfo
 
 NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
-
-# The options of its steps that `gva-mi study avatar` takes.
-OF_STUDY = {"FitOptions": ("steps",), "SequenceOptions": ("passes", "size")}
-
-Refusals = list[str]  # expected range and given value of each refused number
+Call = functools.partial[None]
 
 
-def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Callable[[], None]:
+def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call:
     """Read a command's arguments; return the call without making it.
 
     Errors raised here are about the arguments; errors of the command come with the call.
@@ -42,32 +38,45 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     Raises:
         InputError: a value that cannot be read or that the options refuse.
     """
-    import tyro
-
     if shutil.get_terminal_size().columns < NARROWEST:
         os.environ["COLUMNS"] = str(NARROWEST)
+    signature = inspect.signature(command)
+    call = _read(command, signature, verb, arguments)
+    presets = getattr(command, "presets", {})
+    if (preset := call.keywords.get("preset")) in presets:
+        parameters = dict(signature.parameters)
+        parameters["options"] = parameters["options"].replace(default=presets[preset])
+        signature = signature.replace(parameters=list(parameters.values()))
+        call = _read(command, signature, verb, arguments)
+    _require_inputs_to_stay(signature.bind(*call.args, **call.keywords).arguments)
+    return call
 
-    def call(*values: object, **options: object) -> Callable[[], None]:
-        _require_inputs_to_stay(inspect.signature(command).bind(*values, **options).arguments)
+
+def _read(
+    command: Callable[..., None], signature: inspect.Signature, verb: str, arguments: list[str]
+) -> Call:
+    """Let tyro read the arguments; turn its errors of values into sentences."""
+    import tyro
+
+    def call(*values: object, **options: object) -> Call:
         return functools.partial(command, *values, **options)
 
-    told, refusals = io.StringIO(), Refusals()
+    numbers, told = _Numbers(), io.StringIO()
     hints = get_type_hints(command, include_extras=True)
-    call.__annotations__ = {
-        name: _named(name, _with_ranges(hint, refusals)) for name, hint in hints.items()
-    }
-    call.__signature__ = with_preset(inspect.signature(command), verb, arguments)
-    call.__doc__ = command.__doc__
+    call.__annotations__ = {name: _named(name, numbers.in_(hint)) for name, hint in hints.items()}
+    call.__signature__, call.__doc__ = signature, command.__doc__
+    registry = tyro.constructors.ConstructorRegistry()
+    registry.struct_rule(numbers.in_fields)
     try:
         with redirect_stderr(told):
             return tyro.cli(
-                call, prog=f"gva-mi {verb}", args=arguments, config=(tyro.conf.SuppressFixed,),
-                registry=_registry(refusals, [verb, *arguments]),
+                call, prog=f"gva-mi {verb}", args=arguments, registry=registry,
+                config=(tyro.conf.SuppressFixed,),
             )  # fmt: skip
     except ValueError as error:  # from options without a prefix, which tyro does not catch
         raise InputError(str(error)) from None
     except SystemExit as stop:
-        sentence = _refusal(stop, refusals)
+        sentence = _refusal(stop, numbers.refused)
         if sentence is not None:
             raise InputError(sentence) from None
         sys.stderr.write(told.getvalue())  # missing or unknown arguments, or no such choice
@@ -91,58 +100,11 @@ def _paths(value: object) -> Iterator[Path]:
     """Yield all paths in arguments, lists of them and option dataclasses."""
     if isinstance(value, Path):
         yield value
+    elif dataclasses.is_dataclass(value):
+        yield from _paths(list(vars(value).values()))
     elif isinstance(value, list | tuple):
         for one in value:
             yield from _paths(one)
-    elif dataclasses.is_dataclass(value):
-        yield from _paths(list(vars(value).values()))
-
-
-def _registry(refusals: Refusals, words: Sequence[str]) -> ConstructorRegistry:
-    """Return a rule for tyro: show ranges of a dataclass's numbers, hide what only Python sets."""
-    from tyro.conf import Fixed
-    from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
-
-    registry, asked = ConstructorRegistry(), []
-
-    @registry.struct_rule
-    def with_ranges(info: StructTypeInfo) -> StructConstructorSpec | None:
-        if asked or not dataclasses.is_dataclass(info.type):
-            return None
-        asked.append(info)  # so that tyro's own rule answers
-        try:
-            spec = ConstructorRegistry.get_struct_spec(info)
-        finally:
-            asked.clear()
-        type_of = lambda f: (
-            _with_ranges(f.type, refusals)
-            if _is_shown(info.type, f.name, words)
-            else Annotated[f.type, Fixed]
-        )
-        fields = tuple(dataclasses.replace(f, type=type_of(f)) for f in spec.fields)
-        return dataclasses.replace(spec, fields=fields)
-
-    return registry
-
-
-def _is_shown(kind: type, field: str, words: Sequence[str]) -> bool:
-    """Return whether a field of a dataclass is an option of a command, given by its first words."""
-    if list(words[:2]) == ["study", "avatar"] and kind.__name__ in OF_STUDY:
-        return field in OF_STUDY[kind.__name__]
-    return field not in python_only(kind)
-
-
-def _with_ranges(hint: Any, refusals: Refusals) -> Any:  # noqa: ANN401
-    """Return an annotation in which tyro's specification stands for each range."""
-    if get_origin(hint) is Annotated:
-        kind, *rest = get_args(hint)
-        rest = (_number(kind, x, refusals) if isinstance(x, Within) else x for x in rest)
-        return Annotated[(_with_ranges(kind, refusals), *rest)]
-    parts = get_args(hint)
-    if not parts or not any(get_args(part) for part in parts):
-        return hint
-    parts = tuple(_with_ranges(part, refusals) for part in parts)
-    return tuple[parts] if get_origin(hint) is tuple else functools.reduce(operator.or_, parts)
 
 
 def _named(name: str, hint: Any) -> Any:  # noqa: ANN401
@@ -156,33 +118,69 @@ def _named(name: str, hint: Any) -> Any:  # noqa: ANN401
     return Annotated[hint, arg(metavar=name.upper() + several)]
 
 
-def _number(
-    kind: type[int] | type[float], within: Within, refusals: Refusals
-) -> PrimitiveConstructorSpec:
-    """Return how tyro reads and shows a number of some range."""
-    from tyro.constructors import PrimitiveConstructorSpec
+class _Numbers:
+    """How tyro reads and shows numbers of some range.
 
-    def read(words: list[str]) -> float:
-        try:
-            number = kind(words[0])
-        except ValueError:
-            number = None
-        if number not in within:
-            form = "a whole number" if kind is int else "a number"
-            refusals.append(f"must be {form} {within}, got {words[0] or 'nothing'}")
-            raise ValueError(refusals[-1])
-        return number
+    Attributes:
+        refused: expected range and given value of each refused number.
+    """
 
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=f"{kind.__name__.upper()} {within}",
-        instance_from_str=read,
-        is_instance=lambda found: isinstance(found, int | float),
-        str_from_instance=lambda found: [str(found)],
-    )
+    def __init__(self) -> None:
+        self.refused: list[str] = []
+        self._asking = False
+
+    def in_fields(self, info: StructTypeInfo) -> StructConstructorSpec | None:
+        """Let tyro read a dataclass, with ranges, and without what only Python sets."""
+        from tyro.conf import Fixed
+        from tyro.constructors import ConstructorRegistry
+
+        if self._asking or not dataclasses.is_dataclass(info.type):
+            return None
+        self._asking = True  # so that tyro's own rule answers
+        spec = ConstructorRegistry.get_struct_spec(info)
+        self._asking = False
+        hidden, fields = python_only(info.type), []
+        for field in spec.fields:
+            hint = Annotated[field.type, Fixed] if field.name in hidden else self.in_(field.type)
+            fields.append(dataclasses.replace(field, type=hint))
+        return dataclasses.replace(spec, fields=tuple(fields))
+
+    def in_(self, hint: Any) -> Any:  # noqa: ANN401
+        """Return an annotation in which tyro's specification stands for each range."""
+        if get_origin(hint) is Annotated:
+            kind, *rest = get_args(hint)
+            rest = (self._number(kind, x) if isinstance(x, Within) else x for x in rest)
+            return Annotated[(self.in_(kind), *rest)]
+        parts = get_args(hint)
+        if not any(get_args(part) for part in parts):
+            return hint
+        parts = tuple(map(self.in_, parts))
+        return tuple[parts] if get_origin(hint) is tuple else functools.reduce(operator.or_, parts)
+
+    def _number(self, kind: type[int] | type[float], within: Within) -> PrimitiveConstructorSpec:
+        from tyro.constructors import PrimitiveConstructorSpec
+
+        def read(words: list[str]) -> float:
+            try:
+                number = kind(words[0])
+            except ValueError:
+                number = None
+            if number not in within:
+                form = "a whole number" if kind is int else "a number"
+                self.refused.append(f"must be {form} {within}, got {words[0] or 'nothing'}")
+                raise ValueError(self.refused[-1])
+            return number
+
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar=f"{kind.__name__.upper()} {within}",
+            instance_from_str=read,
+            is_instance=lambda found: isinstance(found, int | float),
+            str_from_instance=lambda found: [str(found)],
+        )
 
 
-def _refusal(stop: SystemExit, refusals: Refusals) -> str | None:
+def _refusal(stop: SystemExit, refused: list[str]) -> str | None:
     """Return the sentence for a refused value; None if tyro stopped for another reason.
 
     Python keeps tyro's error and the value's error as contexts of the exit. Only tyro's error
@@ -196,5 +194,5 @@ def _refusal(stop: SystemExit, refusals: Refusals) -> str | None:
     if error is None:
         return None
     named = option is not None and option.startswith("--")
-    reason = refusals[-1] if refusals and (named or str(error) == refusals[-1]) else str(error)
+    reason = refused[-1] if refused and (named or str(error) == refused[-1]) else str(error)
     return f"{option} {reason}" if named else reason

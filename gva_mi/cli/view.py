@@ -13,12 +13,12 @@ from typing import Annotated
 import torch
 from tyro.conf import Positional
 
+from gva_mi.app.driving import motion_of
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import digest
 from gva_mi.body.body_file import EXPRESSIONS
 from gva_mi.body.pose import JOINTS, Pose, is_pose_file
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.driving import motion_of
 from gva_mi.core.console import say
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError

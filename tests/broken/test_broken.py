@@ -21,14 +21,14 @@ NOT_IN_THE_MASKS = {
 COMMANDS = {  # what of a run's folder each reads
     "export": ("export {run} --out {out}.ply --frame 0", ("avatar", "poses")),
     "render": ("render {run} --path static --size 16 16 --out {out}", ("poses",)),
-    "view": ("view {run} --port 0 --out {out}", ("poses",)),
+    "view": ("view {run} --port 0", ("poses",)),
     "fit": ("fit {subject} --out {run} --resume --steps 3", ("records", "state")),
     "evaluate": ("evaluate {run} {subject}", ("poses", "records")),
     "track": ("track {run} {subject}", ("poses", "records")),
 }
 WORK = (
-    "cli.fit.fit_video", "cli.render.render_shots", "cli.view.serving",
-    "cli.track.fit_poses", "cli.evaluate.measure_run",
+    "app.steps.fit_avatar", "app.driving.render_shots", "cli.view.serving",
+    "app.steps.fit_poses", "app.steps.measure_run",
 )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def test_fit_takes_a_broken_subject_or_says_why(
     name, copied, refused_or_taken, tmp_path, monkeypatch
 ):
     warnings = []
-    monkeypatch.setattr("gva_mi.cli.arguments.say", warnings.append)
+    monkeypatch.setattr("gva_mi.app.steps.say", warnings.append)
     cases.SUBJECTS[name](copied)
     refused = refused_or_taken("fit", copied, "--out", tmp_path / "out")
     assert (refused is None) == (name in cases.TAKEN), refused

@@ -54,8 +54,7 @@ def test_each_command_resamples_it_to_its_own_rate(run, motions, cli, monkeypatc
         raise KeyboardInterrupt
 
     monkeypatch.setattr("gva_mi.cli.view.pages", stopped)
-    given = ("--poses", path, "--out", run.parent / "v", "--port", 0)
-    said = cli.works("view", run, *given)
+    said = cli.works("view", run, "--poses", path, "--port", 0)
     assert "6 frames at 30 a second, y up; now 6 at 30" in said and "open it in a browser" in said
 
 
@@ -99,8 +98,8 @@ def test_an_unreadable_motion_is_one_sentence(run, cli):
     path, out = run.parent / "bad.npz", run.parent / "new"
     for (arrays, words), command in zip(BAD, ("render", "export", "view"), strict=True):
         np.savez(path, **arrays)
-        given = ("--out", out / "a.ply" if command == "export" else out)
-        err = cli.fails(command, run, "--poses", path, *given)
+        given = {"render": ("--out", out), "export": ("--out", out / "a.ply"), "view": ()}
+        err = cli.fails(command, run, "--poses", path, *given[command])
         assert words in err and str(path) in err and err.count("\n") == 1, err
         assert not out.exists()
 

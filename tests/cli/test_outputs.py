@@ -85,7 +85,6 @@ COMMANDS = {  # {} is the folder that output goes to
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
     "check": "check {subject} --json {}/a.json",
-    "view": "view {run} --poses {subject}/poses.npz --port 0 --out {}/new",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
 LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "folder", "study")

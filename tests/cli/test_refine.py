@@ -10,7 +10,7 @@ from gva_mi.body.pose import load_poses, read_pose_file
 from gva_mi.body.smplx import load_body
 from gva_mi.synthetic import SynthOptions, make_subject
 
-SHORT = ("--size", 48, "--passes", 1, "--steps", 1)
+SHORT = ("--size", 48, "--passes", 1)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import shlex
 # By the first words of a command, the longest match. Of a repeated option the last one counts.
 SMALLER = {
     "synth": "--size 48 --frames 4",
-    "refine": "--passes 1 --steps 1 --size 32 --faces 500 --overwrite",
+    "refine": "--passes 1 --size 32 --overwrite",
     "fit": "--steps 20 --checkpoint-every 8",
     "track": "--passes 1",
     "evaluate": "",
@@ -42,7 +42,6 @@ WRITTEN = {"--json": "figures.json"}  # where FILE is one that a command writes
 FILMED = "needs a film of a person, and minutes: tests/cli/test_avatar.py makes one"
 DEMO = "needs the demo's folder: tests/cli/test_cli.py makes a small one"
 NOT_RUN = {
-    "gva-mi view out/demo --subject out/demo/subject": DEMO,
     "gva-mi refine out/demo/subject --height 1.74 --overwrite": DEMO,
     "gva-mi avatar film.mp4 --height 1.75 --out me": FILMED,
     "gva-mi prepare film film.mp4 me/subject --height 1.75": FILMED,

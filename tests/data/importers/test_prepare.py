@@ -8,7 +8,6 @@ import numpy as np
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import body_of
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.video import load_video
 

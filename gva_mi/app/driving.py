@@ -1,0 +1,186 @@
+"""Drive an avatar by any motion: its renders, and folders of one file for each frame.
+
+Every file of such a folder is whole or missing, and its marker keeps the stamp
+(:mod:`gva_mi.core.stamp`) of what they were made of. The same call, made again, writes only what is
+missing, with the bits of an uninterrupted run.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.nn.functional import pad
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose, Shape, is_pose_file
+from gva_mi.core.atomic import folder_lock, require_writable
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.stamp import is_fresh, results_version, stamp, start_folder
+from gva_mi.data.cameras import load_cameras
+from gva_mi.data.film import SEE_THROUGH, require_alpha_codec, write_film
+from gva_mi.data.folder import VIDEO, frame_name
+from gva_mi.data.importers.motions import MotionOptions, read_motion
+from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.pictures import read_background, read_image, write_image
+from gva_mi.fit import run_folder
+from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba
+
+RENDERED = "render.json"  # every folder of renders holds it
+
+
+def render(
+    run: Path | str,
+    out: Path | str,
+    path: CameraPath = CameraPath(),  # noqa: B008 (frozen)
+    *,
+    poses: Path | str | None = None,
+    cameras: Path | str | None = None,
+    background: str = "white",
+    alpha: bool = False,
+    video: bool = False,
+    fps: int = 25,
+    body: Path | str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+
+    If it was interrupted, the same call resumes it.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        out: folder for 000000.png ...
+        path: where cameras stand, without ``cameras``.
+        poses: a file of poses, or any motion that ``gva-mi motion`` reads; without it the poses
+            trained with the avatar.
+        cameras: a file of cameras: one for all frames, or one for each.
+        background: a colour, such as white or #ff8800, or a picture file.
+        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
+        video: also write video.mp4 there; with ``alpha`` video.webm.
+        fps: frames a second of films; motions of other programs are resampled to it.
+        body: see above; for an avatar without its body.
+        overwrite: replace existing renders.
+    """
+    run, out = Path(run), Path(out)
+    if cameras is not None and path != CameraPath():
+        raise InputError("render: give --cameras, or say where cameras stand; not both")
+    body = run_folder.body_of_run(run, None if body is None else Path(body))
+    avatar = run_folder.load_avatar(run, body)
+    motion, _ = motion_of(run, avatar, poses, fps, body)
+    if cameras is None:
+        pictures = shots(path.or_usual(moving=poses is not None), avatar.rig, motion)
+    else:
+        pictures = _given_cameras(Path(cameras), motion)
+    size = pictures[0].camera.width, pictures[0].camera.height
+    behind = read_background(background, *size)
+    movie = Path(VIDEO).stem + SEE_THROUGH if alpha else VIDEO
+    if video and alpha:
+        require_alpha_codec(out / movie)
+    made_of = stamp_of(avatar, motion, pictures, behind, alpha, video, fps)
+    about = {"avatar": str(run), "poses": poses, "cameras": cameras}
+    files = [frame_name(k) for k in range(len(pictures))]
+    names = [*files, movie] if video else files
+
+    def images(missing: Collection[str]) -> Iterator[np.ndarray]:
+        """Render and write the missing pictures, and yield them; for a film yield all."""
+        drawn = [k for k, file in enumerate(files) if file in missing]
+        layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
+        for k in range(len(files)) if movie in missing else drawn:
+            if files[k] not in missing:
+                yield read_image(out / files[k], 4 if alpha else 3)
+                continue
+            layer = next(layers)
+            image = to_rgba(layer) if alpha else over(layer, behind)
+            write_image(out / files[k], image)
+            yield image
+
+    folder = series(out, RENDERED, names, overwrite, about, made_of)
+    with folder as missing, bar("render") as progress:
+        if movie in missing:
+            write_film(out / movie, images(missing), fps, "alpha" if alpha else "playable")
+        else:
+            deque(images(missing), maxlen=0)
+    say(f"{len(pictures)} pictures: {out}")
+
+
+def _given_cameras(path: Path, motion: Pose) -> list[CameraShot]:
+    """Return a shot of each frame of the motion by the cameras of a file."""
+    views = load_cameras(path)
+    if len(views) not in (1, len(motion)):
+        raise InputError(
+            f"{path}: holds {len(views)} cameras, expected one, or one for each of the "
+            f"{len(motion)} frames of the poses"
+        )
+    return [CameraShot(k, views[k % len(views)]) for k in range(len(motion))]
+
+
+def motion_of(
+    run: Path, avatar: Avatar, poses: Path | str | None, fps: float, body: Path | None
+) -> tuple[Pose, Shape]:
+    """Return the motion that drives an avatar, and the shape of the person who moved.
+
+    A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames a second, and its notes are
+    printed; poses are played as they are, without ``poses`` those trained with the avatar. The file
+    of the avatar's ``body`` is needed for hands given as PCA components.
+    """
+    given = None if poses is None else Path(poses)
+    if given is None or is_pose_file(given):
+        pose, shape, path = run_folder.load_motion(run, given)
+    else:
+        found, path = read_motion(given, TargetBody.read(body), MotionOptions(fps=fps)), given
+        pose, shape = found.pose, found.shape
+        for note in found.notes:
+            say(f"{given}: {note}")
+    count = max(len(avatar.rig.betas), len(shape.betas))
+    own, theirs = (pad(x.double(), (0, count - len(x))) for x in (avatar.rig.betas, shape.betas))
+    if not torch.allclose(own, theirs, atol=1e-4):
+        say(
+            f"{path}: poses of a person of another shape, driven as they are: joints turn and the "
+            "root moves as there, bones keep the avatar's lengths, so feet may slide or float"
+        )
+    return pose, shape
+
+
+@contextmanager
+def series(
+    out: Path,
+    marker: str,
+    names: Sequence[str],
+    overwrite: bool,
+    about: dict[str, Any],
+    made_of: str,
+) -> Iterator[list[str]]:
+    """Lock a folder, then start it anew or continue it; yield those of ``names`` that are missing.
+
+    ``about`` is the content of the ``marker`` file, and ``made_of`` the stamp of all files. An
+    InputError says that the folder holds something else, or all files already.
+    """
+    with folder_lock(out, f"gva-mi {Path(marker).stem}"):
+        missing = [name for name in names if not (out / name).exists()]
+        if overwrite or not missing or not is_fresh(out / marker, made_of):
+            start_folder(out, marker, overwrite, about, made_of)
+            missing = list(names)
+        else:
+            require_writable(out)
+            if len(missing) < len(names):
+                say(f"{out}: goes on, {len(names) - len(missing)} of {len(names)} files are there")
+        yield missing
+
+
+def stamp_of(avatar: Avatar, motion: Pose, shots: Iterable[CameraShot], *how: object) -> str:
+    """Return the stamp of the files of a folder: one picture of a driven avatar in each.
+
+    Without pictures there are no ``shots``; ``how`` holds other numbers, words and arrays.
+    """
+    inputs: list[object] = [*avatar.record().values(), *motion.to_smplx().values(), *how]
+    for shot in shots:
+        camera = shot.camera
+        inputs += [shot.frame, camera.K, camera.T_camera_world]
+        inputs += [camera.model, camera.width, camera.height]
+    return stamp(inputs, version=results_version("avatar"))

@@ -1,0 +1,329 @@
+"""One function for each step from a video to an avatar, and how steps open their inputs.
+
+Paths may be text. ``body`` is always a body in SMPL-X's format; without it the one that belongs to
+the subject or the run, else the built-in body. An input that cannot be used raises an InputError,
+one sentence, before any work.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.without_body import require_body_of
+from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import BodyModel, body_name, load_body
+from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
+from gva_mi.core.console import bar, say
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import make_room, require_room
+from gva_mi.data.fingerprint import PREPARED, prepared_body, require_same_body
+from gva_mi.data.folder import POSES, REFINED_POSES
+from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.silhouettes import sanity_check
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.perceptual import LpipsNetwork, find_weights
+from gva_mi.fit.photometric import (
+    TRACKED_POSES,
+    PhotometricOptions,
+    fit_poses,
+    known_poses,
+    lines_of,
+    measure_tracking,
+    write_tracking,
+)
+from gva_mi.fit.train import fit as fit_avatar
+from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
+from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.fitted_poses import with_fitted_poses
+from gva_mi.study.measure import Evaluation
+from gva_mi.study.metrics import Metrics, measure_run, save_metrics
+from gva_mi.study.refinement import describe, refine_videos
+from gva_mi.study.report import write_report
+from gva_mi.study.scores import Scorer
+
+
+def prepare(
+    film: Path | str,
+    out: Path | str,
+    options: FilmOptions = FilmOptions(),  # noqa: B008 (frozen)
+    own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
+    *,
+    person: int | None = None,
+    lens: str | None = None,
+    body: Path | str | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Make a subject's folder of a film: frames, masks, camera, landmarks and stage-1 poses.
+
+    Args:
+        film: a film of one person who turns round once, or a folder of its pictures.
+        out: the subject's folder.
+        options: what is known of the film.
+        own_masks: masks that come from another program.
+        person: where there are several, the number from the left; without it, the largest.
+        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the film records,
+            else a fitted one.
+        body: see above.
+        overwrite: replace a folder that was prepared here.
+    """
+    film, out = Path(film), Path(out)
+    if not overwrite and (out / PREPARED).exists():
+        raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
+    with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
+        notes = prepare_film(
+            folder, film, options, None if body is None else Path(body), person=person, lens=lens,
+            own_masks=own_masks, progress=progress,
+        )  # fmt: skip
+    for note in notes:
+        say(f"{film}: {note}")
+    say(f"subject: {out}")
+
+
+def refine(
+    subjects: Path | str | Sequence[Path | str],
+    options: RefineOptions = SequenceOptions(),  # noqa: B008 (frozen)
+    *,
+    normals: str | None = None,
+    workers: int = 1,
+    body: Path | str | None = None,
+    overwrite: bool = False,
+) -> list[Evaluation]:
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
+
+    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
+
+    Args:
+        subjects: a folder with video, masks, cameras, stage-1 poses and perhaps normals; or several
+            folders.
+        options: whose type chooses the method, as for :func:`gva_mi.pose.refine.refine`.
+        normals: how the normals were made, as :mod:`gva_mi.data.normals` names it, or "none": they
+            are not used. Without it as normals.json says.
+        workers: processes on this machine; any number gives the same bits.
+        body: see above; without it that of the first subject.
+        overwrite: replace existing refined poses.
+    """
+    folders = [subjects] if isinstance(subjects, Path | str) else subjects
+    folders = [Path(folder) for folder in folders]
+    if not folders:
+        raise InputError("refine: give the folder of a subject, or of several")
+    model = load_body(body_of(folders[0], body))
+    for folder in folders:
+        if (folder / REFINED_POSES).exists():  # a missing subject is named by load_video
+            require_room(folder / REFINED_POSES, overwrite)
+        require_same_body(folder, model)
+    videos = [load_video(folder, normals=normals) for folder in folders]
+    for video in videos:
+        _warn_if_outside_masks(video, model)
+    found = []
+    with ExitStack() as held:
+        for folder in folders:
+            held.enter_context(folder_lock(folder, "gva-mi refine"))
+            require_room(folder / REFINED_POSES, overwrite)
+        progress = held.enter_context(bar("refine"))
+        for evaluation in refine_videos(videos, model, options, progress, workers):
+            found.append(evaluation)
+            for line in describe(evaluation):
+                say(line)
+    return found
+
+
+def fit(
+    subject: Path | str,
+    out: Path | str,
+    options: FitOptions = FitOptions(),  # noqa: B008 (frozen)
+    *,
+    poses: Path | str | None = None,
+    body: Path | str | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+) -> Avatar:
+    """Fit an avatar to the training frames of a video: Eq. 9, densification, re-initialisation.
+
+    Args:
+        subject: a folder with video, masks, cameras and poses.
+        out: the run's folder.
+        options: of the fit.
+        poses: the poses to fit under; without it the refined ones, else those of stage 1.
+        body: see above.
+        overwrite: replace a run that is there.
+        resume: continue a run that was stopped, with its poses and its body.
+    """
+    subject, out = Path(subject), Path(out)
+    if resume:
+        body = body or run_folder.source_of(out, "body", subject)
+        poses = poses or run_folder.source_of(out, "poses", subject)
+    body, poses = body_of(subject, body), poses_of(subject, poses)
+    video, model = _opened(subject, poses, body)
+    for frame, reason in video.absent.items():
+        say(f"{subject}: frame {frame} is left out: {reason}")
+    video.require_train_frames()
+    with folder_lock(out, "gva-mi fit"):
+        if not resume:
+            run_folder.require_none_begun(out, overwrite)
+            make_room(out, run_folder.OPTIONS, overwrite)
+        require_writable(out)
+        start = time.perf_counter()
+        with bar("fit") as progress:
+            avatar = fit_avatar(
+                video, model, options, out, offsets=video.offsets_of(len(model.v_template)),
+                sources=run_folder.sources_of(poses, body, subject), resume=resume,
+                progress=progress,
+            )  # fmt: skip
+    say(f"{options.all_steps} steps in {time.perf_counter() - start:.0f} s")
+    say(f"avatar: {out / run_folder.AVATAR}")
+    return avatar
+
+
+def evaluate(
+    run: Path | str,
+    subject: Path | str,
+    *,
+    title: str | None = None,
+    poses: Path | str | None = None,
+    body: Path | str | None = None,
+    fit_poses: bool = False,
+    lpips: LpipsNetwork | None = None,
+) -> Metrics:
+    """Measure an avatar on the splits of a subject; write metrics.json and report.html.
+
+    Args:
+        run: the folder of a finished fit.
+        subject: the folder it was fitted to.
+        title: of the report; without it the subject's name.
+        poses: the poses it was fitted under; without it as the run's record says.
+        body: see above; without it as the run's record says. Hands are measured where it has them.
+        fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
+            poses to these same frames; reported in separate rows.
+        lpips: the network of LPIPS; without it alex where its weights are found, else vgg.
+    """
+    run, subject = Path(run), Path(subject)
+    avatar = Avatar.load(run / run_folder.AVATAR)
+    body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
+    poses = poses_of(subject, poses or run_folder.source_of(run, "poses", subject))
+    video, model = _opened(subject, poses, body)
+    require_body_of(avatar, model, body_name(body))
+    video.require_train_frames()
+    with folder_lock(run, "gva-mi evaluate"):
+        require_room(run / run_folder.METRICS, overwrite=True)
+        scorer = Scorer(find_weights().of_lpips(lpips))
+        trained = run_folder.under_trained_poses(video, run)
+        with bar("evaluate") as progress:
+            metrics = measure_run(run, avatar, video, "full", model, poses, progress, scorer=scorer)
+        if fit_poses:
+            with bar("poses") as progress:
+                metrics = with_fitted_poses(
+                    metrics, avatar, video, trained, model, progress, scorer
+                )
+        save_metrics(run, metrics)
+        page = run / run_folder.REPORT
+        write_report(page, run, avatar, trained, title or subject.resolve().name, model)
+    for line in metrics.lines():
+        say(line)
+    say(f"report: {page}")
+    return metrics
+
+
+def track(
+    run: Path | str,
+    subject: Path | str,
+    options: PhotometricOptions = PhotometricOptions(),  # noqa: B008 (frozen)
+    *,
+    poses: Path | str | None = None,
+    body: Path | str | None = None,
+    overwrite: bool = False,
+) -> Pose:
+    """Fit the poses of a video to its pictures, seen through an avatar of the person.
+
+    Writes poses_photometric.npz and photometric.json into the subject's folder. These poses have
+    seen the test frames, so other steps use them only if they are given.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
+            same person.
+        subject: a folder with video, masks, cameras and poses.
+        options: options of the fit.
+        poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
+            was fitted to this video; else the refined ones, else those of stage 1.
+        body: see above; without it that of the run.
+        overwrite: replace existing poses.
+    """
+    run, subject = Path(run), Path(subject)
+    out = subject / TRACKED_POSES
+    require_room(out, overwrite)
+    avatar = run_folder.load_avatar(run)
+    body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
+    start, own = poses_of(subject, poses), run / run_folder.TRAINED_POSES
+    video, model = _opened(subject, start, body)
+    offsets = video.offsets_of(len(model.v_template))
+    if poses is None and own.exists():
+        if others := run_folder.other_pictures(run, video):
+            say(f"{run}: was fitted to another video (other {others}); its poses are not used")
+        else:
+            start, video = own, load_video(subject, own)
+    known = known_poses(video, model)
+    with folder_lock(subject, "gva-mi track"):
+        require_room(out, overwrite)
+        with bar("track") as progress:
+            found = fit_poses(avatar, video, options, progress=progress)
+        tracking = measure_tracking(video, model, found, known)
+        sources = {"start": start, "avatar": run}
+        write_tracking(video, found, tracking, options, offsets, sources)
+    for frame, reason in found.kept.items():
+        say(f"{subject}: frame {frame} keeps its pose: {reason}")
+    for line in lines_of(tracking):
+        say(line)
+    say(f"poses: {out}")
+    return found.pose
+
+
+def body_of(subject: Path, given: Path | str | None = None) -> Path | None:
+    """Return the file of the given body; without it the one that a subject was prepared for.
+
+    None is the built-in body.
+
+    Raises:
+        InputError: the file is gone.
+    """
+    if given is not None:
+        return Path(given)
+    found = prepared_body(subject)
+    if found is not None and not found.exists():
+        raise InputError(
+            f"{subject}: was prepared for the body {found}, which is gone; give it with --body"
+        )
+    return found
+
+
+def poses_of(subject: Path, given: Path | str | None = None) -> Path:
+    """Return the file of the given poses; without it the refined poses, else stage 1's.
+
+    Unrefined poses are no error, but a line mentions them.
+    """
+    if given is not None:
+        return Path(given)
+    if not (subject / REFINED_POSES).exists():
+        say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
+        return subject / POSES
+    return subject / REFINED_POSES
+
+
+def _opened(subject: Path, poses: Path, body: Path | None) -> tuple[Video, BodyModel]:
+    """Open a video under some poses, and its body, which must be that of the subject."""
+    model = load_body(body)
+    require_same_body(subject, model)
+    video = load_video(subject, poses)
+    _warn_if_outside_masks(video, model)
+    return video, model
+
+
+def _warn_if_outside_masks(video: Video, model: BodyModel) -> None:
+    """Warn if the body does not stand where the masks are, before the work starts."""
+    if doubt := sanity_check(video, model):
+        say(doubt)

@@ -1,0 +1,285 @@
+"""All steps at once: on a film of one person, each resumable, or on a synthetic subject.
+
+::
+
+    out/
+      subject/      the folder that the steps before a fit write
+      run/          the fit, its metrics and its report
+      report.html   of a film: the page about the avatar, with films beside it
+      avatar.json   of a film: the stamp of each step (:mod:`gva_mi.core.stamp`)
+
+Of a film, the same call made again repeats only steps that are unfinished, or that depend on
+something that changed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from gva_mi.app.steps import evaluate, fit, prepare, refine
+from gva_mi.body.smplx import load_body
+from gva_mi.core.atomic import folder_lock, holds_something, require_ours, require_writable
+from gva_mi.core.console import bar, numbered, say
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import make_room, read_json, write_json
+from gva_mi.core.options import PictureSide, Seed, options_of
+from gva_mi.core.stamp import results_version, stamp, start_folder
+from gva_mi.core.tasks import usual_workers
+from gva_mi.data.check import check_subject
+from gva_mi.data.fingerprint import PREPARED
+from gva_mi.data.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
+from gva_mi.data.importers.footage import files_of
+from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.landmarks import Landmarks
+from gva_mi.data.problems import CheckReport
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions, FromOne
+from gva_mi.pose.film.film_check import check_film
+from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.film_report import FINDINGS, write_film_report
+from gva_mi.synthetic import SynthOptions, make_subject
+from gva_mi.synthetic.options import VideoFrames
+
+SUBJECT, RUN = "subject", "run"
+FILM_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # what every such folder holds
+PERSON = "amira"  # of the demo: one of the study's seven
+
+QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
+    "draft": (8, 4, 500),
+    "usual": (SequenceOptions.passes, SequenceOptions.learn, 2000),
+    "fine": (SequenceOptions.passes, SequenceOptions.learn, 5000),
+}
+
+
+@options_of("avatar")
+class AvatarEffort:
+    """How much work an avatar is worth."""
+
+    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a film will do
+    # Steps of the fit, before which half as many find better poses, unless it is a draft; without
+    # it, by the quality.
+    steps: FromOne | None = None
+    # Leave every 8th frame and a tenth of the film in one piece (of a long film fewer, at most 16
+    # each) out of training, to measure the avatar there; no: all frames train it.
+    test_frames: bool = True
+
+    def refining(self, height: float | None) -> SequenceOptions:
+        """Return the options of the refinement of a person of this height, metres, if known."""
+        passes, learn, _ = QUALITY[self.quality]
+        return SequenceOptions(passes=passes, learn=learn, height=height)
+
+    def fitting(self) -> FitOptions:
+        """Return the options of the fit."""
+        options = FitOptions(steps=self.steps or QUALITY[self.quality][-1]).of_film()
+        return replace(options, first_steps=0) if self.quality == "draft" else options
+
+
+def avatar(
+    film: Path | str,
+    out: Path | str,
+    options: FilmOptions = FilmOptions(),  # noqa: B008 (frozen)
+    effort: AvatarEffort = AvatarEffort(),  # noqa: B008 (frozen)
+    own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
+    *,
+    person: int | None = None,
+    lens: str | None = None,
+    body: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Make an avatar of a film: prepare, check, refine, fit, evaluate, report.
+
+    If it was interrupted, the same call goes on; with other options it repeats only the steps that
+    depend on them.
+
+    Args:
+        film: a film of one person who turns round once, or a folder of its pictures.
+        out: the folder.
+        options, own_masks, person, lens: as of :func:`gva_mi.app.prepare`.
+        effort: how much work the avatar is worth.
+        body: a body in SMPL-X's format; without it the built-in body.
+        overwrite: replace an avatar that is there.
+    """
+    film, out = Path(film), Path(out)
+    if not film.exists():
+        raise InputError(f"{film}: no such film or folder of pictures")
+    model = load_body(body)  # a bad file is refused before any work
+    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {film.name}"
+    refining, fitting = effort.refining(options.height), effort.fitting()
+    refined, findings = subject / REFINED_POSES, subject / FINDINGS
+
+    def fit_again(begun: bool) -> None:
+        begun = begun and (run / run_folder.OPTIONS).exists()
+        fit(subject, run, fitting, poses=refined, body=body, resume=begun, overwrite=not begun)
+
+    def evaluate_it(begun: bool) -> None:
+        tested = bool(load_video(subject).splits.test)
+        evaluate(run, subject, title=title, poses=refined, body=body, fit_poses=tested)
+
+    def report(begun: bool) -> None:
+        trained = run_folder.under_trained_poses(load_video(subject, refined), run)
+        with bar("report") as progress:
+            write_film_report(out, run, trained, model, title, progress)
+
+    given = [asdict(options), asdict(own_masks), person, lens]
+    known = {"person": person, "lens": lens, "body": body, "overwrite": True}
+    sources = [film, *filter(None, [body, *vars(own_masks).values()])]
+    parts = (FRAMES, MASKS, CAMERAS, LANDMARKS, POSES, PREPARED)
+    prepared = [*filter(None, [body]), *(subject / name for name in parts)]
+    fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
+    measured, page = [run / run_folder.METRICS, run / run_folder.REPORT], out / run_folder.REPORT
+    before_fit = [*prepared, subject / SPLITS, refined]
+    steps = [
+        Step("prepare", "refine", given, sources, [subject / PREPARED],
+             lambda begun: prepare(film, subject, options, own_masks, **known)),
+        Step("check", "refine", None, prepared, [findings], lambda begun: _check(subject, body)),
+        Step("refine", "refine", refining, prepared, [refined],
+             lambda begun: refine(subject, refining, workers=usual_workers(), body=body,
+                                  overwrite=True)),
+        Step("split", "refine", effort.test_frames, [subject / PREPARED], [subject / SPLITS],
+             lambda begun: _split(subject, effort.test_frames)),
+        Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_again),
+        Step("evaluate", "avatar", None, [*before_fit, *fitted], measured, evaluate_it),
+        Step("report", "avatar", None, [*before_fit, *fitted, findings, *measured], [page], report),
+    ]  # fmt: skip
+    with folder_lock(out, "gva-mi avatar"):
+        StepFolder(out, FILM_MARKER, stamp(files_of(film) or [film]), overwrite).follow(steps)
+    say(f"avatar: {run / run_folder.AVATAR}")
+    say(f"report: {page}")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a command."""
+
+    name: str  # one word, for the progress bar
+    results: str  # whose version counts: a key of RESULTS_VERSIONS
+    options: Any  # all that it depends on beside files
+    reads: Sequence[Path]  # files and folders of files
+    writes: Sequence[Path]  # by which its results are known to be there
+    run: Callable[[bool], None]  # with: was the same step begun before?
+
+    def stamp(self) -> str:
+        """Return the stamp of all that the step depends on."""
+        return stamp(self.reads, [self.name, self.options], results_version(self.results))
+
+
+class StepFolder:
+    """A folder of steps: ``{"source": ..., "steps": {name: {"stamp", "finished"}}}``."""
+
+    def __init__(self, folder: Path, marker: str, source: str, overwrite: bool) -> None:
+        """Start a folder, or continue one of the same ``source``, a stamp.
+
+        Raises:
+            InputError: the folder holds something else.
+        """
+        self._path, self._source = folder / marker, source
+        self._steps: dict[str, dict[str, Any]] = {}
+        if overwrite:
+            make_room(folder, marker, overwrite)
+        elif holds_something(folder, marker):
+            require_ours(folder, marker)
+            expected = "the finished steps of a command"
+            found = read_json(self._path, expected)
+            with expecting(self._path, expected):
+                if found["source"] != source:
+                    raise InputError(
+                        f"{folder}: was made of another film; choose another folder, or give "
+                        "--overwrite to replace it"
+                    )
+                self._steps = {name: dict(step) for name, step in found["steps"].items()}
+        require_writable(folder)
+        self._write()
+
+    def follow(self, steps: Iterable[Step]) -> None:
+        """Run the steps that are not finished, in order."""
+        steps = list(steps)
+        for number, step in enumerate(steps, 1):
+            number_of = f"{number}/{len(steps)}"
+            made_of, known = step.stamp(), self._steps.get(step.name, {})
+            same, finished = known.get("stamp") == made_of, known.get("finished", False)
+            if same and finished and all(path.exists() for path in step.writes):
+                say(f"{number_of} {step.name}: was finished before")
+                continue
+            self._steps[step.name] = {"stamp": made_of, "finished": False}
+            self._write()
+            begin = time.perf_counter()
+            with numbered(number_of):
+                step.run(same and not finished)
+            say(f"{number_of} {step.name}: {time.perf_counter() - begin:.0f} s")
+            self._steps[step.name]["finished"] = True
+            self._write()
+
+    def _write(self) -> None:
+        write_json(self._path, {"source": self._source, "steps": self._steps})
+
+
+def _check(subject: Path, body: Path | None) -> None:
+    """Compare the folder with itself, and the film with a good one."""
+    model, record = load_body(body), FilmRecord.load(subject)
+    with bar("check") as progress:
+        report = check_subject(subject, model, None, progress)
+        landmarks = Landmarks.load(subject / LANDMARKS)
+        found = check_film(
+            load_video(subject), model, landmarks, record.fps, record.crowded, progress
+        )
+    whole = CheckReport(report.frames, [*found, *report.problems], [], report.figures)
+    for line in whole.lines(110):
+        say(line)
+    write_json(subject / FINDINGS, whole.to_json())
+
+
+def _split(subject: Path, test_frames: bool) -> None:
+    """Choose the frames that are left out of training."""
+    count = FilmRecord.load(subject).frames
+    every = Splits(list(range(count)), [])
+    splits = Splits.of_film(count) if test_frames else every
+    write_json(subject / SPLITS, splits.to_json())
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """How large the demo is; the defaults take some 3 minutes on 2 cores."""
+
+    seed: Seed = 0  # of the subject, the refinement and the fit
+    frames: VideoFrames = 64  # of the video
+    size: PictureSide = 400  # pixels, width and height
+    steps: FromOne = 2000  # steps of the fit
+
+
+def demo(
+    out: Path | str,
+    options: DemoOptions = DemoOptions(),  # noqa: B008 (frozen)
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Run all steps on a synthetic subject: synth, refine, fit, evaluate.
+
+    Args:
+        out: folder for the subject and the run.
+        options: size of the demo.
+        overwrite: replace a demo that is there.
+    """
+    out, start, workers = Path(out), time.perf_counter(), usual_workers()
+    subject, run = out / SUBJECT, out / RUN
+    # All options first: a bad one is refused before anything is written or replaced.
+    made = SynthOptions(
+        seed=options.seed, subject=PERSON, frames=options.frames, size=options.size,
+        workers=workers,
+    )  # fmt: skip
+    fitting = FitOptions(seed=options.seed, steps=options.steps)
+    with folder_lock(out, "gva-mi demo"):
+        start_folder(out, DEMO_MARKER, overwrite, {"options": asdict(options)})
+        with bar("synth") as progress:
+            make_subject(subject, made, load_body(), progress)
+        refine(subject, SequenceOptions(seed=options.seed), workers=workers)
+        fit(subject, run, fitting)
+        evaluate(run, subject, title="The demo subject")
+    minutes = (time.perf_counter() - start) / 60
+    say(f"{minutes:.1f} minutes; report: {run / run_folder.REPORT}")

@@ -1,0 +1,177 @@
+"""The commands ``refine``, ``fit``, ``evaluate``, ``track`` and ``render``: one step each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional
+
+from gva_mi import app
+from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import Within, Workers
+from gva_mi.fit import paper
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.perceptual import LpipsNetwork
+from gva_mi.fit.photometric import PhotometricOptions
+from gva_mi.fit.renders import CameraPath
+from gva_mi.pose.sequence import SequenceOptions
+
+
+def refine(
+    subjects: Positional[tuple[Path, ...]],
+    options: Flat[SequenceOptions] = SequenceOptions(),  # noqa: B008 (frozen)
+    *,
+    preset: Literal["default", "paper"] = "default",
+    normals: Literal["perspective", "opengl", "icon", "none"] | None = None,
+    workers: Workers = 1,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
+
+    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
+
+    Args:
+        subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
+        options: options of the refinement.
+        preset: paper: Eq. 8 as printed, frame by frame; of the options it uses size and height.
+        normals: how the normals were made: as the video's camera sees them, or as ICON writes them
+            (orthographic, y up); none: they are not used. Without it as normals.json says.
+        workers: processes on this machine; any number gives the same bits.
+        body: a body in SMPL-X's .npz format; without it the one that the first subject was
+            prepared for, else the built-in body.
+        overwrite: replace existing refined poses.
+    """
+    if preset == "paper":
+        if options.hold_out_test:
+            raise InputError(
+                "refine: --hold-out-test needs all frames together, and --preset paper takes each "
+                "alone"
+            )
+        options = replace(paper.REFINE, size=options.size, height=options.height)
+    app.refine(subjects, options, normals=normals, workers=workers, body=body, overwrite=overwrite)
+
+
+def fit(
+    subject: Positional[Path],
+    options: Flat[FitOptions] = FitOptions(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    preset: Literal["default", "paper", "film"] = "default",
+    poses: Path | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+    resume: Switch = False,
+) -> None:
+    """Fit an avatar to the training frames of a video: Eq. 9, densification, re-initialisation.
+
+    Args:
+        subject: a folder with video, masks, cameras and poses.
+        options: options of the fit.
+        out: the run's folder.
+        preset: paper: all options as the paper prints them; film: those of `gva-mi avatar`.
+            Explicit options override it.
+        poses: the poses to fit under; without it the refined ones, else those of stage 1.
+        body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
+            the built-in body.
+        overwrite: replace a run that is there.
+        resume: continue a run that was stopped, with its poses and its body.
+    """
+    app.fit(subject, out, options, poses=poses, body=body, overwrite=overwrite, resume=resume)
+
+
+fit.presets = {"paper": paper.FIT, "film": app.AvatarEffort().fitting()}
+
+
+def evaluate(
+    run: Positional[Path],
+    subject: Positional[Path],
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    fit_poses: Switch = False,
+    lpips: LpipsNetwork | None = None,
+) -> None:
+    """Measure an avatar on the splits of a subject; write metrics.json and report.html.
+
+    Args:
+        run: the folder of a finished fit.
+        subject: the folder it was fitted to.
+        poses: the poses it was fitted under; without it as the run's record says.
+        body: the body that it was fitted with, in SMPL-X's .npz format; without it as the run's
+            record says. Hands are measured where it has them.
+        fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
+            poses to these same frames; reported in separate rows.
+        lpips: the network of LPIPS, with your weights: vgg as in the tables of 3DGS and its
+            followers, alex as its authors advise; without it alex where it is found, else vgg.
+    """
+    app.evaluate(run, subject, poses=poses, body=body, fit_poses=fit_poses, lpips=lpips)
+
+
+def track(
+    run: Positional[Path],
+    subject: Positional[Path],
+    options: Flat[PhotometricOptions] = PhotometricOptions(),  # noqa: B008 (frozen)
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Fit the poses of a video to its pictures, seen through an avatar of the person.
+
+    Writes poses_photometric.npz and photometric.json into the subject's folder. These poses have
+    seen the test frames, so other steps use them only if --poses names them.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
+            same person.
+        subject: a folder with video, masks, cameras and poses.
+        options: options of the fit.
+        poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
+            was fitted to this video; else the refined ones, else those of stage 1.
+        body: a body in SMPL-X's .npz format; without it the one of the run, or of the subject,
+            else the built-in body.
+        overwrite: replace existing poses.
+    """
+    app.track(run, subject, options, poses=poses, body=body, overwrite=overwrite)
+
+
+def render(
+    run: Positional[Path],
+    path: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
+    *,
+    out: Path,
+    poses: Path | None = None,
+    cameras: Path | None = None,
+    background: str = "white",
+    alpha: Switch = False,
+    video: Switch = False,
+    fps: Annotated[int, Within(1, 1000)] = 25,
+    body: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+
+    If it was interrupted, the same command resumes it.
+
+    Args:
+        run: the folder of a finished fit, or an avatar.npz.
+        path: where cameras stand, without --cameras.
+        out: folder for 000000.png ...
+        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
+            the poses trained with the avatar.
+        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        background: a colour, such as white or #ff8800, or a picture file.
+        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
+        video: also write video.mp4 there; with --alpha video.webm.
+        fps: frames a second of films; motions of other programs are resampled to it.
+        body: the body file of an avatar without its body; without it the run's, or the puppet.
+        overwrite: replace existing renders.
+    """
+    app.render(
+        run, out, path, poses=poses, cameras=cameras, background=background, alpha=alpha,
+        video=video, fps=fps, body=body, overwrite=overwrite,
+    )  # fmt: skip

@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 
+from gva_mi.app.steps import body_of
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import load_body

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 OLDEST = 17  # the first major version whose code generator knows fminimum and fmaximum
-TESTED = range(19, 23)  # others are tried in a subprocess before they are used
+TESTED = range(19, 23)  # preferred to others
 PACKAGE = "libllvm19"  # Debian 12's and Ubuntu 24.04's name of a version that works
 
 SEARCH_DIRS = (
@@ -24,22 +23,14 @@ SEARCH_DIRS = (
     "/usr/local/lib", "/opt/homebrew/opt/llvm/lib", "/usr/local/opt/llvm/lib",
 )  # fmt: skip
 
-PATH, _CHECKED = "DRJIT_LIBLLVM_PATH", "GVA_MI_LLVM_CHECKED"  # environment variables
-
-_TRIAL = """
-import drjit as dr
-from drjit.llvm import Float
-x = dr.clip(dr.minimum(dr.opaque(Float, -1, 4), 2), 0, 1)
-assert dr.all(x == 0)
-print(*dr.detail.llvm_version())
-"""
+PATH = "DRJIT_LIBLLVM_PATH"  # an environment variable, which children inherit
 
 
 class Library(NamedTuple):
     """A ``libLLVM`` on this machine."""
 
     path: Path
-    major: int
+    major: int | None  # version; None: its name says none
 
 
 problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
@@ -58,17 +49,11 @@ def prepare() -> None:
     try:
         chosen = os.environ.get(PATH)
         if chosen is None:
-            chosen = str(find().path)
-        elif os.environ.get(_CHECKED) != chosen:
-            if reason := trial(Path(chosen)):
-                raise ImportError(
-                    f"{PATH}={chosen} cannot be used: {reason}. "
-                    f"Unset it, or point it to a libLLVM {OLDEST} or newer."
-                )
+            os.environ[PATH] = str(find().path)
+        else:
+            _check_chosen(Path(chosen))
     except ImportError as error:
         problem = str(error)
-    else:
-        os.environ[PATH] = os.environ[_CHECKED] = chosen  # children inherit both: no second trial
 
 
 def require() -> None:
@@ -78,11 +63,11 @@ def require() -> None:
 
 
 def find() -> Library:
-    """Return the newest working library; raise an ImportError that names a package to install."""
-    found = sorted(installed(), key=lambda library: library.major, reverse=True)
-    for library in found:
-        if library.major in TESTED or (library.major >= OLDEST and not trial(library.path)):
-            return library
+    """Return the newest usable library; raise an ImportError that names a package to install."""
+    found = [library for library in installed() if library.major is not None]
+    usable = [library for library in found if library.major >= OLDEST]
+    if usable:
+        return max(usable, key=lambda library: (library.major in TESTED, library.major))
     seen = ", ".join(sorted({str(library.major) for library in found})) or "none"
     raise ImportError(
         f"Dr.Jit needs libLLVM {OLDEST} or newer, and this machine has: {seen} "
@@ -91,31 +76,32 @@ def find() -> Library:
 
 
 def installed() -> Iterator[Library]:
-    """Yield every ``libLLVM`` in the usual places once."""
-    folders = [Path(d) for d in SEARCH_DIRS]
-    folders += sorted(Path("/usr/lib").glob("llvm-*/lib"))
-    seen = set()
+    """Yield every ``libLLVM`` in the usual places."""
+    folders = [*map(Path, SEARCH_DIRS), *sorted(Path("/usr/lib").glob("llvm-*/lib"))]
     for folder in folders:
         for path in sorted([*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib")]):
-            version = re.search(r"libLLVM(?:-|\.so\.)?(\d+)", path.name)
-            real = path.resolve()
-            if version and real.exists() and real not in seen:
-                seen.add(real)
-                yield Library(path, int(version.group(1)))
+            if path.exists():
+                yield Library(path, major_of(path))
 
 
-def trial(path: Path) -> str:
-    """Run a kernel in a process of its own; return what went wrong, or ``""``."""
-    if not path.exists():
-        return "there is no such file"
-    environment = {**os.environ, PATH: str(path)}
-    run = subprocess.run(
-        [sys.executable, "-c", _TRIAL], env=environment, capture_output=True, text=True, timeout=120
-    )
-    if run.returncode == 0:
-        return ""
-    last = (run.stderr.strip().splitlines() or ["no message"])[-1]
-    return f"a trial kernel ended with exit code {run.returncode} ({last})"
+def major_of(path: Path) -> int | None:
+    """Return the major version that the name of a library, or of what it links to, says."""
+    names = path.name, path.resolve().name
+    found = [m for name in names if (m := re.search(r"libLLVM(?:-|\.so\.)?(\d+)", name))]
+    return int(found[0].group(1)) if found else None
+
+
+def _check_chosen(path: Path) -> None:
+    """Raise an ImportError if a library that the user chose is missing or too old."""
+    major = major_of(path)
+    fault = None if path.exists() else "there is no such file"
+    if major is not None and major < OLDEST:
+        fault = f"it is libLLVM {major}, with which kernels abort the process"
+    if fault:
+        raise ImportError(
+            f"{PATH}={path} cannot be used: {fault}. "
+            f"Unset it, or point it to a libLLVM {OLDEST} or newer."
+        )
 
 
 def _check_loaded() -> None:

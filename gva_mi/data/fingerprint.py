@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel
+from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 
@@ -28,6 +28,7 @@ SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
 # Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
 # "name" there, and the "file" of a body that is not built in.
 SYNTH, PREPARED = "synth.json", "prepare.json"
+WRITTEN = "what gva-mi synth or gva-mi prepare writes"
 FILM = "film"  # kind of a subject that was prepared from a film alone
 
 
@@ -58,20 +59,18 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 
 def belongs_to(folder: Path, body: BodyModel) -> bool:
     """Whether a subject's folder says that it was made on, or prepared for, this very body."""
-    known = (_body_of(folder / name, "gva-mi") for name in (SYNTH, PREPARED))
-    return any(distance(x, fingerprint(body)) <= SAME for x in known if x is not None)
+    known = (_body_of(folder / name) for name in (SYNTH, PREPARED))
+    return any(distance(x, fingerprint(body)) <= SAME for x in known if x)
 
 
 def require_same_body(folder: Path, body: BodyModel) -> None:
     """Raise an InputError if a subject was made on, or prepared for, another body.
 
-    Folders without a fingerprint pass: those put together by hand, or older than this check.
+    A folder that was put together by hand has no fingerprint, and passes.
     """
-    for name, written_by in ((SYNTH, "gva-mi synth"), (PREPARED, "gva-mi prepare")):
-        known = _body_of(Path(folder) / name, written_by)
-        if known is None:
-            continue
-        away = distance(known, fingerprint(body))
+    for name in (SYNTH, PREPARED):
+        known = _body_of(Path(folder) / name)
+        away = distance(known, fingerprint(body)) if known else 0.0
         if away <= SAME:
             continue
         how = (
@@ -79,25 +78,17 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
             if np.isfinite(away)
             else f"of {known['vertices']} vertices, not {len(body.v_template)}"
         )
-        if name == SYNTH:
-            raise InputError(
-                f"{folder}: made on another body ({how}), so that its poses and its ground truth "
-                "mean nothing here; give the --body it was made with, or make it again with "
-                "gva-mi synth"
-            )
-        theirs = known.get("name")
-        given = f"--body with that body's file ({theirs})"
-        expected = "the built-in body, that is no --body" if theirs == BUILT_IN_NAME else given
+        theirs = known.get("name", "the one that gva-mi synth was given")
         raise InputError(
-            f"{folder}: its poses were prepared for another body, {theirs} ({how}); "
-            f"expected {expected}, or prepare it again for this body"
+            f"{folder}: its poses belong to another body ({how}), so that they mean nothing here; "
+            f"expected --body with that body ({theirs}), or make the folder again for this body"
         )
 
 
 def prepared_body(folder: Path) -> Path | None:
     """Return the body file that a subject was prepared for; None if there is none on record."""
-    known = _body_of(Path(folder) / PREPARED, "gva-mi prepare") or {}
-    return Path(known["file"]) if known.get("file") else None
+    file = _body_of(Path(folder) / PREPARED).get("file")
+    return Path(file) if file else None
 
 
 def prepared_from(folder: Path) -> tuple[str | None, float | None]:
@@ -105,26 +96,20 @@ def prepared_from(folder: Path) -> tuple[str | None, float | None]:
 
     Either is None if it is not known, both if the subject was not prepared.
     """
-    file, expected = folder / PREPARED, "what gva-mi prepare writes"
-    if not file.is_file():
-        return None, None
-    about = read_json(file, expected)
-    with expecting(file, expected):
+    about = _record(folder / PREPARED)
+    with expecting(folder / PREPARED, WRITTEN):
         fps = about.get("film", {}).get("fps")
         return about.get("kind"), None if fps is None else float(fps)
 
 
-def _body_of(file: Path, written_by: str) -> dict | None:
-    """Return the body that a subject's file describes; None if it describes none."""
-    if not file.is_file():
-        return None
-    expected = f"what {written_by} writes"
-    about = read_json(file, expected)
-    with expecting(file, expected):
-        body = about.get("body")
-        if not isinstance(body, dict):  # older folders hold something else here, or nothing
-            return None
-        return body | {
-            "sketch": np.reshape(np.float64(body["sketch"]), SUMS).tolist(),
-            "vertices": body["vertices"],
-        }
+def _record(file: Path) -> dict:
+    return read_json(file, WRITTEN) if file.is_file() else {}
+
+
+def _body_of(file: Path) -> dict:
+    """Return the body that a subject's record describes; nothing if it describes none."""
+    about = _record(file)
+    with expecting(file, WRITTEN):
+        body = about.get("body", {})
+        sketch = np.reshape(np.float64(body["sketch"]), SUMS).tolist() if body else []
+        return {**body, "sketch": sketch, "vertices": body["vertices"]} if body else {}

@@ -45,26 +45,20 @@ def test_the_fingerprint_covers_every_part_of_a_body(arrays, made_on, tmp_path, 
     else:
         changed = 1.02 * arrays[key].astype("f4")
     other[key] = changed.astype(arrays[key].dtype)
-    with pytest.raises(InputError, match="made on another body"):
+    with pytest.raises(InputError, match="its poses belong to another body .* mm from this one"):
         require_same_body(written(tmp_path, {"body": made_on}), BodyModel(other))
 
 
-def test_folders_without_a_fingerprint_pass_and_other_counts_do_not(made_on, tmp_path):
-    require_same_body(tmp_path, load_body())
-    require_same_body(written(tmp_path, {"seed": 0}), load_body())
-    folder = written(tmp_path, {"body": made_on | {"vertices": 10475}})
-    with pytest.raises(InputError, match="10475 vertices"):
-        require_same_body(folder, load_body())
-
-
-def test_a_prepared_folder_names_its_body(made_on, tmp_path):
-    ours = {"body": made_on | {"name": "puppet"}}
-    require_same_body(written(tmp_path, ours, "prepare.json"), load_body())
-    older = {"body": "SMPL"}  # the source's form, and nothing of the body
-    require_same_body(written(tmp_path, older, "prepare.json"), load_body())
-    others = {"body": made_on | {"name": "SMPLX_MALE", "vertices": 10475}}
-    with pytest.raises(InputError, match=r"expected --body with that body's file \(SMPLX_MALE\)"):
-        require_same_body(written(tmp_path, others, "prepare.json"), load_body())
+@pytest.mark.parametrize("name, theirs", [
+    ("synth.json", "the one that gva-mi synth was given"), ("prepare.json", "SMPLX_MALE"),
+])  # fmt: skip
+def test_a_folder_names_its_body(made_on, tmp_path, name, theirs):
+    about = {"name": theirs} if name == "prepare.json" else {}
+    for passes in ({"seed": 0}, {"body": made_on | about}):
+        require_same_body(written(tmp_path, passes, name), load_body())
+    written(tmp_path, {"body": made_on | about | {"vertices": 10475}}, name)
+    with pytest.raises(InputError, match=rf"10475 vertices.*expected --body .*\({theirs}\)"):
+        require_same_body(tmp_path, load_body())
 
 
 @pytest.mark.parametrize("text", ["[", '{"body": {"vertices": 3}}'])

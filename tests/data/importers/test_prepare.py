@@ -70,7 +70,10 @@ def test_later_steps_take_the_body_that_was_prepared_for(wham, tmp_path, cli, se
     require_same_body(subject, load_body(body_of(subject)))
     err = cli.fails("refine", subject, "--body", "puppet")
     assert err.count("\n") == 1
-    assert "prepared for another body, taller (" in err and "expected --body with" in err
+    assert (
+        "its poses belong to another body (" in err
+        and "expected --body with that body (taller)" in err
+    )
     (tmp_path / "taller.npz").unlink()
     err = cli.fails("refine", subject)
     assert err.count("\n") == 1

@@ -39,7 +39,7 @@ from gva_mi.fit.photometric import (
 )
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
-from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.observed_video import RefineOptions
 from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.fitted_poses import with_fitted_poses
 from gva_mi.study.measure import Evaluation

@@ -37,7 +37,8 @@ def refine(
     Args:
         subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
         options: options of the refinement.
-        preset: paper: Eq. 8 as printed, frame by frame; of the options it uses size and height.
+        preset: paper: Eq. 8 as printed, frame by frame; of the options it uses size and passes,
+            here 80 unless they are given.
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
             (orthographic, y up); none: they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
@@ -46,13 +47,17 @@ def refine(
         overwrite: replace existing refined poses.
     """
     if preset == "paper":
-        if options.hold_out_test:
-            raise InputError(
-                "refine: --hold-out-test needs all frames together, and --preset paper takes each "
-                "alone"
-            )
-        options = replace(paper.REFINE, size=options.size, height=options.height)
+        for name, given in (("height", options.height), ("hold-out-test", options.hold_out_test)):
+            if given:
+                raise InputError(
+                    f"refine: --{name} is of the refinement of all frames together; --preset paper "
+                    "is Eq. 8 as printed, frame by frame"
+                )
+        options = replace(paper.REFINE, size=options.size, passes=options.passes)
     app.refine(subjects, options, normals=normals, workers=workers, body=body, overwrite=overwrite)
+
+
+refine.presets = {"paper": SequenceOptions(passes=paper.REFINE.passes)}
 
 
 def fit(

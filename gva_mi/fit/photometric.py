@@ -79,9 +79,9 @@ from gva_mi.pose.optimize import (
     Passes,
     PriorWeight,
     descend,
+    lever_arms,
     worse_frames,
 )
-from gva_mi.pose.optimizer import lever_arms
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera, render

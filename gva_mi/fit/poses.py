@@ -53,8 +53,7 @@ from gva_mi.body.so3 import compose
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
 from gva_mi.pose.clips import cut
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.optimize import PriorWeight, Steps, optimiser
-from gva_mi.pose.optimizer import VectorAdam, lever_arms
+from gva_mi.pose.optimize import PriorWeight, Steps, VectorAdam, lever_arms, optimiser
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.pose.prior.inference import updated_process

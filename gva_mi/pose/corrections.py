@@ -44,7 +44,7 @@ class Corrections:
     """``δ`` and ``τ`` of some frames, under a prior.
 
     ``turns`` (n, J, 3, 1) and ``moves`` (n, 3, 1) are leaves, ``u`` of eq. 2.
-    :class:`gva_mi.pose.optimizer.VectorAdam` takes the last axis for a vector, so each coordinate
+    :class:`gva_mi.pose.optimize.VectorAdam` takes the last axis for a vector, so each coordinate
     has its own step size. ``start`` is ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
     """
 

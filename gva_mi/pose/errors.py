@@ -30,7 +30,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.ground_truth import GroundTruth
-from gva_mi.pose.displacement import hand_vertices
+from gva_mi.pose.evidence import hand_vertices
 
 _BODY_JOINTS = 22
 _TOGETHER = 16  # frames that are measured at a time

@@ -23,18 +23,19 @@ the estimator's errors are known, so is their mean, and the prior penalises thes
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import JAW_AND_EYES, Pose
+from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress
+from gva_mi.core.cpu import sqrt
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import Metres, Seed, Turn, Within
+from gva_mi.core.options import Metres, PythonOnly, Seed, Turn, Within
 from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.optimizer import VectorAdam, turn_rates
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
 from gva_mi.pose.prior.ground import Soles
@@ -42,15 +43,19 @@ from gva_mi.pose.prior.inference import PosePrior
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera
 
-GUESSED = 0.2  # weight of the prior before it is inferred from corrections
-AGAIN = 1.5  # the prior is inferred again after this many times the ``learn`` passes
-HELD = 0.5  # share of the ``learn`` passes that penalise turns shared by all frames
+EARLY_PRIOR_WEIGHT = 0.2  # weight of the prior before it is inferred from corrections
+SECOND_INFERENCE = 1.5  # the prior is inferred again after this many times the ``learn`` passes
+HELD_SHARE = 0.5  # share of the ``learn`` passes that penalise turns shared by all frames
 
-# Ranges of the options that all fits of poses have.
+# Types of options that several fits of poses have, with their ranges.
 Passes = Annotated[int, Within(1, 10_000)]
 Learn = Annotated[int, Within(0, 10_000)]
 PriorWeight = Annotated[float, Within(0, 1e6, "low")]
 PartFrames = Annotated[int, Within(1, 10_000)]
+# Pixels of the person's longer side in the images that are compared.
+PersonSize = Annotated[int, Within(1, 4096)]
+Faces = Annotated[int, Within(500, 1_000_000)]  # a body with fewer triangles has no hands left
+MOMENT_DECAY, EPSILON = (0.9, 0.99), 1e-12  # β1 and β2, the decay of ``m`` and ``v``; ε
 
 
 class Evidence(Protocol):
@@ -107,9 +112,11 @@ class DescentOptions:
     step: Metres  # metres that a joint moves the skin beyond it, in a first step
     translation_lr: Metres  # metres in a first step
     part: PartFrames  # frames fitted together; a longer video is cut into clips
-    batch: Annotated[int, Within(1, 10_000)] = 4  # frames of a step, at most
-    largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
-    overlap: Annotated[int, Within(0, 5_000)] = 16  # frames that a clip shares with the next
+    batch: PythonOnly[Annotated[int, Within(1, 10_000)]] = 4  # frames of a step, at most
+    # Radians in such a step; limits joints with short lever arms.
+    largest_turn: PythonOnly[Turn] = 0.03
+    # Frames that a clip shares with the next.
+    overlap: PythonOnly[Annotated[int, Within(0, 5_000)]] = 16
     seed: Seed = 0  # seed of the order of frames
 
     command: ClassVar[str]  # command of these options, for error messages
@@ -163,9 +170,9 @@ def descend(
     seen = [i for i, k in enumerate(frames) if k not in set(following)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
     learnt = options.learn * len(batches) // options.passes
-    weight, a_pass = GUESSED * options.prior_weight, len(batches) // options.passes
+    weight, a_pass = EARLY_PRIOR_WEIGHT * options.prior_weight, len(batches) // options.passes
     for step, batch in enumerate(batches):
-        if step in (learnt, int(AGAIN * learnt)):
+        if step in (learnt, int(SECOND_INFERENCE * learnt)):
             if step == learnt:
                 evidence.enable_details()
             corrections, weight = (
@@ -177,7 +184,7 @@ def descend(
             corrections.fit_ground(evidence.soles)
         loss = evidence.loss([frames[i] for i in batch], corrections.pose(batch))
         loss = loss + weight * corrections.energy(evidence.distance_shown) + evidence.energy()
-        if step < int(HELD * learnt) and not evidence.surface_known:
+        if step < int(HELD_SHARE * learnt) and not evidence.surface_known:
             loss = loss + options.prior_weight * corrections.constant_turn_energy()
         loss.backward()
         adam.step(options.decay ** (step / len(batches)))
@@ -242,3 +249,93 @@ def _batches(frames: int, options: DescentOptions) -> Iterator[list[int]]:
     for _ in range(options.passes):
         order = torch.randperm(frames, generator=generator).tolist()
         yield from (order[first::count] for first in range(count))
+
+
+@dataclass
+class _Moments:
+    steps: int
+    m: Tensor  # shape of the leaf
+    v: Tensor  # (..., 1)
+
+
+@dataclass
+class VectorAdam:
+    """Adam on tensors (..., D) of vectors; a tensor without a gradient stays as it is.
+
+    The optimiser: Adam with one step size per vector, and learning rates of joints.
+
+        m ← β1 m + (1 - β1) g,     v ← β2 v + (1 - β2) |g|²,     x ← x - lr m̂ / (√v̂ + ε)
+
+    with ``|g|²`` over the last axis (Ling et al., *VectorAdam*, 2022). Adam moves every coordinate
+    by about its learning rate, however weak its gradient: the twist of a forearm, which is hardly
+    visible, would drift as fast as its swing. VectorAdam keeps the direction of the gradient, so
+    its result does not depend on the axes.
+
+    Learning rates of joints are divided by their lever arms, so that a step moves the surface by
+    about the same distance whichever joint turns.
+
+    Attributes:
+        tensors: the leaves.
+        rates: the learning rate of each leaf, a number or (..., 1) of the leaf's shape.
+    """
+
+    tensors: Sequence[Tensor]
+    rates: Sequence[float | Tensor]
+    _moments: dict[int, _Moments] = field(default_factory=dict, repr=False)
+
+    def state(self) -> dict[int, tuple[int, Tensor, Tensor]]:
+        """Steps, ``m`` and ``v`` of each leaf that was moved, by its index; for a checkpoint."""
+        return {k: (moments.steps, moments.m, moments.v) for k, moments in self._moments.items()}
+
+    def load_state(self, state: dict[int, tuple[int, Tensor, Tensor]]) -> None:
+        """Continue from a :meth:`state`."""
+        self._moments = {k: _Moments(*values) for k, values in state.items()}
+
+    @torch.no_grad()
+    def step(self, factor: float = 1.0) -> None:
+        """Move all leaves that have a gradient, and clear it; ``factor`` scales all rates."""
+        beta1, beta2 = MOMENT_DECAY
+        for number, (x, rate) in enumerate(zip(self.tensors, self.rates, strict=True)):
+            if x.grad is None:
+                continue
+            if number not in self._moments:
+                rows = torch.zeros_like(x[..., :1])
+                self._moments[number] = _Moments(0, torch.zeros_like(x), rows)
+            state = self._moments[number]
+            state.steps += 1
+            state.m.mul_(beta1).add_(x.grad, alpha=1 - beta1)
+            state.v.mul_(beta2).add_(x.grad.square().sum(-1, keepdim=True), alpha=1 - beta2)
+            m = state.m / (1 - beta1**state.steps)
+            v = state.v / (1 - beta2**state.steps)
+            x -= factor * rate * m / (sqrt(v) + EPSILON)
+            x.grad = None
+
+
+def lever_arms(rest: Rest, weights: Tensor, parents: Sequence[int]) -> Tensor:
+    """Quadratic mean distance (J,) between a joint and the vertices that turn with it, metres.
+
+    Args:
+        rest: the person's vertices (V, 3) and joints (J, 3) in the rest pose.
+        weights: (V, J) skinning weights.
+        parents: of the joints, -1 for the root.
+    """
+    moved = weights.clone()
+    for joint in reversed(range(1, len(parents))):
+        moved[:, parents[joint]] += moved[:, joint]
+    square = (rest.vertices[:, None] - rest.joints).square().sum(-1)
+    return sqrt((moved * square).sum(0) / moved.sum(0).clamp_min(1e-6))
+
+
+def turn_rates(arms: Tensor, step: float, largest_turn: float) -> Tensor:
+    """Learning rates (J, 1) of joint rotations, radians; zero for jaw and eyes.
+
+    Masks and normals of this size do not show jaw and eyes, so they are never turned.
+
+    Args:
+        arms: (J,) lever arms, metres.
+        step: metres that a step moves what turns with the joint.
+        largest_turn: radians; no joint turns more in a step, however short its lever arm.
+    """
+    rates = (step / arms).clamp_max(largest_turn)[:, None]
+    rates[JAW_AND_EYES] = 0
+    return rates

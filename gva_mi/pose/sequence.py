@@ -3,116 +3,170 @@
 The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
 optimised (:mod:`gva_mi.pose.optimize`) on
 
-    L = mean_k( d_k + λc Σ_parts d_k,part )    d: Eq. 8's data term of the posed body
+    L = mean_k( d_k + Σ_parts λc d_k,part )    d: Eq. 8's data term of the posed body
                                                with shape β, displaced by D; again for hands and
                                                feet (gva_mi.pose.evidence)
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.pose.corrections)
-        + λl L_landmarks                       gva_mi.pose.evidence.landmarks
-        + E(D)                                 gva_mi.pose.displacement
+        + λl L_landmarks                       gva_mi.pose.film.rig
+        + E(D)
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       if the height H is known: gva_mi.pose.stature
 
 One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
 cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
 limb tilts toward the camera, but its neighbours see the limb from another side.
+
+Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
+limbs, size and depth would change to make up for the cloth. The displacement ``D`` (V, 3) costs
+
+    E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
+
+with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
+the mean square of the edges. It keeps ``D`` smooth, small, and outward, because cloth lies on the
+body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.options import Metres, Rate, Weight, Within, options_of
-from gva_mi.pose.displacement import Displacement
-from gva_mi.pose.evidence.masks_normals import mean_of_losses
-from gva_mi.pose.frame_losses import FrameLosses, shared_losses
-from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimize import DescentOptions, Learn, PartFrames, Passes, PriorWeight, descend
-from gva_mi.pose.optimizer import lever_arms
+from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
+from gva_mi.pose.evidence import (
+    FinePicture,
+    FrameLoss,
+    MaskAndNormals,
+    close_ups,
+    frame_loss,
+    hand_vertices,
+    mean_of_losses,
+    parts_of,
+)
+from gva_mi.pose.film.rig import SeenLandmarks
+from gva_mi.pose.optimize import (
+    DescentOptions,
+    Faces,
+    Learn,
+    PartFrames,
+    Passes,
+    PersonSize,
+    PriorWeight,
+    descend,
+    lever_arms,
+)
 from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.prior.error_model import GROUPS
-from gva_mi.pose.prior.ground import Soles
-from gva_mi.pose.stature import Stature
+from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
+from gva_mi.pose.prior.ground import ContactStats, Soles
+from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
 
 STEPS_A_PASS = 16  # smallest number
 FINGERS = GROUPS["fingers"]
+CLOSE_FEET = 0.1  # λc of each foot; shoes differ from the body
+LANDMARK_WEIGHT = 0.015  # λl: of one nat
 HOLD_HEIGHT = 1e3  # λh, for one square metre
 HOLD_BETAS = 0.01  # λβ, for one squared standard deviation
-BETAS_STEP = 0.05  # standard deviations in a first step
-LANDMARK_STEP = 0.001  # metres in a first step, of the landmarks' offsets
+# First steps of what all frames share.
+CLOTH_STEP = 0.003  # metres
+BETAS_STEP = 0.05  # standard deviations
+LANDMARK_STEP = 0.001  # metres, of the landmarks' offsets
+# a, for one (1/m)²; b and c, for one square metre: cloth may stand off the body by decimetres, and
+# hardly enters it.
+SMOOTH, SMALL, OUTWARD = 1.6e-4, 10.0, 400.0
 
 
 @options_of("refine")
-class SequenceOptions(DescentOptions, RefineOptions):
-    """Options of the refinement of all frames together."""
+class SequenceOptions(DescentOptions):
+    """Options of the refinement of all frames together.
 
-    # Weight of each hand's close-up, where the loss of the whole person has weight 1.
-    close_hands: Weight = 0.5
-    close_feet: Weight = 0.1  # weight of each foot's close-up; shoes differ from the body
-    # Pixels of a hand's length in close-ups, if the video has as many.
-    hand_size: Annotated[int, Within(1, 1024)] = 44
+    The losses that the weights multiply are divided by the person's area in pixels
+    (:mod:`gva_mi.pose.evidence`).
+    """
+
     passes: Passes = 24  # how often every frame is visited, more often if there are very few
-    learn: Learn = 8  # passes after which stage 1's error model is inferred
-    prior_weight: PriorWeight = 0.015  # ν: weight of the prior beside Eq. 8's data term
-    unswap: bool = True  # first fix legs and arms whose left and right stage 1 swapped
+    # Pixels of the person's longer side in the images that are compared.
+    size: PersonSize = 208
+    # Measured height of the person: sets body size and depth, which are then not fitted.
+    height: Annotated[float, PERSON_HEIGHTS] | None = None
+    hold_out_test: bool = False  # test frames are not used; the motion prior fills them in
+
+    seed: PythonOnly[Seed] = 0  # seed of the order of frames
+    # Triangles of the body that is compared.
+    faces: PythonOnly[Faces] = 3500
+    silhouette: PythonOnly[Weight] = 1.0  # λ1
+    learn: PythonOnly[Learn] = 8  # passes after which stage 1's error model is inferred
+    prior_weight: PythonOnly[PriorWeight] = 0.015  # ν: weight of the prior beside the data term
+    close_hands: PythonOnly[Weight] = 0.5  # λc of each hand; 0: no close-ups of hands
     # Metres that a joint moves the skin beyond it, in a first step.
-    step: Metres = 0.012
-    translation_lr: Rate = 0.006  # metres in a first step; images show depth weakly
-    cloth_lr: Rate = 0.003  # metres in a first step
-    landmarks: Weight = 0.015  # λl: weight of one nat of landmarks, where the video has them
-    # Stage 1's error model: inferred from the video, or that of the film solver. "auto": that of
-    # the film solver if it made the poses.
-    errors: Literal["auto", "inferred", "film"] = "auto"
-    part: PartFrames = 120  # frames refined together; a longer video is cut into clips
+    step: PythonOnly[Metres] = 0.012
+    translation_lr: PythonOnly[Rate] = 0.006  # metres in a first step; images show depth weakly
+    part: PythonOnly[PartFrames] = 120  # frames refined together; a longer video is cut into clips
     # Frames of a longer video from which the unknowns that its clips share are found.
-    skim: Annotated[int, Within(1, 10_000)] = 96
+    skim: PythonOnly[Annotated[int, Within(1, 10_000)]] = 96
 
     name: ClassVar[str] = "sequence"
     command: ClassVar[str] = "refine"
     decay: ClassVar[float] = 0.03
 
-    @property
-    def close_up_size(self) -> int:
-        """Pixels of a hand in close-ups; 0: there are none."""
-        return self.hand_size if self.close_hands > 0 or self.close_feet > 0 else 0
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of a refinement."""
+
+    pose: Pose  # T frames
+    shape: Shape
+    offsets: Tensor  # (V, 3) displacement of the rest surface, metres
+    # Stage 1's errors, if inferred.
+    noise: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
+    contact: ContactStats | None = None  # how the feet touch the ground, if inferred
+    landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.pose.film.rig
+
+
+@dataclass(frozen=True)
+class ObservedClip:
+    """Frames to be refined together, with all that was observed of them."""
+
+    evidence: Mapping[int, MaskAndNormals]  # by number within ``pose``; perhaps still on disk
+    body: BodyModel
+    pose: Pose  # stage 1; frames without evidence keep it
+    shape: Shape
+    known: Solution | None = None  # of the first round: the shared unknowns are taken from it
+    fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, by number
+    following: Sequence[int] = ()  # frames without evidence that the motion prior fills in
+    landmarks: SeenLandmarks | None = None  # of all frames of ``pose``
+    errors: Mapping[str, Stage1ErrorModel] | None = None  # of the estimator; None: inferred
 
 
 def refine_sequence(
-    job: RefineJob,
-    options: SequenceOptions,
-    progress: Progress | None = None,
-    processes: int = 1,
+    clip: ObservedClip, options: SequenceOptions, progress: Progress | None = None
 ) -> Solution:
-    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
-
-    ``processes``, this one included, share the frames of a step; any number finds the same bits.
-    """
-    person = ClothedPerson(job, options)
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame."""
+    person = ClothedPerson(clip, options)
     # With few frames a step takes fewer of them, and with very few they are visited more often:
     # otherwise there would be too few steps to converge.
-    frames = len(job.evidence)
+    frames = len(clip.evidence)
     options = replace(
         options,
         batch=max(1, min(options.batch, frames // STEPS_A_PASS)),
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    processes, count = min(processes, options.batch), frames * options.passes
-    with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
-        found = descend(
-            person, job.pose, person.arms, options, progress, job.following, errors=job.errors
-        )
+    found = descend(
+        person, clip.pose, person.arms, options, progress, clip.following, errors=clip.errors
+    )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     ground = found.prior.ground
     contact = None if ground is None else ground.contact
-    points = None if job.landmarks is None else person.landmark_offsets.detach()
+    points = None if clip.landmarks is None else person.landmark_offsets.detach()
     return Solution(found.pose, shape, offsets, found.prior.noise, contact, points)
 
 
@@ -125,35 +179,36 @@ class ClothedPerson:
     """The :class:`gva_mi.pose.optimize.Evidence` of the refinement: a clothed person in all frames.
 
     The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D`` and
-    ``β`` are the shared leaves, unless the job knows them from a first round.
+    ``β`` are the shared leaves, unless the clip knows them from a first round.
     """
 
     # With a known height, depth is scaled with body size and not fitted, because hair and shoes
     # bias the silhouette; without one, depth and size are ambiguous.
     distance_shown = False
 
-    def __init__(self, job: RefineJob, options: SequenceOptions) -> None:
-        rest = job.body.rest(job.shape)
-        self._job, self._options = job, options
-        weights = {"hand": options.close_hands, "foot": options.close_feet}
-        self.frame_losses = FrameLosses(job, options.silhouette, weights)
-        self._stature = Stature.of(job.body)
+    def __init__(self, clip: ObservedClip, options: SequenceOptions) -> None:
+        rest = clip.body.rest(clip.shape)
+        self._clip, self._options = clip, options
+        self._scene = MeshScene(clip.body.faces, clip.body.v_template)
+        weights = {"hand": options.close_hands, "foot": CLOSE_FEET}
+        self._parts = {part: w for part in parts_of(clip.body) if (w := weights[part.name]) > 0}
         self._close = False
-        self._cloth = Displacement(rest.vertices, job.body.faces, job.body.weights)
-        self._betas = job.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
-        if job.known is None:
-            self.shared = [(self._cloth.raw, options.cloth_lr), (self._betas, BETAS_STEP)]
-            if job.landmarks is not None:
-                self.landmark_offsets = torch.zeros_like(job.landmarks.rig.rest).requires_grad_()
+        self._stature = Stature.of(clip.body)
+        self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
+        self._betas = clip.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
+        if clip.known is None:
+            self.shared = [(self._cloth.raw, CLOTH_STEP), (self._betas, BETAS_STEP)]
+            if clip.landmarks is not None:
+                self.landmark_offsets = torch.zeros_like(clip.landmarks.rig.rest).requires_grad_()
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
-            self.landmark_offsets = job.known.landmark_offsets
-            self._cloth.raw, self._betas = job.known.offsets, job.known.shape.betas[:, None]
+            self.landmark_offsets = clip.known.landmark_offsets
+            self._cloth.raw, self._betas = clip.known.offsets, clip.known.shape.betas[:, None]
             self.shared = []
         self.anatomy = Anatomy.of(rest.joints)
-        self.arms = lever_arms(rest, job.body.weights, job.body.parents)
-        self.frames = sorted(job.evidence)
-        self.camera = job.evidence[self.frames[0]].camera
+        self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
+        self.frames = sorted(clip.evidence)
+        self.camera = clip.evidence[self.frames[0]].camera
 
     @property
     def offsets(self) -> Tensor:
@@ -168,27 +223,37 @@ class ClothedPerson:
     @property
     def soles(self) -> Soles:
         """The soles of the current shape."""
-        return Soles.of(self._job.body.rest(self.shape), self._job.body.weights)
+        return Soles.of(self._clip.body.rest(self.shape), self._clip.body.weights)
 
     @property
     def surface_known(self) -> bool:
         """Whether the clothes are known, from a first round."""
-        return self._job.known is not None
+        return self._clip.known is not None
 
     @property
     def unseen(self) -> Sequence[int]:
         """The fingers, until close-ups are used: before, mask errors would bend them."""
-        close = self._close and self._job.fine and self._options.close_hands > 0
+        close = self._close and self._clip.fine and self._options.close_hands > 0
         return () if close else FINGERS
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term in these poses, a mean over their frames."""
-        posed = self._job.body(pose, self.shape, self.offsets)
-        loss = mean_of_losses(posed.vertices, lambda x: self.frame_losses(frames, x, self._close))
-        if (landmarks := self._job.landmarks) is None:
+        posed = self._clip.body(pose, self.shape, self.offsets)
+        loss = mean_of_losses(posed.vertices, lambda bodies: self._frame_losses(frames, bodies))
+        if (landmarks := self._clip.landmarks) is None:
             return loss
         person = posed.T_world_rest, self.shape, self.landmark_offsets
-        return loss + self._options.landmarks * landmarks.losses(frames, *person).mean()
+        return loss + LANDMARK_WEIGHT * landmarks.losses(frames, *person).mean()
+
+    def _frame_losses(self, frames: Sequence[int], bodies: Tensor) -> list[FrameLoss]:
+        """Return the loss of each of B frames, and its gradient by the body (B, V, 3)."""
+        found, clip, close = [], self._clip, self._close and self._clip.fine
+        for k, body in zip(frames, bodies.unbind(), strict=True):
+            seen = clip.evidence[k]
+            closer = close_ups(clip.fine[k], self._parts, body, seen) if close else []
+            views = [(1.0, seen), *closer]
+            found.append(frame_loss(self._scene, body, views, self._options.silhouette, True))
+        return found
 
     def enable_details(self) -> None:
         """Start to use close-ups, which need nearly right poses."""
@@ -196,12 +261,42 @@ class ClothedPerson:
 
     def energy(self) -> Tensor:
         """Return the terms of clothes, shape and height."""
-        o = self._options
-        moved = (self.shape.betas - self._job.shape.betas).square().sum()
+        moved = (self.shape.betas - self._clip.shape.betas).square().sum()
         energy = HOLD_BETAS * moved + self._cloth.energy(self.offsets)
-        if o.height is not None:
-            energy = energy + HOLD_HEIGHT * self._stature.energy(self.shape, o.height)
-        if self._job.landmarks is not None:
-            off = self._job.landmarks.energy(self.landmark_offsets) / len(self.frames)
-            energy = energy + o.landmarks * off
+        if self._options.height is not None:
+            off = self._stature.energy(self.shape, self._options.height)
+            energy = energy + HOLD_HEIGHT * off
+        if self._clip.landmarks is not None:
+            off = self._clip.landmarks.energy(self.landmark_offsets) / len(self.frames)
+            energy = energy + LANDMARK_WEIGHT * off
         return energy
+
+
+class Displacement:
+    """The displacement ``D`` of the rest surface (SMPL-X + D), and its energy.
+
+    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
+    hands.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
+        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
+        exact = vertex_normals(vertices.detach().double(), faces)
+        self._normals = exact.to(vertices.dtype)
+        ends = vertices[faces], vertices[faces.roll(1, dims=1)]
+        self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
+        self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
+        self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
+        self.raw = torch.zeros_like(vertices).requires_grad_()
+
+    @property
+    def offsets(self) -> Tensor:
+        """``D`` (V, 3), metres."""
+        return self.raw * self._free
+
+    def energy(self, offsets: Tensor) -> Tensor:
+        """Return ``E(D)``."""
+        bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
+        inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
+        total = SMOOTH * bent + SMALL * offsets.square().sum() + OUTWARD * inward
+        return total / len(offsets)

@@ -10,66 +10,70 @@ optimises ``θ`` alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
-from gva_mi.core.options import Metres, Turn, Weight, Within
+from gva_mi.core.options import Metres, Turn, Weight, Within, options_of
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.job import RefineJob, RefineOptions, Solution
-from gva_mi.pose.optimizer import VectorAdam, lever_arms, turn_rates
-
-Steps = Annotated[int, Within(1, 100_000)]
+from gva_mi.pose.evidence import MaskAndNormals
+from gva_mi.pose.optimize import Faces, PersonSize, VectorAdam, lever_arms, turn_rates
 
 DECAY = 0.1  # final learning rates, relative to the initial ones
 FRAMES_A_JOB = 16  # each is refined on its own, but a job for each would be too small
 
 
-@dataclass(frozen=True)
-class SingleFrameOptions(RefineOptions):
+@options_of("refine")
+class SingleFrameOptions:
     """Options of the refinement frame by frame."""
 
-    steps: Steps = 80  # steps for each frame
+    passes: Annotated[int, Within(1, 100_000)] = 80  # steps for each frame
+    size: PersonSize = 208
+    faces: Faces = 3500
+    silhouette: Weight = 1.0  # λ1
     prior: Weight = 0.5  # λ2, for one square radian
-    # Metres that a joint moves the skin beyond it, in a first step.
-    step: Metres = 0.012
+    step: Metres = 0.012  # metres that a joint moves the skin beyond it, in a first step
     largest_turn: Turn = 0.03  # radians in such a step; limits joints with short lever arms
 
     name: ClassVar[str] = "paper"
 
 
 def refine_single_frames(
-    job: RefineJob, options: SingleFrameOptions, progress: Progress | None = None
-) -> Solution:
+    evidence: Mapping[int, MaskAndNormals],
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    options: SingleFrameOptions,
+    progress: Progress | None = None,
+) -> Pose:
     """Minimise Eq. 8 in every frame that has evidence; the others keep their pose."""
-    body, pose, total = job.body, job.pose, options.steps * len(job.evidence)
-    scene, rest = MeshScene(body.faces, body.v_template), body.rest(job.shape)
-    arms = lever_arms(rest, body.weights, body.parents)
-    rates = turn_rates(arms, options.step, options.largest_turn)
+    total = options.passes * len(evidence)
+    scene, rest = MeshScene(body.faces, body.v_template), body.rest(shape)
+    rates = turn_rates(
+        lever_arms(rest, body.weights, body.parents), options.step, options.largest_turn
+    )
     weights = joint_weights(body.parents)[:, None]
-    for number, k in enumerate(sorted(job.evidence)):
-        stage1, evidence = job.pose[k], job.evidence[k]
+    for number, k in enumerate(sorted(evidence)):
+        stage1, seen = pose[k], evidence[k]
         theta = stage1.rotations.clone().requires_grad_()
         adam = VectorAdam([theta], [rates])
-        for step in range(options.steps):
+        for step in range(options.passes):
             turned = Pose(theta, stage1.transl, stage1.expression)
-            vertices, normals = body(turned, job.shape).vertices[0], evidence.normals is not None
-            image = scene.render(vertices, evidence.camera, normals)
-            loss = evidence.loss(image, options.silhouette)
-            square = (weights * (theta - stage1.rotations).square()).sum()
-            loss = loss + options.prior * square
+            vertices = body(turned, shape).vertices[0]
+            image = scene.render(vertices, seen.camera, seen.normals is not None)
+            off = (weights * (theta - stage1.rotations).square()).sum()
+            loss = seen.loss(image, options.silhouette) + options.prior * off
             loss.backward()
-            adam.step(DECAY ** (step / options.steps))
+            adam.step(DECAY ** (step / options.passes))
             if progress is not None:
-                progress(number * options.steps + step + 1, total, loss=float(loss.detach()))
-        found = Pose(theta.detach(), stage1.transl, stage1.expression)
-        pose = pose.with_frames([k], found)
-    return Solution(pose, job.shape, torch.zeros_like(body.v_template))
+                progress(number * options.passes + step + 1, total, loss=float(loss.detach()))
+        pose = pose.with_frames([k], Pose(theta.detach(), stage1.transl, stage1.expression))
+    return pose
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:

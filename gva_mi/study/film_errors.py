@@ -2,7 +2,7 @@
 
     python -m gva_mi.study.film_errors SUBJECT ...
 
-prints the table of :mod:`gva_mi.pose.prior.film_errors`.
+prints the table of :mod:`gva_mi.pose.prior.error_model`.
 
 Each subject is a folder whose ``poses.npz`` the solver of :mod:`gva_mi.pose.film` found, and whose
 person has the body that it fitted. An error ``e`` is what would correct a pose, in the camera's
@@ -33,8 +33,7 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.data.folder import POSES
 from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.pose.prior.error_model import FREEDOM, GROUPS, Stage1ErrorModel
-from gva_mi.pose.prior.film_errors import FPS, MEMORY
+from gva_mi.pose.prior.error_model import FILM_FPS, FILM_MEMORY, FREEDOM, GROUPS, Stage1ErrorModel
 from gva_mi.pose.prior.inference import AXES
 from gva_mi.pose.stage1 import Stage1, turns_between
 
@@ -85,7 +84,7 @@ def _fit(films: list[FilmTrack]) -> Stage1ErrorModel:
     weights = _weights(rows, len(films))
     squares, _ = nnls(terms * weights[:, None], products * weights)
     slow, lag, bias = np.sqrt(squares).tolist()
-    return Stage1ErrorModel(0.0, max(slow, LEAST_SLOW * size), MEMORY, bias, lag / FPS)
+    return Stage1ErrorModel(0.0, max(slow, LEAST_SLOW * size), FILM_MEMORY, bias, lag / FILM_FPS)
 
 
 def _weights(rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], films: int) -> np.ndarray:
@@ -109,7 +108,9 @@ def _weights(rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], films:
 def _rows(films: list[FilmTrack]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return eq. 1: products (N,), the terms of its squares (N, 3), numbers of films, and lags."""
     rows = []
-    model = Stage1ErrorModel(0.0, 1.0, MEMORY * FPS, 0.0, lag=1.0)  # its growth shows the speed
+    model = Stage1ErrorModel(
+        0.0, 1.0, FILM_MEMORY * FILM_FPS, 0.0, lag=1.0
+    )  # its growth shows the speed
     for number, (errors, steps) in enumerate(films):
         times = torch.arange(len(errors))
         growth = torch.stack([model.growth(own, times) for own in steps.unbind(1)], 1)

@@ -23,7 +23,7 @@ from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.pose.errors import pose_errors
-from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.observed_video import RefineOptions
 from gva_mi.pose.refine import Refined
 from gva_mi.splat import Camera
 

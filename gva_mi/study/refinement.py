@@ -40,7 +40,7 @@ from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
-from gva_mi.pose.job import RefineOptions
+from gva_mi.pose.observed_video import RefineOptions
 from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.pose.prior.ground import ContactStats
 from gva_mi.pose.prior.inference import AXES
@@ -71,7 +71,7 @@ def refine_videos(
     """
     truths = [_truth(video, body) for video in videos]
     with local_executor(workers) as executor:
-        found = refine_all([(x, options) for x in videos], body, progress, executor, workers)
+        found = refine_all(videos, body, options, progress, executor)
         for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
             evaluation = Evaluation(video, body, options, refined, truth, problem)
             write_refinement(evaluation)

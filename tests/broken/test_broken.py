@@ -107,7 +107,7 @@ def test_check_finds_what_fit_refuses(name, copied, cli):
 @pytest.mark.parametrize("name", cases.TAKEN)
 def test_what_is_taken_is_refined_to_its_end(name, copied, refused_or_taken):
     cases.SUBJECTS[name](copied)
-    refused_or_taken("refine", copied, "--passes", 1, "--size", 32, "--faces", 1000)
+    refused_or_taken("refine", copied, "--passes", 1, "--size", 32)
 
 
 @pytest.mark.parametrize("verb, part, name", [

@@ -124,12 +124,15 @@ def test_options_set_only_in_python_keep_their_defaults():
 def test_a_preset_sets_the_defaults_and_explicit_options_override_it():
     from gva_mi.fit import paper
     from gva_mi.fit.options import FitOptions
+    from gva_mi.pose import SequenceOptions
 
     words = ["subject", "--out", "run", "--steps", "7", "--avatar.stretch", "--preset"]
     of = lambda *last: parse(load("fit"), "fit", [*words, *last]).keywords["options"]
     assert of("paper") == replace(paper.FIT, steps=7, avatar=replace(paper.AVATAR, stretch=True))
     assert of("default").rates != of("paper").rates
     assert of("film") == replace(FitOptions(steps=2000).of_film(), steps=7)
+    refined = parse(load("refine"), "refine", ["subject", "--preset=paper", "--size", "99"])
+    assert refined.keywords["options"] == SequenceOptions(passes=paper.REFINE.passes, size=99)
 
 
 def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):

@@ -62,11 +62,11 @@ def test_normals_are_read_by_the_given_convention(subject, cli):
 
 BAD = {
     "nobody": ((), "refine: give the folder of a subject, or of several"),
-    "overlap": (("nowhere", "--overlap", "200"), "overlap must be less than half a part"),
     "paper, held out": (
         ("nowhere", "--preset", "paper", "--hold-out-test"),
-        "--hold-out-test needs all frames together",
+        "--hold-out-test is of the refinement of all frames together",
     ),
+    "paper, height": (("nowhere", "--preset", "paper", "--height", 1.8), "--height is of"),
 }
 
 

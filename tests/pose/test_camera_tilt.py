@@ -6,7 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.pose.prior.camera_tilt import LEAST, LIMBS, TiltPrior
+from gva_mi.pose.prior.inference import LEAST_TILT, TILTING_JOINTS, TiltPrior
 from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera, look_at
 
@@ -23,7 +23,7 @@ def turning(rounds=1.0):
     phase = torch.rand(1, 21, 3, generator=generator)
     t = torch.arange(N)[:, None, None] / N
     sways = 0.1 * torch.sin(2 * torch.pi * (3 * t + phase))
-    pose.rotations[:, LIMBS] = roma.rotvec_composition([bent.expand(N, 21, 3), sways])
+    pose.rotations[:, TILTING_JOINTS] = roma.rotvec_composition([bent.expand(N, 21, 3), sways])
     pose.rotations[:, 0, 1] = 2 * torch.pi * rounds * torch.arange(N) / N
     return pose
 
@@ -86,7 +86,7 @@ def test_below_half_a_turn_the_term_is_off(rounds):
 @pytest.mark.parametrize("frames", [1, 2])
 def test_few_frames_at_rest_cost_nothing(frames):
     pose = Pose.rest(frames)
-    assert float(tilt_of(pose).chance.min()) >= LEAST * 0.999
+    assert float(tilt_of(pose).chance.min()) >= LEAST_TILT * 0.999
     assert nats(tilt_of(pose), pose) == 0
 
 

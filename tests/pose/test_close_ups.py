@@ -8,8 +8,17 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.video import Outline
-from gva_mi.pose.evidence.close_ups import CLEAR, FinePicture, close_up_scale, close_ups, parts_of
-from gva_mi.pose.evidence.masks_normals import MaskAndNormals, frame_loss, mean_of_losses
+from gva_mi.pose import evidence
+from gva_mi.pose.evidence import (
+    CLEAR,
+    FinePicture,
+    MaskAndNormals,
+    close_up_scale,
+    close_ups,
+    frame_loss,
+    mean_of_losses,
+    parts_of,
+)
 from gva_mi.pose.refine import refine
 from gva_mi.pose.sequence import SequenceOptions
 
@@ -53,8 +62,8 @@ def close_up_loss(scene, seen, body):
 
 
 def test_a_close_up_contains_its_part_and_a_border(body, seen, vertices):
-    (person, picture), parts = seen, parts_of(body)
-    closer = close_ups(picture, dict.fromkeys(parts, 1.0), vertices, person)
+    (person, picture), parts = seen, dict.fromkeys(parts_of(body), 1.0)
+    closer = close_ups(picture, parts, vertices, person)
     assert len(closer) == len(parts) == 4
     for part, (_, view) in zip(parts, closer, strict=True):
         points = vertices[part.vertices].double().numpy()
@@ -115,18 +124,18 @@ def test_a_hand_that_a_films_mask_misses_hardly_pulls(body, scene, seen, vertice
     assert slope[False, True].norm() > 0.3 * slope[False, False].norm()
 
 
-def test_parts_outside_the_image_or_of_weight_zero_have_no_close_up(body, seen, vertices):
+def test_parts_outside_the_image_have_no_close_up(body, seen, vertices):
     (person, picture), parts = seen, dict.fromkeys(parts_of(body), 1.0)
     far = vertices.clone()
     far[next(iter(parts)).vertices] += torch.tensor([4.0, 0, 0])
     assert len(close_ups(picture, parts, far, person)) == 3
-    weights = {part: 0.5 if part.name == "hand" else 0.0 for part in parts}
-    found = close_ups(picture, weights, vertices, person)
-    assert [weight for weight, _ in found] == [0.5, 0.5]
 
 
-def test_a_video_without_more_pixels_has_no_close_ups(body, fine, true_pose):
-    scale = lambda person, size: close_up_scale(body, true_pose, SHAPE, [fine] * 3, person, size)
+def test_a_video_without_more_pixels_has_no_close_ups(body, fine, true_pose, monkeypatch):
+    def scale(person, size):
+        monkeypatch.setattr(evidence, "HAND_SIZE", size)
+        return close_up_scale(body, true_pose, SHAPE, [fine] * 3, person)
+
     hand = fine.fx / 3 * parts_of(body)[0].length  # pixels, 3 m in front of the camera
     assert scale(0.5, round(2 * hand)) == 1
     assert scale(0.9, round(2 * hand)) is None
@@ -134,13 +143,10 @@ def test_a_video_without_more_pixels_has_no_close_ups(body, fine, true_pose):
     assert scale(0.9 * 10 / hand, 10) is None
 
 
-def test_a_refinement_uses_close_ups_if_asked(clip, coarse):
-    options = SequenceOptions(size=40, faces=2000, passes=2, learn=1, close_feet=0)
-    poses = [
-        refine(clip, coarse, replace(options, close_hands=weight, hand_size=40)).pose.rotations
-        for weight in (0.0, 1.0)
-    ]
-    assert not torch.equal(*poses)
+def test_a_refinement_uses_close_ups(clip, coarse):
+    options = SequenceOptions(size=30, faces=2000, passes=2, learn=1)
+    ways = (replace(options, close_hands=weight) for weight in (0.0, 1.0))
+    assert not torch.equal(*(refine(clip, coarse, way).pose.rotations for way in ways))
 
 
 def test_a_frame_is_compared_only_where_mask_or_body_are(scene, seen, vertices):

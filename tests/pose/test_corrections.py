@@ -9,9 +9,8 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections, constant_shifts
 from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.prior.camera_tilt import TiltPrior
-from gva_mi.pose.prior.error_model import GROUPS
-from gva_mi.pose.prior.film_errors import FPS, film_errors
+from gva_mi.pose.prior.error_model import FILM_FPS, GROUPS, film_errors
+from gva_mi.pose.prior.inference import TiltPrior
 from gva_mi.pose.stage1 import Stage1
 
 ELBOW = JOINTS.index("left_elbow")
@@ -152,7 +151,7 @@ def test_constant_turns_cost_in_each_frame_if_the_person_turns(with_turns, round
 def test_constant_turns_of_a_known_estimator_are_held_from_first_to_last(with_turns, monkeypatch):
     """They cost ``constant_turn_energy``; an inferred one has the camera-locked tilt instead."""
     pose, turns = turning_round(64, 1.0), same_turn(64, "left_hip")
-    for errors in (None, film_errors(FPS)):
+    for errors in (None, film_errors(FILM_FPS)):
         held = with_turns(pose, turns, errors)
         with torch.no_grad():
             energy, constant = held.energy(), held.constant_turn_energy()
@@ -187,7 +186,7 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
     anatomy = Anatomy.of(body.j_template)
     stage1 = Stage1.of(true_pose, range(len(true_pose)), camera)
     costs = []
-    for known in (None, film_errors(FPS)):
+    for known in (None, film_errors(FILM_FPS)):
         prior = Corrections.map_estimate(stage1, anatomy, known).prior
         moves = torch.zeros(len(true_pose), 3)
         turns = torch.zeros(len(true_pose), len(JOINTS), 3)
@@ -202,7 +201,7 @@ def test_known_errors_are_kept_and_let_the_whole_person_move(camera, body, true_
 
 
 def test_the_film_solvers_errors_last_as_many_seconds_at_any_frame_rate():
-    usual, slower = film_errors(FPS), film_errors(FPS / 2)
+    usual, slower = film_errors(FILM_FPS), film_errors(FILM_FPS / 2)
     for name, noise in usual.items():
         assert (2 * slower[name].memory, 2 * slower[name].lag) == (noise.memory, noise.lag)
         assert (slower[name].slow, slower[name].bias) == (noise.slow, noise.bias)

@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from gva_mi.mesh.surface import CoarseBody, vertex_normals
-from gva_mi.pose import displacement
-from gva_mi.pose.displacement import Displacement, hand_vertices
+from gva_mi.pose import sequence
+from gva_mi.pose.evidence import hand_vertices
+from gva_mi.pose.sequence import Displacement
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,7 @@ def weights(monkeypatch):
 
     def set_them(*values):
         for name, value in zip(("SMOOTH", "SMALL", "OUTWARD"), values, strict=True):
-            monkeypatch.setattr(displacement, name, value)
+            monkeypatch.setattr(sequence, name, value)
 
     return set_them
 

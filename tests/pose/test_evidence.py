@@ -9,7 +9,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.data.crop import NoEvidence, mask_extent, points_extent
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.pose.evidence.masks_normals import ALONE, MaskAndNormals, common_scale
+from gva_mi.pose.evidence import ALONE, MaskAndNormals, common_scale
 from gva_mi.splat import Camera, look_at
 
 

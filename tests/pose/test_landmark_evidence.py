@@ -8,9 +8,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
-from gva_mi.pose.evidence.landmarks import HEAD, MEMORY, SeenLandmarks
 from gva_mi.pose.film.landmark_noise import LONG
-from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.film.rig import HEAD_SPREAD, MEMORY, LandmarkRig, SeenLandmarks
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
 FPS = 30.0
@@ -125,5 +124,5 @@ def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
             T_world_rest = body(replace(pose, rotations=bent), SHAPE).T_world_rest
             losses.append(seen.losses(every, T_world_rest, SHAPE, offsets))
         assert seen.faces.tolist() == pytest.approx([share] * len(pose), abs=0.15)
-        expected = seen.faces * (0.05 / HEAD) ** 2 / (2 * MEMORY * FPS)
+        expected = seen.faces * (0.05 / HEAD_SPREAD) ** 2 / (2 * MEMORY * FPS)
         assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)

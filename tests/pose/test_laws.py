@@ -10,8 +10,7 @@ import torch
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.pose import SequenceOptions
-from gva_mi.pose.optimize import descend
-from gva_mi.pose.optimizer import lever_arms
+from gva_mi.pose.optimize import descend, lever_arms
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.ground import Soles
 from gva_mi.splat import Camera, look_at

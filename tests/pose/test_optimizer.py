@@ -4,7 +4,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Shape
-from gva_mi.pose.optimizer import VectorAdam, lever_arms, turn_rates
+from gva_mi.pose.optimize import VectorAdam, lever_arms, turn_rates
 from gva_mi.pose.single_frame import joint_weights
 
 

@@ -14,8 +14,8 @@ from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.study.measure import measure
 
 SEQUENCE = SequenceOptions(size=96, faces=2000, passes=12, learn=5)
-SHORT = replace(SEQUENCE, passes=1, learn=0, unswap=False)
-PAPER = SingleFrameOptions(size=96, faces=2000, steps=14)
+SHORT = replace(SEQUENCE, passes=1, learn=0)
+PAPER = SingleFrameOptions(size=96, faces=2000, passes=14)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_without_normals_the_silhouette_suffices(clip, seen_in, turning, body):
     assert errors.relative("body") < 0.55 - 1
 
 
-@pytest.mark.parametrize("options", [SHORT, replace(PAPER, steps=2)], ids=lambda o: o.name)
+@pytest.mark.parametrize("options", [SHORT, replace(PAPER, passes=2)], ids=lambda o: o.name)
 def test_a_frame_without_a_person_keeps_its_pose(clip, coarse, options):
     pictures = list(clip.pictures)
     pictures[1] = (np.zeros_like(pictures[1][0]), pictures[1][1])

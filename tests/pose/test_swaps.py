@@ -10,7 +10,7 @@ import torch
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.pose import SequenceOptions, refine
 from gva_mi.pose.stage1 import Stage1
-from gva_mi.pose.swaps import BEGINS, EACH, LIMBS, exchanged, fix_swaps, least_states
+from gva_mi.pose.swaps import LIMBS, SWAP_NATS, SWAP_RUN_NATS, exchanged, fix_swaps, least_states
 from gva_mi.splat import Camera, look_at
 
 N = 48
@@ -78,7 +78,7 @@ def test_the_states_have_the_least_energy_of_all():
             begins = sum(a < b for a, b in zip((0, *states), states, strict=False))
             of_frames = sum(float(data[k, s]) for k, s in enumerate(states))
             of_steps = sum(float(motion[k, *states[k : k + 2]]) for k in range(6))
-            return of_frames + of_steps + EACH * sum(states) + BEGINS * begins
+            return of_frames + of_steps + SWAP_NATS * sum(states) + SWAP_RUN_NATS * begins
 
         least = min(product((0, 1), repeat=7), key=energy)
         assert least_states(data, motion).int().tolist() == list(least)

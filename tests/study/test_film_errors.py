@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.pose.prior.error_model import GROUPS
-from gva_mi.pose.prior.film_errors import FPS, MEMORY
+from gva_mi.pose.prior.error_model import FILM_FPS, FILM_MEMORY, GROUPS
 from gva_mi.pose.prior.inference import AXES
 from gva_mi.study.film_errors import FilmTrack, learn, table
 
@@ -14,15 +13,15 @@ SLOW, LAG, BIAS = 0.05, 0.1, 0.04  # LAG in seconds
 
 def drawn(seed, joints=6, frames=60):
     """Errors of joints of which each moves at its own speed; every second one rests at first."""
-    rng, seconds = np.random.default_rng(seed), np.arange(frames) / FPS
-    x = 3**0.5 * np.abs(seconds[:, None] - seconds) / MEMORY
+    rng, seconds = np.random.default_rng(seed), np.arange(frames) / FILM_FPS
+    x = 3**0.5 * np.abs(seconds[:, None] - seconds) / FILM_MEMORY
     root = np.linalg.cholesky((1 + x) * np.exp(-x) + 1e-9 * np.eye(frames))
     speed = rng.uniform(0, 2, joints) * np.ones((frames, 1))  # radians a second, of a coordinate
     speed[: frames // 2, ::2] = 0
     unit = np.einsum("kl,lcd->kcd", root, rng.normal(size=(frames, joints, 3)))
     size = np.hypot(SLOW, LAG * speed)[..., None]
     errors = size * unit + BIAS * rng.normal(size=(joints, 3))
-    steps = np.repeat(speed[1:, :, None] / FPS, 3, 2)
+    steps = np.repeat(speed[1:, :, None] / FILM_FPS, 3, 2)
     return FilmTrack(torch.from_numpy(errors).float(), torch.from_numpy(steps).float())
 
 

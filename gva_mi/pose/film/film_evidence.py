@@ -1,7 +1,7 @@
 """What a film says of poses: landmarks, their depths, standing feet and upright people.
 
-With points ``X`` in the camera's axes (:mod:`gva_mi.pose.film.posed_points`) and errors in units of
-their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame costs
+With points ``X`` in the camera's axes (:class:`PosedPoints`) and errors in units
+of their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame costs
 
 1. ``t_2(S_p (π(X_p) - x_p) / σ_p)``                             pixels, of every landmark
 2. ``t_1((gain (z_j - z_i) + bias - s (m_j - m_i)) / σ_z)``             depths, of every bone
@@ -11,9 +11,9 @@ their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame cost
 
 divided by ``m``, the frames that count as one
 (:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``S`` is the aspect of that noise, ``off``
-and ``s`` are those of :mod:`gva_mi.pose.film.upright`, ``t_d`` is that of Student's t distribution
-in d dimensions,
-``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of :mod:`gva_mi.pose.prior.ground`.
+and ``s`` are those of :class:`Leaning`, ``t_d`` is that of Student's t
+distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
+:mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt
 which way a limb points:
@@ -23,20 +23,20 @@ which way a limb points:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.kinematics import turn_joints
+from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.body.smplx import BodyModel
-from gva_mi.pose.film.film_state import FilmState, Free
+from gva_mi.core.cpu import sqrt
 from gva_mi.pose.film.landmark_noise import LandmarkNoise, independent_points
-from gva_mi.pose.film.posed_points import PointSet, PosedPoints
+from gva_mi.pose.film.normal_equations import FilmState, Free
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.upright import MASSES, SHARE, Leaning, above_one_another
 from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
 
 METRIC = 0.1  # σ_m, metres
@@ -44,6 +44,18 @@ UPRIGHT, BALANCE = 0.2, 0.05  # σ_u and σ_b, radians
 LEAST_DEPTH = 0.2  # metres; nearer points count as if they were there
 STAND, UNEVEN, LIFT = 0.7, 0.02, 0.12  # w, σ, λ of (3); share, metres, metres
 SOLES = 4  # points after the landmarks; then the joints that have mass
+_COUNT = len(PARENTS)
+# Shares m_j of the body's mass: each segment's, on the joints at its ends as its centre of mass
+# lies between them (Winter, Biomechanics and Motor Control of Human Movement, table 4.1).
+_OF_SIDES = {
+    "shoulder": 0.016, "elbow": 0.021, "wrist": 0.013, "hip": 0.0567, "knee": 0.0697,
+    "ankle": 0.0346,
+}  # fmt: skip
+MASSES = {"head": 0.081, "neck": 0.2486, "pelvis": 0.2484} | {
+    f"{side}_{name}": mass for name, mass in _OF_SIDES.items() for side in ("left", "right")
+}
+FEET = ("left_ankle", "right_ankle")
+SHARE_SPREAD = 12**-0.5  # standard deviation of s
 
 
 class EvidenceRows(NamedTuple):
@@ -195,7 +207,7 @@ class FilmEvidence:
     def _upright(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
         first, (up, by_up) = self.pixels.shape[1] + SOLES, state.upward()
         leaning = Leaning.of(posed.X[:, first:], up, BALANCE)
-        costs = torch.nn.functional.pad(leaning.share * BALANCE / SHARE, (1, 0))
+        costs = torch.nn.functional.pad(leaning.share * BALANCE / SHARE_SPREAD, (1, 0))
         precision = up.new_tensor([UPRIGHT, BALANCE]).expand(len(costs), -1) ** -2
         r = leaning.off
         energy, weights = self._t(torch.cat([r, costs[..., None]], 2), precision, 2)
@@ -268,3 +280,217 @@ def film_evidence(
         double(metric).where(~of_hand[None, :, None], torch.nan),
         memory,
     )
+
+
+@dataclass(frozen=True)
+class PointSet:
+    """P points that hang on joints, and the joints at rest; float64.
+
+    Attributes:
+        joints: (P,) indices.
+        rest: (P, 3), and ``directions`` (B, P, 3), metres.
+        skeleton: (55, 3), and ``growth`` (B, 55, 3), metres: joints of the mean person, per beta.
+        above: (P, 55) whether a joint moves a point.
+    """
+
+    joints: Tensor
+    rest: Tensor
+    directions: Tensor
+    skeleton: Tensor
+    growth: Tensor
+    above: Tensor
+
+    @staticmethod
+    def of(body: BodyModel, joints: Tensor, rest: Tensor, directions: Tensor) -> PointSet:
+        """Take points of a body: what they hang on (P,), (P, 3) and (B, P, 3)."""
+        ancestors = torch.eye(_COUNT, dtype=torch.bool)
+        for joint, parent in enumerate(PARENTS[1:], start=1):
+            ancestors[joint] |= ancestors[parent]
+        growth = body.shape_joints.view(-1, _COUNT, 3)
+        numbers = (rest, directions, body.j_template, growth)
+        return PointSet(joints, *(x.double() for x in numbers), ancestors[joints])
+
+
+@dataclass(frozen=True)
+class PosedPoints:
+    """P points in n frames.
+
+    Points on a posed body, and their derivatives by pose, shape and constant offsets.
+
+    With the transform ``[A_d | t_d]`` of the joint ``d`` that a point hangs on, the joints' places
+    ``p_j``, and the axes ``Ω_j`` about which unknowns turn joint ``j``,
+
+    1. ``X = A_d (x + o) + t_d``
+    2. ``∂X/∂r_j = -[X - p_j]× Ω_j``                            for ``j`` = ``d`` and its ancestors
+    3. ``Ω_j = A_parent J_l(r_j)``,  ``J_l(r) = I + b [r]× + c [r]×²``; ``Ω_0 = A_0`` of the root
+    4. ``∂X/∂β = A_d ∂x/∂β + Σ_j (A_parent - A_j) ∂J_j/∂β``        ``A_parent`` of the root: zero
+    5. ``∂X/∂o = A_d``
+
+    Joints change by what is added to their axis-angle; the root, which may turn all around, is
+    rotated further instead: ``R_0 exp(δ)``. It is placed by its joint, so ``A_parent`` is zero
+    there in (4).
+
+    Attributes:
+        points: what they are.
+        X: (n, P, 3) metres.
+        A: (n, 55, 3, 3) rotations of the joints.
+        places: (n, 55, 3) of the joints, metres.
+        rotations: (n, 55, 3).
+    """
+
+    points: PointSet
+    X: Tensor
+    A: Tensor
+    places: Tensor
+    rotations: Tensor
+
+    @staticmethod
+    def of(
+        points: PointSet, rotations: Tensor, place: Tensor, betas: Tensor, offsets: Tensor
+    ) -> PosedPoints:
+        """Pose points (eq. 1).
+
+        Args:
+            points: P.
+            rotations: (n, 55, 3) axis-angle.
+            place: (n, 3) of the root joint, metres.
+            betas: (B,).
+            offsets: (P, 3) metres.
+        """
+        joints = points.skeleton + torch.einsum("b,bjc->jc", betas, points.growth)
+        x = points.rest + torch.einsum("b,bpc->pc", betas, points.directions) + offsets
+        T = turn_joints(rotations, joints[None], PARENTS, place - joints[0])[1]
+        A, t = T[..., :3, :3], T[..., :3, 3]
+        d = points.joints
+        X = (A[:, d] @ x[:, :, None])[..., 0] + t[:, d]
+        return PosedPoints(points, X, A, (A @ joints[:, :, None])[..., 0] + t, rotations)
+
+    def by_joints(self, joints: Sequence[int]) -> Tensor:
+        """Return eq. 2, (n, P, 3, F, 3), of F joints."""
+        some = list(joints)
+        r = self.rotations[:, some]
+        parents = [PARENTS[j] for j in some]
+        above = self.A[:, parents]  # of the root: overwritten below
+        axes = above @ _left_jacobian(r)
+        if 0 in some:
+            axes[:, some.index(0)] = self.A[:, 0]
+        arm = self.X[:, :, None] - self.places[:, None, some]
+        arm = arm * self.points.above[:, some, None]
+        moved = torch.linalg.cross(axes.mT[:, None], arm[:, :, :, None])  # rows: axes
+        return moved.permute(0, 1, 4, 2, 3)
+
+    def by_betas(self) -> Tensor:
+        """Return eq. 4, (n, P, 3, B)."""
+        it = self.points
+        above = torch.cat([torch.zeros_like(self.A[:, :1]), self.A[:, list(PARENTS[1:])]], 1)
+        moved = (above - self.A) @ it.growth.permute(1, 2, 0)
+        moved = torch.einsum("pj,njcb->npcb", it.above.to(moved), moved)
+        return moved + self.by_offsets() @ it.directions.permute(1, 2, 0)
+
+    def by_offsets(self) -> Tensor:
+        """Return eq. 5, (n, P, 3, 3)."""
+        return self.A[:, self.points.joints]
+
+
+def _left_jacobian(r: Tensor) -> Tensor:
+    """Return ``J_l`` (..., 3, 3) of axis-angles (..., 3)."""
+    square = r.square().sum(-1)[..., None, None]
+    angle = sqrt(square) / torch.pi
+    b = torch.sinc(angle / 2).square() / 2
+    c = torch.where(square > 1e-8, (1 - torch.sinc(angle)) / square.clamp_min(1e-12), 1 / 6)
+    zero = torch.zeros_like(r[..., 0])
+    x, y, z = r.unbind(-1)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
+    return torch.eye(3, dtype=r.dtype) + b * cross + c * (cross @ cross)
+
+
+def _axes() -> Tensor:
+    trunk, balance, feet = ({name: 0.0 for name in MASSES} for _ in range(3))
+    trunk |= {"neck": 1.0, "pelvis": -1.0}
+    balance |= {name: mass - (name in FEET) / len(FEET) for name, mass in MASSES.items()}
+    feet |= {"left_ankle": 1.0, "right_ankle": -1.0}
+    axes = [list(axis.values()) for axis in (trunk, balance, feet)]
+    return torch.tensor(axes, dtype=torch.float64)
+
+
+AXES = _axes()  # (3, 15) factors of the joints of MASSES, whose sums are trunk, balance and feet
+
+
+@dataclass(frozen=True)
+class Leaning:
+    """How trunk and balance of n frames lean.
+
+    What is above what in a person who stands: the axes of trunk and balance.
+
+    1. ``trunk = X_neck - X_pelvis``
+    2. ``balance = Σ_j m_j X_j - X_feet``
+       with ``X_feet = (X_left + X_right) / 2 + s (X_left - X_right)``
+
+    The body's mass is above the feet, of people who crouch or bend as well; ``s`` is the share of
+    the weight that the left foot carries beyond a half. Of all shares between zero and one, as
+    likely as each other, it is the one that fits best. With ``u`` the direction up, an axis leans
+    by
+
+    3. ``off = (axis - (u · axis) u) / length``
+
+    where ``length`` is that of the trunk, and that of ``balance`` with s = 0.
+
+    At rest ``X_neck`` is straight above the pelvis, and the feet below the mass, because the ankles
+    of a person who stands are behind it.
+
+    Attributes:
+        off: (n, 2, 3) of eq. 3.
+        share: (n, 1) s.
+    """
+
+    off: Tensor
+    share: Tensor
+    axes: Tensor  # (n, 2, 3) metres
+    length: Tensor  # (n, 2, 1) metres
+    along: Tensor  # (n, 2, 3) slope of the length by the axis with s = 0
+    up: Tensor  # (3,) u
+
+    @staticmethod
+    def of(X: Tensor, up: Tensor, sigma: float) -> Leaning:
+        """Measure it at joints X (n, 15, 3), metres; ``sigma`` is the spread of ``off``."""
+        trunk, balance, feet = torch.einsum("ap,npc->anc", AXES.to(up), X)
+        level = torch.eye(3).to(up) - up[:, None] * up
+        axes = torch.stack([trunk, balance], 1)
+        length = axes.norm(dim=2, keepdim=True)
+        off, aside = axes @ level / length, feet @ level / length[:, 1]
+        share = (off[:, 1] * aside).sum(1, keepdim=True)
+        share = share / (aside.square().sum(1, keepdim=True) + (sigma / SHARE_SPREAD) ** 2)
+        share = share.clamp(-0.5, 0.5)
+        carried = torch.stack([trunk, balance - share * feet], 1)
+        return Leaning(carried @ level / length, share, carried, length, axes / length, up)
+
+    def slopes(self, by: Tensor) -> Tensor:
+        """Return the derivatives of ``off`` (n, 2, 3, U) from those of the joints (n, 15, 3, U).
+
+        The share stays: it is the best one, and its change changes no energy.
+        """
+        trunk, balance, feet = torch.einsum("ap,npcu->ancu", AXES.to(by), by)
+        longer = torch.einsum("nac,nacu->nau", self.along, torch.stack([trunk, balance], 1))
+        by = torch.stack([trunk, balance - self.share[..., None] * feet], 1)
+        level = torch.eye(3).to(by) - self.up[:, None] * self.up
+        return (level @ by - self.off[..., None] * longer[:, :, None]) / self.length[..., None]
+
+    def slopes_by_up(self, by: Tensor) -> Tensor:
+        """Return the derivatives of ``off`` (n, 2, 3, U) from those of u (3, U)."""
+        turned = (self.axes @ self.up)[..., None, None] * by
+        turned = turned + self.up[:, None] * (self.axes @ by)[:, :, None]
+        return -turned / self.length[..., None]
+
+
+def above_one_another(places: Tensor) -> Tensor:
+    """Move the neck above the pelvis, and the feet below the mass: joints (..., 15, 3) at rest.
+
+    They move in z only, and linearly, so that what betas add to places moves in the same way.
+    """
+    names, z = list(MASSES), places[..., 2].clone()
+    mass = z.new_tensor(list(MASSES.values()))
+    z[..., names.index("neck")] = z[..., names.index("pelvis")]
+    feet = [names.index(name) for name in FEET]
+    mass[feet] = 0
+    z[..., feet] = ((z @ mass) / mass.sum())[..., None]
+    return torch.stack([*places[..., :2].unbind(-1), z], -1)

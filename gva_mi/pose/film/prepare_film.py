@@ -41,10 +41,10 @@ from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import Splits
 from gva_mi.pose.film.face import with_face
-from gva_mi.pose.film.front_back import with_backs
 from gva_mi.pose.film.solver import CAMERA_HEIGHTS, KnownOfFilm, SolvedFilm, solve_film
 from gva_mi.pose.film.vertical_lines import vertical_of
 from gva_mi.pose.stature import PERSON_HEIGHTS
+from gva_mi.pose.swaps import with_backs
 
 _LENS = (
     "the film does not say its focal length: a field of view is assumed and fitted, so distances "

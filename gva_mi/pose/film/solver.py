@@ -2,7 +2,7 @@
 
 :func:`solve_film` minimises ``evidence + prior``, in nats, over all frames together. Evidence is
 :mod:`gva_mi.pose.film.film_evidence`; the prior is :mod:`gva_mi.pose.film.body_prior` and
-:mod:`gva_mi.pose.film.smoothness`. Errors have heavy tails: each is a square whose weight follows
+:mod:`gva_mi.pose.film.body_prior`. Errors have heavy tails: each is a square whose weight follows
 the error (iteratively reweighted least squares).
 
 Body and palms are solved first, then the fingers of each hand. Frames without landmarks, and hands
@@ -19,6 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from torch import Tensor
+from torch.nn.functional import normalize
 
 from gva_mi.body import so3
 from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
@@ -35,16 +37,14 @@ from gva_mi.pose.film.body_prior import (
     HEIGHT,
     BodyPrior,
     SharedPrior,
+    Smoothness,
     habits_of,
     relaxed_pose,
 )
-from gva_mi.pose.film.film_evidence import film_evidence
-from gva_mi.pose.film.film_problem import FilmProblem
-from gva_mi.pose.film.film_start import first_place, first_root
-from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.landmark_noise import LandmarkNoise, frames_alike
+from gva_mi.pose.film.film_evidence import FilmEvidence, film_evidence
+from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, frames_alike, person_sizes
+from gva_mi.pose.film.normal_equations import FRAMES_AT_ONCE, FilmState, Free, NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.smoothness import Smoothness
 from gva_mi.pose.film.vertical_lines import Vertical
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
@@ -53,10 +53,17 @@ from gva_mi.splat import Camera
 CAMERA_HEIGHTS = Within(0.05, 20, unit="metres")  # above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
-START, BODY, HAND = 8, 30, 15  # steps, at most
+START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # steps, at most
 _PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
 _FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 _BODY = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE]
+LEAST_GAIN = 1e-4  # of the energy; a smaller gain ends the steps
+DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
+AFTER_SUCCESS, AFTER_FAILURE = (
+    0.2,
+    6.0,
+)  # factors on the damping after a step that succeeds, and one that fails
+_MEDIAN_FRAMES = 5  # frames to each side, of a median
 
 
 @dataclass(frozen=True)
@@ -126,16 +133,80 @@ def solve_film(
     with one_torch_thread(), torch.no_grad():
         film = _Film.of(landmarks, body, size, fps, known)
         state = film.first()
-        state = film.body_problem(state, starting=True).minimised(state, START)
+        state = film.body_problem(state, starting=True).minimised(state, START_STEPS)
         report(1, 4)
         problem = film.body_problem(state)
-        state = problem.minimised(state, BODY)
-        state = film.with_arm_depths(problem, state).minimised(state, BODY)
+        state = problem.minimised(state, BODY_STEPS)
+        state = film.with_arm_depths(problem, state).minimised(state, BODY_STEPS)
         report(2, 4)
         for k, side in enumerate(HANDS):
-            state = film.hand_problem(state, side).minimised(state, HAND)
+            state = film.hand_problem(state, side).minimised(state, HAND_STEPS)
             report(3 + k, 4)
         return film.result(state)
+
+
+@dataclass(frozen=True)
+class FilmProblem:
+    """Terms over the same unknowns.
+
+    Attributes:
+        free: the unknowns.
+        which: of the film's landmarks, those that are compared.
+        evidence, prior, shared_prior, smoothness: the terms.
+    """
+
+    free: Free
+    which: Sequence[int]
+    evidence: FilmEvidence
+    prior: BodyPrior
+    shared_prior: SharedPrior
+    smoothness: Smoothness
+
+    def minimised(self, state: FilmState, steps: int) -> FilmState:
+        """Take at most some steps."""
+        which, offsets = list(self.which), state.offsets
+        state = replace(state, offsets=offsets[which])
+        damping, energy = DAMPING, float(self.energy(state))
+        for _ in range(steps):
+            equations, before = self.equations(state), energy
+            while damping < LARGEST_DAMPING:
+                trial = self.free.moved(state, *equations.solve(damping))
+                found = float(self.energy(trial))
+                if found < energy:
+                    break
+                damping *= AFTER_FAILURE
+            else:
+                break
+            state, energy, damping = trial, found, max(damping * AFTER_SUCCESS, LEAST_DAMPING)
+            if before - energy < LEAST_GAIN * abs(before):
+                break
+        whole = offsets.clone()
+        whole[which] = state.offsets
+        return replace(state, offsets=whole)
+
+    def energy(self, state: FilmState) -> Tensor:
+        """Return the sum of all terms, nats."""
+        total = self.prior.energy(state) + self.smoothness.energy(state)
+        total = total + self.shared_prior.energy(state)
+        return total + sum(row.energy for row in self.evidence.rows(state, derive=False))
+
+    def equations(self, state: FilmState) -> NormalEquations:
+        """Return the normal equations around a state."""
+        count, F = len(state.place), self.free.per_frame
+        equations = NormalEquations.zero(count, F, self.free.shared)
+        for start in range(0, count, FRAMES_AT_ONCE):
+            some = slice(start, start + FRAMES_AT_ONCE)
+            part = replace(state, rotations=state.rotations[some], place=state.place[some])
+            for row in self.evidence.of(some).rows(part, derive=True):
+                by_frame, by_shared = row.jacobian[..., :F], row.jacobian[..., F:]
+                equations.add(some, row.residuals, row.weights, by_frame, by_shared)
+        for row in self.prior.rows(state):
+            shape = (count, *row.by_frame.shape), (count, *row.by_shared.shape)
+            by_frame, by_shared = row.by_frame.expand(shape[0]), row.by_shared.expand(shape[1])
+            equations.add(slice(None), row.residuals, row.weights, by_frame, by_shared)
+        self.smoothness.add(state, equations)
+        self.shared_prior.add(state, equations)
+        return equations
 
 
 @dataclass(frozen=True)
@@ -258,3 +329,41 @@ class _Film:
         camera = Camera.from_matrices(self.K, T, *self.size).zoomed(float(state.focal.exp()))
         pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), 10))
         return SolvedFilm(pose, shape, camera, tilt=-math.degrees(math.asin(float(up[2]))))
+
+
+def first_root(landmarks: Landmarks) -> Tensor:
+    """Return rotations (T, 3, 3) from the body's axes to the camera's, from the trunk's landmarks.
+
+    Frames without a trunk take the nearest frame's.
+    """
+    at = landmarks.indices(["left_shoulder", "right_shoulder", "left_hip", "right_hip"])
+    trunk = torch.from_numpy(landmarks.metric[:, at]).double()
+    left_shoulder, right_shoulder, left_hip, right_hip = trunk.unbind(1)
+    up = left_shoulder + right_shoulder - left_hip - right_hip
+    aside = left_shoulder - right_shoulder + left_hip - right_hip
+    y = normalize(up, dim=1)
+    x = normalize(aside - (aside * y).sum(1, keepdim=True) * y, dim=1)
+    R = torch.stack([x, y, torch.linalg.cross(x, y)], dim=2)
+    return R[_nearest(R.flatten(1).isfinite().all(1).numpy())]
+
+
+def first_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
+    """Return where the hips are, (T, 3) metres in the camera's axes.
+
+    The distance is that at which a person has the size seen. ``K`` (3, 3) is the camera, ``scale``
+    the body's size relative to the landmarks' metres. Frames without hips take the nearest frame's.
+    """
+    size = person_sizes(landmarks)
+    around = [size[max(0, t - _MEDIAN_FRAMES) : t + _MEDIAN_FRAMES + 1] for t in range(len(size))]
+    focal = (K[0, 0] + K[1, 1]) / 2
+    z = focal * PERSON * scale / np.array([np.median(some) for some in around])
+    hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
+    rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]
+    place = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]
+    return torch.from_numpy(place[_nearest(np.isfinite(rays).all(1))])
+
+
+def _nearest(known: np.ndarray) -> list[int]:
+    """Return of every frame the nearest one that is known."""
+    some = np.flatnonzero(known)
+    return [int(some[np.abs(some - t).argmin()]) for t in range(len(known))]

@@ -20,7 +20,7 @@ that a point stands, poses cost
 
 3. ``E = -Σ_kq log p(h_kq) / m + Σ_kq r_k-1,q r_kq r_k+1,q cost(x_k-1,q - 2 x_kq + x_k+1,q)``
 
-in which ``m`` frames count as one, and ``cost`` is that of :mod:`gva_mi.pose.prior.motion`.
+in which ``m`` frames count as one, and ``cost`` is that of :mod:`gva_mi.pose.prior.process`.
 Standing points may slide at constant velocity, as on a turntable: penalising steps instead of their
 changes would stop that turn. How much steps may change is what images show sideways of the foot.
 """
@@ -37,8 +37,8 @@ from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import to_matrix
 from gva_mi.core.cpu import sqrt
-from gva_mi.pose.prior import motion
 from gva_mi.pose.prior.error_model import FREEDOM, T_PEAK
+from gva_mi.pose.prior.process import EXCURSION_FRAMES, excursions, mean_square, step_cost
 
 SOLE = 0.012  # m above the lowest vertex: what still touches the ground
 MEMORY = 6.0  # m, frames for which a point's height error lasts
@@ -131,7 +131,7 @@ class Ground:
         places = self.soles.places(rotations, transl)
         on, off = self._probabilities(self.heights(places))
         changes = _steps(places, times).diff(dim=0)
-        slid = self.stay * motion.cost(changes, self.square_change)
+        slid = self.stay * step_cost(changes, self.square_change)
         return -(on + off).log().sum() / MEMORY + slid.sum()
 
     def heights(self, places: Tensor) -> Tensor:
@@ -197,12 +197,12 @@ def _steps(places: Tensor, times: Tensor) -> Tensor:
 def _square_change(aside: Tensor, times: Tensor) -> Tensor:
     """Return how much steps may change (n - 2, 4), from sideways positions (n, 4, 2)."""
     steps = _steps(aside, times)
-    changes = motion.excursions(steps.diff(dim=0), motion.SPAN)
+    changes = excursions(steps.diff(dim=0), EXCURSION_FRAMES)
     bends = BEND * (steps[1:] + steps[:-1]) / 2
     square = (changes.square() + bends.square()).mean(-1)
     # Of heel and ball alone, one may move along the line of sight.
     of_foot = square.view(-1, 2, 2).amax(1).repeat(1, 2)
-    return motion.mean_square(of_foot, times[: len(square)].to(square)) + LEAST_CHANGE**2
+    return mean_square(of_foot, times[: len(square)].to(square)) + LEAST_CHANGE**2
 
 
 def _axes(pose: Pose) -> Tensor:

@@ -1,7 +1,7 @@
-"""The Gaussian-process prior of corrections: stage 1's errors and the inertia of a motion.
+"""The Gaussian-process prior of corrections: stage 1's errors and the inertia of a
 
 Stage 1 gives ``y_k``, the true value is ``x_k = y_k + δ_k``. The error model
-(:mod:`gva_mi.pose.prior.error_model`) and the motion model (:mod:`gva_mi.pose.prior.motion`) give
+(:mod:`gva_mi.pose.prior.error_model`) and the motion model (eq. 5) give
 the corrections ``δ`` of one joint, or of one coordinate of a position, the energy (a negative log
 probability)
 
@@ -21,6 +21,28 @@ times, each time with updated ``W`` and outlier factors ``f`` of the errors.
 
 Errors that last for many frames then move in large steps, and improbable ones, such as a tremor, in
 small ones (in the spirit of Nicolet et al., *Large Steps in Inverse Rendering*, 2021).
+
+**Motion.** Joints rest, or move at the speed that images show. From one frame to the next a joint
+turns by ``Δ_k``. Most joints rest most of the time; then one moves for a while, slowly or fast. So
+the speed ``s_k`` is estimated around every frame:
+
+4. ``s_k² = mean over the frames around of |e_l|² / d``,   ``e_l = (Δ_l + ... + Δ_l+h-1) / √h``
+
+that of a random walk that gets as far in ``h`` frames, which suppresses remaining errors. It is
+estimated twice: from stage 1, with a median that ignores outliers and for several ``h``,
+because slow motions exceed white errors over many frames only; and from corrected poses, from
+the coordinate that images show. Turns in depth are taken to be as fast as those seen sideways.
+
+A known estimator that smooths its poses has neither outliers nor white errors. There the mean
+over the frames of stage 1 itself is ``s_k²``, and stays so: a median takes a short gesture for
+an outlier, and a prior that has flattened it would find it slow.
+
+Given ``s_k``, motions follow Student's t distribution, so a single jump costs the logarithm of
+its size, and not its square:
+
+5. ``E = Σ_k (ν + d) / 2 · log(1 + |Δ_k|² / (ν s_k²))``
+
+The pelvis may turn and travel steadily: there ``Δ`` is the change of its steps, ``Δ_k+1 - Δ_k``.
 """
 
 from __future__ import annotations
@@ -33,12 +55,65 @@ import torch
 from torch import Tensor
 
 from gva_mi.core.cpu import sqrt
-from gva_mi.pose.prior import motion
-from gva_mi.pose.prior.error_model import Stage1ErrorModel, covariance, outlier_factors
+from gva_mi.pose.prior.error_model import (
+    FREEDOM,
+    Stage1ErrorModel,
+    covariance,
+    median_of_square,
+    outlier_factors,
+)
 from gva_mi.pose.prior.frame_matrices import FrameMatrices
 
 ROUNDS = 8  # of eq. 2
 LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
+EXCURSION_FRAMES = 8  # h, frames
+STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h for stage 1
+WINDOW_FRAMES = 4.0  # frames to each side, standard deviation of the window of eq. 4
+MEDIAN_FRAMES = 10  # frames to each side, of the median
+
+
+def excursions(changes: Tensor, span: int) -> Tensor:
+    """Return ``e`` (n, ...) of changes ``Δ`` (n, ...), centred; over fewer frames at the ends."""
+    total = torch.cat([torch.zeros_like(changes[:1]), changes.cumsum(0)])
+    n = len(changes)
+    first = (torch.arange(n) - span // 2).clamp(0, max(n - span, 0))
+    last = (first + span).clamp(max=n)
+    frames = (last - first).view(-1, *[1] * (changes.ndim - 1))
+    return (total[last] - total[first]) / sqrt(frames)
+
+
+def usual_square(e: Tensor) -> Tensor:
+    """Return eq. 4 with a median: ``s²`` (n, C) of excursions (n, C, d) with outliers."""
+    square = e.square().sum(-1) / median_of_square(e.shape[-1])
+    around = [
+        square[max(0, k - MEDIAN_FRAMES) : k + MEDIAN_FRAMES + 1].median(0).values
+        for k in range(len(square))
+    ]
+    return torch.stack(around) if around else square
+
+
+def mean_speed(changes: Tensor, times: Tensor) -> Tensor:
+    """Return eq. 4: ``s²`` (n, C) of changes (n, C, ...) at times (n,)."""
+    return mean_square(excursions(changes, EXCURSION_FRAMES).square().mean(-1), times.float())
+
+
+def mean_square(square: Tensor, times: Tensor) -> Tensor:
+    """Return eq. 4: ``s²`` (n, C) from the squares (n, C) of one coordinate of ``e``."""
+    apart = (times[:, None] - times) / WINDOW_FRAMES
+    weights = torch.exp(-apart.square() / 2)
+    return (weights / weights.sum(1, keepdim=True)) @ square
+
+
+def step_cost(changes: Tensor, square_speed: Tensor) -> Tensor:
+    """Return eq. 5 before it is summed (...), of ``Δ`` (..., d) and ``s²`` (...)."""
+    x = changes.square().sum(-1) / (FREEDOM * square_speed)
+    return (FREEDOM + changes.shape[-1]) / 2 * torch.log1p(x)
+
+
+def step_stiffness(changes: Tensor, square_speed: Tensor) -> Tensor:
+    """Return the weight ``w`` of ``w |Δ|² / 2`` that has the slope of eq. 5 at ``Δ``."""
+    x = changes.square().sum(-1) / (FREEDOM * square_speed)
+    return (FREEDOM + changes.shape[-1]) / (FREEDOM * square_speed * (1 + x))
 
 
 @dataclass(frozen=True)
@@ -66,11 +141,11 @@ class ProcessPrior:
         white = torch.tensor([noise.white for noise in error_models]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
         seen = [
-            motion.usual_square(motion.excursions(process.steps, span)) - of_white * white / span
-            for span in motion.SPANS
+            usual_square(excursions(process.steps, span)) - of_white * white / span
+            for span in STAGE1_EXCURSION_FRAMES
         ]
         usual = torch.stack(seen).amax(0).clamp(min=0)
-        mean = motion.mean_speed(process.steps, times[: len(usual)])
+        mean = mean_speed(process.steps, times[: len(usual)])
         return process.with_speeds(torch.where(process.known, mean, usual))
 
     @property
@@ -118,7 +193,7 @@ class ProcessPrior:
             own: the same in the axes of ``steps``.
         """
         e = corrections.transpose(0, 1)
-        moved = motion.cost(self._changed(own), self.square_speed)
+        moved = step_cost(self._changed(own), self.square_speed)
         return (e * (precision @ e)).sum() / 2 + moved.sum()
 
     def variance_of_mean(self, bias: bool) -> Tensor:
@@ -149,7 +224,7 @@ class ProcessPrior:
     def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:
         """Return ``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""
         D, changes = self._difference, self._changed(corrections)
-        W = motion.stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
+        W = step_stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
         D = D.double()
         return self._precision() + D.T @ (W[..., None] * D), W
 

@@ -6,9 +6,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.pose.film.arm_depths import ARMS, with_arm_depths
-from gva_mi.pose.film.film_evidence import FilmEvidence, film_points
-from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.posed_points import PosedPoints
+from gva_mi.pose.film.film_evidence import FilmEvidence, PosedPoints, film_points
+from gva_mi.pose.film.normal_equations import FilmState, Free
 from gva_mi.pose.film.rig import LandmarkRig
 
 FRAMES, GAIN = 12, 0.5

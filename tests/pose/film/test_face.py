@@ -11,8 +11,7 @@ from gva_mi.body.body_file import BUILT_IN_BODY, EXPRESSIONS, read_body
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.data.landmarks import FACE, Landmarks
-from gva_mi.pose.film.face import NO_FACE, with_face
-from gva_mi.pose.film.face_points import FacePoints
+from gva_mi.pose.film.face import NO_FACE, FacePoints, with_face
 from gva_mi.pose.film.solver import SolvedFilm
 from gva_mi.splat import Camera, look_at
 

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.pose.film.film_evidence import FilmEvidence, film_points
-from gva_mi.pose.film.film_state import FilmState, Free
+from gva_mi.pose.film.normal_equations import FilmState, Free
 from gva_mi.pose.film.rig import LandmarkRig
 
 NAMES = ["left_hip", "left_knee", "left_ankle", "right_shoulder"]

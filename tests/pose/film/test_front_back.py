@@ -9,7 +9,7 @@ import pytest
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.watch import WatchedFilm
 from gva_mi.pose.film import prepare_film
-from gva_mi.pose.film.front_back import PARTS, with_backs
+from gva_mi.pose.swaps import PARTS, with_backs
 
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
 N, FPS = 60, 30.0

@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 import torch
 
-from gva_mi.pose.film.limb_directions import SPEEDS, DirectionModel
+from gva_mi.pose.film.arm_depths import SPEEDS, DirectionModel
 
 FRAMES, DIRECTIONS = 4, 3
 

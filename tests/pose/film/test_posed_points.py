@@ -3,7 +3,7 @@
 import torch
 
 from gva_mi.body.so3 import compose
-from gva_mi.pose.film.posed_points import PointSet, PosedPoints
+from gva_mi.pose.film.film_evidence import PointSet, PosedPoints
 from gva_mi.pose.film.rig import LandmarkRig
 
 STEP = 1e-6

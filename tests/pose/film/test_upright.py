@@ -5,10 +5,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.data.landmarks import BODY
-from gva_mi.pose.film.film_evidence import film_points
-from gva_mi.pose.film.posed_points import PosedPoints
+from gva_mi.pose.film.film_evidence import AXES, MASSES, Leaning, PosedPoints, film_points
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.upright import AXES, MASSES, Leaning
 
 
 def axes_of(body, betas, turns):

@@ -6,8 +6,7 @@ import torch
 
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.body_prior import SharedPrior
-from gva_mi.pose.film.film_state import FilmState, Free
-from gva_mi.pose.film.normal_equations import NormalEquations
+from gva_mi.pose.film.normal_equations import FilmState, Free, NormalEquations
 from gva_mi.pose.film.vertical_lines import Vertical, vertical_of
 from gva_mi.pose.stature import Stature
 

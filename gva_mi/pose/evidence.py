@@ -1,4 +1,4 @@
-"""Compare masks and normals with the rendered body: the data term of Eq. 8.
+"""Evidence from masks and normals, also of hands and feet in close-ups: the data term of Eq. 8.
 
     1. L_data = L_normal + λ1 L_silhouette
     2. L_normal = Σ_known pixels |N - N_pred|_1 / 3 / area
@@ -23,11 +23,26 @@ derivative of eq. 3 is half of the true one, everywhere along the outline: a con
 a mask the slopes on the two sides of the outline, 1 and -1, cancel, and eq. 3 does not pull;
 shrinking leaves edges that are soft for one pixel. The factor also holds for the outline's part of
 eq. 2.
+
+Close-ups show hands and feet at the video's own resolution, cropped around the current pose. At
+the scale at which a person is compared, a hand is a few pixels wide, and its silhouette shows
+little of its fingers. If the video has more pixels, they are used:
+
+5. The surroundings of the person are stored once, on a grid on which a hand, at its usual distance,
+   is :data:`HAND_SIZE` pixels long; or on the video's own grid if that is coarser.
+6. A close-up is a box of that image around the part's vertices ``P`` in the current pose, with half
+   of the part's length added on each side. It is cropped anew for each pose, which costs nothing.
+7. It is compared as the whole person is, divided by the part's mean area in pixels over all view
+   directions: ``A / 4`` in square metres for a convex surface ``A`` (Cauchy), times ``fx fy / z²``.
+   So a hand counts the same, edge-on or flat.
+
+The whole mesh is rendered, so whatever else a close-up shows, such as a sleeve or the trunk, is
+compared too. A hidden part gets no gradient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,7 +52,12 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.nn.functional import normalize
 
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
+from gva_mi.body.skinning import finger_weights
+from gva_mi.body.smplx import BodyModel
+from gva_mi.data.cameras import depths
 from gva_mi.data.crop import (
+    Box,
     Extent,
     NoEvidence,
     ScaledCrop,
@@ -57,6 +77,12 @@ SHOWN = "its stage-1 body"
 _NORMALS = torch.tensor([1.0, 1.0, 1.0, 0.0])  # which channels of a rendering are normals
 
 FrameLoss = tuple[float, Tensor | None]  # and its gradient (V, 3) by the body, if it is needed
+HAND_SIZE = 44  # pixels of a hand's length in close-ups, if the video has as many
+BORDER = 0.5  # of a part's length, added on each side (6)
+SMALLEST_SIDE = 8  # pixels of a close-up; below, a part is at the edge of the image
+GAIN = 1.25  # pixels of a close-up per pixel of the person's image, at least; below nothing is won
+UNIT = 127  # of a stored normal
+CLEAR = 0.1  # c of eq. 4, for hands in the masks of films: of a hand's area
 
 
 @dataclass(frozen=True)
@@ -216,6 +242,125 @@ def frame_loss(
         )
         gradient = torch.autograd.grad(loss, body)[0] if differentiated else None
     return float(loss.detach()), gradient
+
+
+@dataclass(frozen=True)
+class FinePicture:
+    """A person's surroundings at the resolution of close-ups (5), in 8 bits to save memory."""
+
+    camera: Camera  # of the part that was cut out
+    mask: Tensor  # (H, W) uint8, 255 where the person is
+    normals: Tensor | None  # (H, W, 3) int8, 127 times the unit vector; zero outside the mask
+    of_film: bool = False  # whether the mask is a film's
+
+    @staticmethod
+    def of(outline: Outline, scale: float, points: Tensor, of_film: bool = False) -> FinePicture:
+        """Crop a frame as :meth:`MaskAndNormals.of` does; ``of_film``: its mask is a film's."""
+        fine = MaskAndNormals.of(outline, scale, points)
+        normals = None if fine.normals is None else (UNIT * fine.normals).round().to(torch.int8)
+        return FinePicture(fine.camera, (255 * fine.mask).round().to(torch.uint8), normals, of_film)
+
+    def cut(self, box: Box, area: float, clear: float | None = None) -> MaskAndNormals:
+        """Return the evidence in a box, its losses divided by an area in pixels."""
+        normals = None
+        if self.normals is not None:
+            normals = normalize(box.cut(self.normals).float(), dim=-1)
+        camera, mask = box.cut_camera(self.camera), box.cut(self.mask).float() / 255
+        return MaskAndNormals(camera, mask, normals, area, clear)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPart:
+    """A hand or a foot."""
+
+    name: str  # "hand" or "foot"
+    vertices: Tensor  # (n,) which of the body's
+    length: float  # metres, at rest
+    area: float  # of its surface, square metres
+
+
+def close_ups(
+    picture: FinePicture, parts: Mapping[BodyPart, float], vertices: Tensor, person: MaskAndNormals
+) -> list[tuple[float, MaskAndNormals]]:
+    """Return a frame's close-ups with their weights, at most one for each part.
+
+    Args:
+        picture: of the frame.
+        parts: hands and feet, with the weights of their losses.
+        vertices: (V, 3) the body in its current pose, world, metres; not differentiated.
+        person: the evidence of the whole person, whose image contains all close-ups.
+    """
+    found = [(w, _close_up(picture, part, vertices, person.camera)) for part, w in parts.items()]
+    return [(weight, seen) for weight, seen in found if seen is not None]
+
+
+def _close_up(
+    picture: FinePicture, part: BodyPart, vertices: Tensor, whole: Camera
+) -> MaskAndNormals | None:
+    """Return eq. 6 and 7; None if the part is outside what the camera ``whole`` sees."""
+    camera = picture.camera
+    points = vertices[part.vertices].double().numpy()
+    depth = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
+    if depth.min() <= 0:
+        return None
+    pixels, per_metre = camera.project(points), camera.fx * camera.fy / depth.mean() ** 2
+    border = BORDER * part.length * per_metre**0.5
+    scale = camera.fx / whole.fx
+    low = np.array([camera.cx - scale * whole.cx, camera.cy - scale * whole.cy])
+    high = low + scale * np.array([whole.width, whole.height])
+    ends = pixels.min(0) - border, pixels.max(0) + border
+    extent = Extent(*(np.clip(end, low, high) for end in ends))
+    if (extent.high - extent.low).min() < SMALLEST_SIDE:
+        return None
+    box = extent.box(0, np.array([camera.width, camera.height]))
+    missed = picture.of_film and part.name == "hand"  # feet are in a film's masks
+    return picture.cut(box, part.area / 4 * per_metre, CLEAR if missed else None)
+
+
+def parts_of(body: BodyModel) -> list[BodyPart]:
+    """Return hands and feet: what wrists and fingers, ankles and toes move by more than half."""
+    parts = []
+    for side, fingers in (("left", LEFT_HAND), ("right", RIGHT_HAND)):
+        hand = [JOINTS.index(f"{side}_wrist"), *range(fingers.start, fingers.stop)]
+        foot = [JOINTS.index(f"{side}_{name}") for name in ("ankle", "foot")]
+        for name, joints in (("hand", hand), ("foot", foot)):
+            inside = body.weights[:, joints].sum(1) > 0.5
+            vertices = body.v_template[inside]
+            a, b, c = body.v_template[body.faces[inside[body.faces].all(1)]].unbind(1)
+            area = float(torch.linalg.cross(b - a, c - a).norm(dim=1).sum()) / 2
+            length = float((vertices.amax(0) - vertices.amin(0)).max())
+            parts.append(BodyPart(name, inside.nonzero()[:, 0], length, area))
+    return parts
+
+
+def close_up_scale(
+    body: BodyModel,
+    pose: Pose,
+    shape: Shape,
+    cameras: Sequence[Camera],
+    person_scale: float,
+) -> float | None:
+    """Return the scale of :class:`FinePicture` (5); None if close-ups would show no more.
+
+    Args:
+        body, shape: the person.
+        pose: T frames of stage 1.
+        cameras: of the T frames.
+        person_scale: at which the whole person is compared.
+    """
+    pelvis = (body.rest(shape).joints[0] + pose.transl).double().numpy()
+    depth = depths(cameras, pelvis)
+    focal = np.array([camera.fx for camera in cameras])
+    if not (depth > 0).any():
+        return None
+    hand = parts_of(body)[0].length * float(np.median((focal / depth)[depth > 0]))
+    scale = min(1.0, HAND_SIZE / hand)
+    return scale if scale >= GAIN * person_scale else None
+
+
+def hand_vertices(weights: Tensor) -> Tensor:
+    """Return which vertices (V,) wrists and fingers move by more than half."""
+    return finger_weights(weights) + weights[:, WRISTS].sum(1) > 0.5
 
 
 class _Differences(torch.autograd.Function):

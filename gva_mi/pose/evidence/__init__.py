@@ -1,1 +1,0 @@
-"""Evidence about poses from images: masks, normals, close-ups of hands and feet, landmarks."""

@@ -28,7 +28,7 @@ of the gradient of a Gaussian in plain view.
 A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
 one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
 for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
-the optimiser of poses (:mod:`gva_mi.pose.optimizer`):
+the optimiser of poses (:mod:`gva_mi.pose.optimize`):
 
 9. v <- β2 v + (1 - β2) |g|²
 """

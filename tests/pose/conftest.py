@@ -27,6 +27,7 @@ class Clip:
     folder: Path = Path()  # of a disk cache
     landmarks: Landmarks | None = None
     kind: str | None = None
+    fps: float | None = None
     splits: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(test=[]))
 
     def true_mask(self, index):

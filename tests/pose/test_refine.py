@@ -97,7 +97,7 @@ def test_held_out_frames_follow_the_motion_whatever_their_images_show(clip, coar
 
 
 def test_a_frame_whose_loss_grew_keeps_its_pose(clip, coarse):
-    wild = replace(SHORT, largest_turn=9.0, step=9.0, translation_lr=0.0, cloth_lr=0.0)
+    wild = replace(SHORT, largest_turn=9.0, step=9.0, translation_lr=0.0)
     calls = []
     refined = refine(clip, coarse, wild, lambda done, total, **figures: calls.append((done, total)))
     for k, reason in refined.kept.items():

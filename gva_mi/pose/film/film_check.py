@@ -1,8 +1,21 @@
-"""What a film does not show, or shows badly, and how to film it better.
+"""What a video does not show, or shows badly, and how to film it better.
 
-An avatar knows only what its film shows. These findings (:class:`Problem`) compare the film with
-what a good one has: a person seen from all sides, from head to feet, large, sharp and in enough
-light, with both hands, alone, before a camera that stands still.
+An avatar knows only what its video shows. These findings compare the video with what a good one
+has: a person seen from all sides, from head to feet, large, sharp and in enough light, with both
+hands, alone, before a camera that stands still.
+
+Sharpness is measured by blurring again, as of Crete et al., "The blur effect" (2007): a Gaussian
+blur G takes away most gradients of a sharp picture I, and few of a picture that is blurred already,
+
+    1. b = max over x and y of  Σ |∂ (G I)|² / Σ |∂ I|²       over the person's pixels
+
+so that b depends little on what is in the picture. The larger of both directions shows the motion
+blur of a hand or of the camera.
+
+The camera's motion from the first picture to another is the shift that makes their backgrounds most
+alike, by phase correlation of the luma ``I`` and ``I'`` without the person:
+
+    2. s = argmax of  F⁻¹( F(I)* F(I') / |F(I)* F(I')| )
 """
 
 from __future__ import annotations
@@ -16,8 +29,8 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.problems import Problem, doubt
+from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
-from gva_mi.pose.film.picture_quality import PictureQuality
 
 SECTORS = 36  # directions from which a person may be seen
 VISIBLE = 30  # degrees to either side of the camera that a frame shows well
@@ -28,8 +41,13 @@ OFTEN = 0.1  # share of the frames in which something is wrong
 FEWEST, SHORTEST = 40, 2.0  # frames, seconds
 SMALL = 250  # pixels of a person's height
 DARK = 0.25  # luma of the brighter parts of a person
-BLURRED = 0.85  # eq. 1 of picture_quality: as by a Gaussian of 1.7 pixels
+BLURRED = 0.85  # eq. 1: as by a Gaussian of 1.7 pixels
+SHOWN = 24  # pictures whose light, sharpness and background are measured
+TALL = 400  # pixels: taller people are measured at about this height, so fine detail is no matter
+WIDE = 240  # pixels, width at which the camera's motion is measured
 MOVES = 0.008  # share of the picture's width
+ALIKE = 0.1  # least peak of eq. 2, which is 1 for equal pictures; of noise it is 0.03
+LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _SIDES = {0: "front", 90: "left side", 180: "back", 270: "right side"}  # degrees to the left
 
 
@@ -44,7 +62,7 @@ def check_film(
     """Return what to film better, the most important first.
 
     Args:
-        video: a prepared film.
+        video: a prepared video.
         body: of its poses.
         landmarks: that the networks found in its frames.
         fps: frames a second.
@@ -52,14 +70,12 @@ def check_film(
         progress: called after each picture that is looked at.
     """
     there = [k for k in range(len(video)) if k not in video.absent]
-    quality = PictureQuality.of(video, progress)
     return [
         *_sides(video, body, there),
         *_outlines(video, there),
         *_hands(landmarks),
-        *_pictures(quality),
-        *_people(video, crowded),
-        *_length(len(video), fps),
+        *_pictures(video, spread(there, SHOWN), progress),
+        *_people_and_length(video, crowded, fps),
     ]
 
 
@@ -67,12 +83,11 @@ def seen_from(video: Video, body: BodyModel, frames: Sequence[int]) -> np.ndarra
     """Return from where the camera sees the pelvis, degrees to the person's left of its front."""
     joints = body.rest(video.shape).joints
     pose = video.pose[list(frames)]
-    maps = (
-        joint_transforms(pose.rotations, joints, body.parents, pose.transl)[:, 0].double().numpy()
-    )
-    pelvis = maps[:, :3, :3] @ joints[0].double().numpy() + maps[:, :3, 3]
+    maps = joint_transforms(pose.rotations, joints, body.parents, pose.transl)[:, 0]
+    R, t = maps[:, :3, :3].double().numpy(), maps[:, :3, 3].double().numpy()
+    pelvis = R @ joints[0].double().numpy() + t
     eyes = np.stack([video.cameras[k].position for k in frames])
-    toward = np.einsum("tji,tj->ti", maps[:, :3, :3], eyes - pelvis)  # in the body's axes
+    toward = np.einsum("tji,tj->ti", R, eyes - pelvis)  # in the body's axes
     return np.degrees(np.arctan2(toward[:, 0], toward[:, 2])) % 360
 
 
@@ -81,14 +96,14 @@ def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Pro
     centres = np.arange(SECTORS) * 360 / SECTORS
     apart = np.abs(centres[:, None] - seen_from(video, body, frames)) % 360
     nearest = np.minimum(apart, 360 - apart).min(1)
-    seen = nearest <= VISIBLE
-    if seen.mean() >= ENOUGH_SIDES:
+    seen = (nearest <= VISIBLE).mean()
+    if seen >= ENOUGH_SIDES:
         return
     unseen = [n for angle, n in _SIDES.items() if nearest[angle * SECTORS // 360] > FACING]
     sides = f"; never its {', '.join(unseen)}" if unseen else ""
     yield doubt(
         "not seen from all sides",
-        f"{360 * seen.mean():.0f} of 360 degrees{sides}",
+        f"{360 * seen:.0f} of 360 degrees{sides}",
         "the person did not turn round",
         "turn round once, slowly, with the arms away from the body",
     )
@@ -96,8 +111,7 @@ def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Pro
 
 def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
     """Find frames that cut the person off, and persons of few pixels."""
-    edges = {"feet or legs": [], "head": [], "sides": []}
-    tall = []
+    edges, tall = {"feet or legs": [], "head": [], "sides": []}, []
     for outline in video.outlines(frames):
         inside = outline.mask > 0.5
         rows = np.flatnonzero(inside.any(1))
@@ -139,35 +153,44 @@ def _hands(landmarks: Landmarks) -> Iterator[Problem]:
             )
 
 
-def _pictures(quality: PictureQuality) -> Iterator[Problem]:
+def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) -> Iterator[Problem]:
     """Find dark and blurred pictures, and a camera that moves."""
-    if (light := float(np.median(quality.light))) < DARK:
+    light, blur, backgrounds = [], {}, []
+    for done, frame in enumerate(video.frames(frames), 1):
+        luma = frame.image @ LUMA
+        light.append(np.quantile(luma[frame.mask > 0.5], 0.9))
+        blur[frame.index] = _blur(luma, frame.mask)
+        backgrounds.append(_background(luma, frame.mask))
+        if progress:
+            progress(done, len(frames))
+    if np.median(light) < DARK:
         yield doubt(
             "too dark",
-            f"the brighter parts of the person have {light:.0%} of white",
+            f"the brighter parts of the person have {np.median(light):.0%} of white",
             "too little light, or a bright background",
             "film by daylight or with all lamps on, not against a window",
         )
-    blurred = [k for k, b in zip(quality.frames, quality.blur, strict=True) if b > BLURRED]
-    if len(blurred) > OFTEN * len(quality.frames):
+    blurred = [k for k, b in blur.items() if b > BLURRED]
+    if len(blurred) > OFTEN * len(frames):
         yield doubt(
             "blurred",
-            f"{len(blurred)} of {len(quality.frames)} frames that were looked at",
+            f"{len(blurred)} of {len(frames)} frames that were looked at",
             "fast motion in little light, or the wrong distance in focus",
             "move slowly, in more light; tap on the person so that the phone keeps its focus",
             blurred,
         )
-    if quality.drift > MOVES:
+    moved = max((_shift(backgrounds[0], other) for other in backgrounds[1:]), default=0.0)
+    if moved > MOVES:
         yield doubt(
             "camera moves",
-            f"by up to {quality.drift:.1%} of the picture's width",
+            f"by up to {moved:.1%} of the picture's width",
             "the phone was held in a hand, or pushed",
-            "lean the phone on something, or use a tripod; it must stand still",
+            "prop the phone up, or use a tripod; it must stand still",
         )
 
 
-def _people(video: Video, crowded: Sequence[int]) -> Iterator[Problem]:
-    """Find frames with other people, and frames without the person."""
+def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iterator[Problem]:
+    """Find frames with other people, frames without the person, and short videos."""
     if len(crowded):
         yield doubt(
             "several people",
@@ -181,17 +204,59 @@ def _people(video: Video, crowded: Sequence[int]) -> Iterator[Problem]:
             "person not found",
             f"{len(video.absent)} of {len(video)} frames",
             "the person left the picture, or crouched or lay in a way the network does not know",
-            "stay in the picture; --start and --end cut a film, seconds",
+            "stay in the picture; --start and --end cut a video, seconds",
             video.absent,
         )
-
-
-def _length(frames: int, fps: float) -> Iterator[Problem]:
-    """Find films that are short."""
-    if frames < FEWEST or frames / fps < SHORTEST:
+    if len(video) < FEWEST or len(video) / fps < SHORTEST:
         yield doubt(
             "short",
-            f"{frames} frames, {frames / fps:.1f} s",
-            "the film is short, or was cut",
+            f"{len(video)} frames, {len(video) / fps:.1f} s",
+            "the video is short, or was cut",
             "film 5 to 15 seconds",
         )
+
+
+def _blur(luma: np.ndarray, mask: np.ndarray) -> float:
+    """Return eq. 1 of a person in a picture (H, W); 0 if there are too few pixels."""
+    from scipy.ndimage import gaussian_filter
+
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    times = max(1, len(rows) // TALL)
+    luma, mask = _shrunk(luma[box], times), _shrunk(mask[box], times)
+    again, found = gaussian_filter(luma, 1.0), []
+    for axis in (0, 1):
+        inside = np.minimum(*(np.delete(mask, k, axis) for k in (0, -1))) > 0.9
+        before, after = (np.square(np.diff(x, axis=axis))[inside].sum() for x in (luma, again))
+        found.append(after / before if before > 0 else 0.0)
+    return float(max(found))
+
+
+def _background(luma: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return the fine structure of a background (h, w), about :data:`WIDE` pixels wide.
+
+    Slopes of brightness, as on a wall, are left out, and so is what is near the person.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    times = max(1, luma.shape[1] // WIDE)
+    luma, near = _shrunk(luma, times), gaussian_filter(_shrunk(mask, times), 4.0) > 0.01
+    return np.where(near, 0, luma - gaussian_filter(luma, 2.0))
+
+
+def _shift(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the length of eq. 2, a share of the picture's width; 0 for unlike backgrounds."""
+    product = np.fft.rfft2(one).conj() * np.fft.rfft2(other)
+    alike = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), one.shape)
+    if alike.max() < ALIKE:
+        return 0.0
+    at = np.unravel_index(alike.argmax(), alike.shape)
+    way = [min(k, size - k) for k, size in zip(at, alike.shape, strict=True)]
+    return float(np.hypot(*way)) / one.shape[1]
+
+
+def _shrunk(image: np.ndarray, times: int) -> np.ndarray:
+    """Return means (h, w) of blocks of pixels; an incomplete block at the edge is left out."""
+    height, width = (size // times for size in image.shape)
+    blocks = image[: height * times, : width * times].reshape(height, times, width, times)
+    return blocks.mean((1, 3))

@@ -31,6 +31,7 @@ from gva_mi.data.fingerprint import FILM
 from gva_mi.data.importers.one_lens import is_one_lens, seen_alike
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.surface import CoarseBody
 from gva_mi.pose.evidence import (
     FinePicture,
     MaskAndNormals,

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.surface import CoarseBody
 from gva_mi.pose.evidence import MaskAndNormals, parts_of
 from gva_mi.pose.sequence import SequenceOptions
 

@@ -5,7 +5,7 @@
    offsets of their angles are unknowns of the film, ``habits``.
 3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
    are near the mean person's of the given height, or of an average one, which they keep.
-4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.vertical_lines`); without any, a
+4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.upright`); without any, a
    phone is held nearly level, and looks down a little. The height of the camera above the floor may
    be known; with the size of the person it shows as well which way is up.
 
@@ -24,7 +24,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.pose.film.normal_equations import FilmState, Free, NormalEquations
-from gva_mi.pose.film.vertical_lines import Vertical
+from gva_mi.pose.film.upright import Vertical
 from gva_mi.pose.prior.anatomy import PAST_LIMIT, Anatomy
 from gva_mi.pose.prior.error_model import FREEDOM
 from gva_mi.pose.stage1 import turns_between

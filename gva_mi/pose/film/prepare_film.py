@@ -42,7 +42,7 @@ from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import Splits
 from gva_mi.pose.film.face import with_face
 from gva_mi.pose.film.solver import CAMERA_HEIGHTS, KnownOfFilm, SolvedFilm, solve_film
-from gva_mi.pose.film.vertical_lines import vertical_of
+from gva_mi.pose.film.upright import vertical_of
 from gva_mi.pose.stature import PERSON_HEIGHTS
 from gva_mi.pose.swaps import with_backs
 

@@ -45,7 +45,7 @@ from gva_mi.pose.film.film_evidence import FilmEvidence, film_evidence
 from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, frames_alike, person_sizes
 from gva_mi.pose.film.normal_equations import FRAMES_AT_ONCE, FilmState, Free, NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
-from gva_mi.pose.film.vertical_lines import Vertical
+from gva_mi.pose.film.upright import Vertical
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
 from gva_mi.splat import Camera

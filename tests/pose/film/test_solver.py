@@ -15,7 +15,7 @@ from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import LandmarkNoise
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import KnownOfFilm, solve_film
-from gva_mi.pose.film.vertical_lines import Vertical
+from gva_mi.pose.film.upright import Vertical
 from gva_mi.pose.stature import Stature
 from gva_mi.splat import Camera, look_at
 

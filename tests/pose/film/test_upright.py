@@ -5,8 +5,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.data.landmarks import BODY
-from gva_mi.pose.film.film_evidence import AXES, MASSES, Leaning, PosedPoints, film_points
+from gva_mi.pose.film.film_evidence import PosedPoints, film_points
 from gva_mi.pose.film.rig import LandmarkRig
+from gva_mi.pose.film.upright import AXES, MASSES, Leaning
 
 
 def axes_of(body, betas, turns):

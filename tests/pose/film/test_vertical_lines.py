@@ -7,7 +7,7 @@ import torch
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.body_prior import SharedPrior
 from gva_mi.pose.film.normal_equations import FilmState, Free, NormalEquations
-from gva_mi.pose.film.vertical_lines import Vertical, vertical_of
+from gva_mi.pose.film.upright import Vertical, vertical_of
 from gva_mi.pose.stature import Stature
 
 SIZE, FOCAL = 320, 300.0

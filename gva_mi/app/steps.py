@@ -27,7 +27,7 @@ from gva_mi.data.silhouettes import sanity_check
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
-from gva_mi.fit.perceptual import LpipsNetwork, find_weights
+from gva_mi.fit.perceptual import find_weights
 from gva_mi.fit.photometric import (
     TRACKED_POSES,
     PhotometricOptions,
@@ -189,7 +189,6 @@ def evaluate(
     poses: Path | str | None = None,
     body: Path | str | None = None,
     fit_poses: bool = False,
-    lpips: LpipsNetwork | None = None,
 ) -> Metrics:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -201,7 +200,6 @@ def evaluate(
         body: see above; without it as the run's record says. Hands are measured where it has them.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
-        lpips: the network of LPIPS; without it alex where its weights are found, else vgg.
     """
     run, subject = Path(run), Path(subject)
     avatar = Avatar.load(run / run_folder.AVATAR)
@@ -212,7 +210,7 @@ def evaluate(
     video.require_train_frames()
     with folder_lock(run, "gva-mi evaluate"):
         require_room(run / run_folder.METRICS, overwrite=True)
-        scorer = Scorer(find_weights().of_lpips(lpips))
+        scorer = Scorer(find_weights())
         trained = run_folder.under_trained_poses(video, run)
         with bar("evaluate") as progress:
             metrics = measure_run(run, avatar, video, "full", model, poses, progress, scorer=scorer)

@@ -46,7 +46,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_arrays, require_array, shape_fault, write_arrays
-from gva_mi.core.options import from_json
+from gva_mi.core.options import PythonOnly, from_json
 from gva_mi.splat.gaussians import Gaussians
 
 FORMAT = "gva_mi avatar, version 5"
@@ -61,10 +61,12 @@ class AvatarOptions:
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
-    hands: bool = True  # False: fingers stay as in the rest pose (an ablation of the paper)
-    stretch: bool = True  # False: Gaussians turn and keep their size, as in Eq. 6
+    hands: PythonOnly[bool] = (
+        True  # False: fingers stay as in the rest pose (an ablation of the paper)
+    )
+    stretch: PythonOnly[bool] = True  # False: Gaussians turn and keep their size, as in Eq. 6
     # What colour depends on: the light's direction, or the view's (harmonics of degree 1).
-    color: Literal["light", "view"] = "light"
+    color: PythonOnly[Literal["light", "view"]] = "light"
     skinning: SkinningOptions = SkinningOptions()
 
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, rotated
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.splat import Screen
 
 SPLIT_SHRINK = 1.6  # the two halves of a split are so much smaller: that of 3DGS
@@ -33,12 +33,11 @@ class DensifyOptions:
     """Thresholds of density control. Defaults are those of 3DGS and GART."""
 
     # Of g: loss per half person, mean over the views that saw it.
-    grad_threshold: Annotated[float, Within(0, 1e6)] = 2e-4
-    split_scale: Annotated[float, Within(0, MAX_SCALE, "low")] = (
-        0.01  # metres; above it a Gaussian is split, below it is cloned
-    )
+    grad_threshold: PythonOnly[Annotated[float, Within(0, 1e6)]] = 2e-4
+    # Metres; above it a Gaussian is split, below it is cloned.
+    split_scale: PythonOnly[Annotated[float, Within(0, MAX_SCALE, "low")]] = 0.01
     # No growth beyond this many; the largest gradients come first.
-    max_count: Annotated[int, Within(0, 10_000_000)] = 40_000
+    max_count: PythonOnly[Annotated[int, Within(0, 10_000_000)]] = 40_000
 
 
 class ScreenGradients:

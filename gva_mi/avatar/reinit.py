@@ -74,7 +74,7 @@ class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths."""
 
     # Gaussians afterwards, within a few percent; 0: as many as before.
-    count: Count = 0
+    count: PythonOnly[Count] = 0
     # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
     surface: PythonOnly[Literal["offset", "alpha"]] = "offset"
     # The mean distance of a floater to its neighbours exceeds the mean of all by so many standard
@@ -87,7 +87,7 @@ class ReinitOptions:
     # Steps of Taubin's, or Laplace's filter.
     smoothing: PythonOnly[Annotated[int, Within(0, 1000)]] = 10
     # Density in the face / elsewhere, minus 1.
-    face_gain: Annotated[float, Within(0, 1000)] = 5.0
+    face_gain: PythonOnly[Annotated[float, Within(0, 1000)]] = 5.0
     # Standard deviation of the logarithm of a size.
     scale_jitter: PythonOnly[Annotated[float, Within(0, 5)]] = 0.1
     # Any orientation, and no flat side, instead of discs in the surface.

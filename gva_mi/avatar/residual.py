@@ -38,7 +38,7 @@ OUTPUT_UNIT = 0.01  # metres per unit of the last layer: Adam's steps are parts 
 class ResidualOptions:
     """The size of the network."""
 
-    enabled: bool = False  # mu' = mu
+    enabled: PythonOnly[bool] = False  # mu' = mu
     # Numbers that describe what bends around a point.
     code: PythonOnly[Annotated[int, Within(1, 4096)]] = 8
     # L; the finest wavelength is 2^(1 - L) of the body's height.

@@ -131,7 +131,6 @@ def _weights() -> Iterator[Component]:
     if weights.vgg16:
         vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
     yield Component("VGG16", vgg)
-    network = weights.lpips_network
     yield Component(
-        "LPIPS", f"on {network.name}" if network else "none; rand_vgg is reported instead"
+        "LPIPS", "on VGG16" if weights.of_lpips else "none; rand_vgg is reported instead"
     )

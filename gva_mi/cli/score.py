@@ -17,7 +17,7 @@ from gva_mi.core.files import require_room, write_json
 from gva_mi.data.folder import CAMERAS
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
-from gva_mi.fit.perceptual import LpipsNetwork, find_weights
+from gva_mi.fit.perceptual import find_weights
 from gva_mi.study.page import number
 from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
 from gva_mi.study.score_pictures import RegionScores, score_pictures
@@ -31,7 +31,6 @@ def score(
     masks: Path | None = None,
     background: str = "white",
     body: Path | None = None,
-    lpips: LpipsNetwork | None = None,
     out: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -48,8 +47,6 @@ def score(
             stay as they are.
         body: of the subject's poses, in SMPL-X's .npz format; without it the one that the subject
             was prepared for, else the built-in body.
-        lpips: the network of LPIPS, with your weights: vgg as in the tables of 3DGS and its
-            followers, alex as its authors advise; without it alex where it is found, else vgg.
         out: also write the table to this .json file.
         overwrite: replace that file.
     """
@@ -62,10 +59,10 @@ def score(
         pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth, body)), color)
     else:
         raise InputError(f"{truth}: has its own masks; give it without --masks")
-    scorer = Scorer(find_weights().of_lpips(lpips))
+    scorer = Scorer(find_weights())
     with bar("score") as progress:
         rows = score_pictures(pairs, scorer, progress)
-    for line in aligned(_cells(rows, scorer.network), left=(0, 1)):
+    for line in aligned(_cells(rows), left=(0, 1)):
         say(line)
     if out is not None:
         table = [asdict(row) for row in rows]
@@ -73,10 +70,9 @@ def score(
         say(f"figures: {out}")
 
 
-def _cells(rows: Sequence[RegionScores], network: str | None) -> Iterator[Sequence[str]]:
+def _cells(rows: Sequence[RegionScores]) -> Iterator[Sequence[str]]:
     """Yield the head of the table, and a row for each region and protocol."""
-    name = f"LPIPS-{network}" if network else "LPIPS"
-    yield "", "", "PSNR, dB", "SSIM", name, "rand_vgg", "pictures"
+    yield "", "", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg", "pictures"
     for row in rows:
         known = (number(x, 4) for x in (row.ssim, row.lpips, row.rand_vgg))
         yield row.region, row.protocol, number(row.psnr, 2), *known, str(row.count)

@@ -14,7 +14,6 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, Workers
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
-from gva_mi.fit.perceptual import LpipsNetwork
 from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.renders import CameraPath
 from gva_mi.pose.sequence import SequenceOptions
@@ -98,7 +97,6 @@ def evaluate(
     poses: Path | None = None,
     body: Path | None = None,
     fit_poses: Switch = False,
-    lpips: LpipsNetwork | None = None,
 ) -> None:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -110,10 +108,8 @@ def evaluate(
             record says. Hands are measured where it has them.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
-        lpips: the network of LPIPS, with your weights: vgg as in the tables of 3DGS and its
-            followers, alex as its authors advise; without it alex where it is found, else vgg.
     """
-    app.evaluate(run, subject, poses=poses, body=body, fit_poses=fit_poses, lpips=lpips)
+    app.evaluate(run, subject, poses=poses, body=body, fit_poses=fit_poses)
 
 
 def track(

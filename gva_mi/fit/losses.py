@@ -29,7 +29,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from gva_mi.core.options import Weight, options_of
+from gva_mi.core.options import PythonOnly, Weight, options_of
 from gva_mi.splat import Image
 
 if TYPE_CHECKING:
@@ -45,10 +45,10 @@ Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 class LossOptions:
     """Weights of the terms; the reconstruction term has weight 1. The defaults are the paper's."""
 
-    perceptual: Weight = 0.1  # λ3, of the features' difference
-    residual: Weight = 0.5  # λ4, per metre, of the pose-conditioned residual
+    perceptual: PythonOnly[Weight] = 0.1  # λ3, of the features' difference
+    residual: PythonOnly[Weight] = 0.5  # λ4, per metre, of the pose-conditioned residual
     alpha: Weight = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
-    ssim: Weight = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
+    ssim: PythonOnly[Weight] = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
 
 
 @dataclass(frozen=True)

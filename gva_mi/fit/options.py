@@ -37,29 +37,35 @@ class Rates:
     colours not the contrast of a pattern.
     """
 
-    means: FallingRate = 4e-3  # metres, at the first step; falls exponentially to means_end
+    means: PythonOnly[FallingRate] = (
+        4e-3  # metres, at the first step; falls exponentially to means_end
+    )
     means_end: PythonOnly[FallingRate] = 1e-5  # metres, at the last step
     quats: PythonOnly[Rate] = 1e-3
     log_scales: PythonOnly[Rate] = 5e-3
     logit_opacities: PythonOnly[Rate] = 5e-2
-    sh: Rate = 5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.skin_gaussians
+    sh: PythonOnly[Rate] = (
+        5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.skin_gaussians
+    )
     # Share of the slopes' difference from Lambert's law that each step takes away (decoupled weight
     # decay): the law alone holds where a person never shows the back in the light of the front.
-    sh_decay: Share = 0.0
+    sh_decay: PythonOnly[Share] = 0.0
     light: PythonOnly[Rate] = 2e-3  # direction of the light
-    strength: Rate = 5e-3  # of the light, see gva_mi.fit.lambert
-    residual: Rate = 1e-3  # weights of the pose-conditioned MLP
+    strength: PythonOnly[Rate] = 5e-3  # of the light, see gva_mi.fit.lambert
+    residual: PythonOnly[Rate] = 1e-3  # weights of the pose-conditioned MLP
 
 
 @options_of("fit")
 class Schedule:
     """Schedule of density control, re-initialisation and binding of weights."""
 
-    densify_every: Every = 200  # steps; 0: never
-    densify_from: Share = 0.05  # share of all steps before the first round
-    densify_until: Share = 0.5  # share of all steps after which there is no round, as in 3DGS
-    reinit_at: tuple[InnerShare, ...] = (0.25, 0.5)  # shares of all steps; empty: never
-    rebind_every: Every = 100  # steps between bindings to the outer skin; 0: never
+    densify_every: PythonOnly[Every] = 200  # steps; 0: never
+    densify_from: PythonOnly[Share] = 0.05  # share of all steps before the first round
+    densify_until: PythonOnly[Share] = (
+        0.5  # share of all steps after which there is no round, as in 3DGS
+    )
+    reinit_at: PythonOnly[tuple[InnerShare, ...]] = (0.25, 0.5)  # shares of all steps; empty: never
+    rebind_every: PythonOnly[Every] = 100  # steps between bindings to the outer skin; 0: never
 
     def __post_init__(self) -> None:
         if self.densify_from > self.densify_until:
@@ -90,24 +96,24 @@ class FitOptions:
 
     steps: FromOne = 3000  # steps of one frame each
     # Steps of a fit before this one, which starts anew with the poses that were trained there.
-    first_steps: Every = 0
+    first_steps: PythonOnly[Every] = 0
     seed: Seed = 0  # seed of all random numbers in the run
     # Seed on the naked body, as in the paper, instead of the displaced surface of a refinement.
-    naked: bool = False
+    naked: PythonOnly[bool] = False
     # Smallest standard deviation of a Gaussian, in pixels of the training frames.
-    min_scale: Annotated[float, Within(0, 100)] = 0.6
+    min_scale: PythonOnly[Annotated[float, Within(0, 100)]] = 0.6
     # Side of the random window of the perceptual and SSIM terms, pixels.
-    window: Annotated[int, Within(11, 4096)] = 96
+    window: PythonOnly[Annotated[int, Within(11, 4096)]] = 96
     # Possible error of mask outlines as a share of the person's size; there the picture is used.
     mask_error: Annotated[float, Within(0, 0.2)] = 0.01
     # Other frames show what is behind the person there, unless they contradict this frame.
-    still_camera: bool = False
+    still_camera: PythonOnly[bool] = False
     # Steps between perceptual terms, which take longer than the render.
-    perceptual_every: FromOne = 4
+    perceptual_every: PythonOnly[FromOne] = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
     # For a person who may never turn round: Gaussians do not wander along the line of sight, and in
     # the end what no frame shows takes colours around it and from the body's other side.
-    complete: bool = False
+    complete: PythonOnly[bool] = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
@@ -119,7 +125,7 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         if self.first_steps and not self.poses.trained:
-            raise InputError("fit: --first-steps are for trained poses; got --no-poses.trained")
+            raise InputError("fit: --preset film trains poses first; got --poses.no-trained")
 
     def of_film(self) -> FitOptions:
         """Return the options for a film, whose masks are finer and poses worse than others'.

@@ -5,7 +5,8 @@
 * ``rand_vgg``: the layout of VGG16 with random weights from a fixed seed. Untrained features see
   edges and textures at several scales too, so they order blur and noise sensibly. It replaces
   missing weights; its values compare only with each other.
-* ``LPIPS`` (Zhang et al. 2018): a metric only; needs a trained network and its linear heads.
+* ``LPIPS`` (Zhang et al. 2018): a metric only, on VGG16 as in the tables of 3DGS; needs the trained
+  network and its linear heads.
 
 For features ``f_l`` (D_l, H_l, W_l) of tap ``l`` = 1..L, and ``u_l = f_l / |f_l|`` along channels:
 
@@ -18,13 +19,10 @@ with the linear heads w of LPIPS, and w = 1/L for ``rand_vgg``.
 from __future__ import annotations
 
 import importlib.util
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
@@ -32,112 +30,15 @@ from torch.nn.utils import skip_init
 from gva_mi.core.cpu import core_for_torch, in_torch_thread, sqrt
 from gva_mi.core.errors import InputError, reason_of
 
-VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
-VGG16_TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
-ALEXNET_TAPS = (1, 4, 7, 9, 11)  # each of its ReLUs
+WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
+TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
+LOSS_TAPS = TAPS[:3]  # deeper layers see more than a training window holds
 RAND_SEED = 0  # part of the definition of rand_vgg
 RAND_WIDTH = 0.25  # share of VGG16's channels: a tenth of its time on a CPU
-
-
-def _conv(*arguments: int, **options: int) -> nn.Conv2d:
-    """Make a convolution without weights; torch's default would draw from the global seed."""
-    return skip_init(nn.Conv2d, *arguments, **options)
-
-
-def vgg16(width: float = 1.0) -> nn.Sequential:
-    """Make VGG16's convolutions, with layers indexed as in the keys ``features.N``."""
-    layers, channels = [], 3
-    for group in VGG16_WIDTHS:
-        for full in group:
-            wanted = round(full * width)
-            layers += [_conv(channels, wanted, 3, padding=1), nn.ReLU()]
-            channels = wanted
-        layers.append(nn.MaxPool2d(2))
-    return nn.Sequential(*layers)
-
-
-def alexnet() -> nn.Sequential:
-    """Make AlexNet's convolutions, with layers indexed as in the keys ``features.N``."""
-    return nn.Sequential(
-        *(_conv(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(_conv(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, 2)),
-        *(_conv(192, 384, 3, padding=1), nn.ReLU()),
-        *(_conv(384, 256, 3, padding=1), nn.ReLU()),
-        *(_conv(256, 256, 3, padding=1), nn.ReLU()),
-    )
-
-
-def random_vgg() -> nn.Sequential:
-    """Make a quarter of VGG16's width with He et al.'s random weights, which keep the scale."""
-    layers = vgg16(RAND_WIDTH)
-    generator = torch.Generator().manual_seed(RAND_SEED)
-    for layer in layers:
-        if isinstance(layer, nn.Conv2d):
-            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-            nn.init.zeros_(layer.bias)
-    return layers
-
-
-def load_layers(layers: nn.Sequential, path: Path, name: str) -> nn.Sequential:
-    """Fill layers with the weights of a file; an InputError unless it holds those of ``name``."""
-    state = _load_state(path)
-    found = {key.removeprefix("features."): x for key, x in state.items() if "features." in key}
-    for key, wanted in layers.state_dict().items():
-        if key not in found or found[key].shape != wanted.shape:
-            got = f"{tuple(found[key].shape)}" if key in found else "nothing"
-            raise InputError(
-                f"{path}: not weights of {name}: 'features.{key}' must be "
-                f"{tuple(wanted.shape)}, found {got}"
-            )
-    layers.load_state_dict({key: found[key] for key in layers.state_dict()})
-    return layers
-
-
-def load_heads(path: Path, layers: nn.Sequential, taps: Sequence[int]) -> list[Tensor]:
-    """Read the linear heads of LPIPS, one (D_l,) for each tap; an InputError unless they fit."""
-    state, heads = _load_state(path), []
-    for k, tap in enumerate(taps):
-        key, channels = f"lin{k}.model.1.weight", layers[tap - 1].out_channels
-        if key not in state or state[key].numel() != channels:
-            raise InputError(f"{path}: not LPIPS heads: '{key}' must hold {channels} numbers")
-        heads.append(state[key].flatten().float())
-    return heads
-
-
-def _load_state(path: Path) -> dict[str, Tensor]:
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a torch state dict") from None
-    except Exception as error:
-        raise InputError(f"{path}: not a torch state dict ({reason_of(error)})") from None
-    if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):
-        raise InputError(f"{path}: not a torch state dict of tensors")
-    return state
-
-
-LOSS_TAPS = VGG16_TAPS[:3]  # deeper layers see more than a training window holds
-LpipsNetwork = Literal["alex", "vgg"]  # under the names of the package lpips
-
 BETA = 1e-12  # differences of features that count as none
 
 # Input of the trained networks: ImageNet's mean and standard deviation per channel.
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-
-
-class LpipsParts(NamedTuple):
-    """A network that LPIPS may use."""
-
-    name: str  # as reports give it
-    make: Callable[[], nn.Sequential]
-    taps: Sequence[int]
-    files: tuple[str, str]  # fields of Weights: the network's and its linear heads'
-
-
-LPIPS: Mapping[LpipsNetwork, LpipsParts] = {  # the first that is found is used
-    "alex": LpipsParts("AlexNet", alexnet, ALEXNET_TAPS, ("alexnet", "lpips_alex")),
-    "vgg": LpipsParts("VGG16", vgg16, VGG16_TAPS, ("vgg16", "lpips_vgg")),
-}
 
 
 class FeatureDistance(nn.Module):
@@ -173,10 +74,8 @@ class FeatureDistance(nn.Module):
 class FeatureMetric(FeatureDistance):
     """Eq. P2: the distance of unit feature vectors; LPIPS with heads, ``rand_vgg`` without."""
 
-    def __init__(
-        self, layers: nn.Sequential, taps: Sequence[int], heads: Sequence[Tensor] | None = None
-    ) -> None:
-        super().__init__(layers, taps)
+    def __init__(self, layers: nn.Sequential, heads: Sequence[Tensor] | None = None) -> None:
+        super().__init__(layers, TAPS)
         self.heads = heads  # one (D_l,) per tap; None: all weights 1/L
 
     @torch.no_grad()
@@ -187,23 +86,38 @@ class FeatureMetric(FeatureDistance):
             image, target: two pictures (H, W, 3), or the same part of them.
             size: (H, W) of pictures that are equal outside of this part; None: the part is all.
         """
+        height, width = size or image.shape[:2]
         total = torch.zeros(())
-        counts = self._positions(np.array(size or image.shape[:2]))
-        seen = zip(self.features(image), self.features(target), counts, strict=True)
-        for k, (f, g, count) in enumerate(seen):
+        for k, (f, g) in enumerate(zip(self.features(image), self.features(target), strict=True)):
             difference = (_unit(f) - _unit(g)).square()
-            weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(self.taps)
+            weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(TAPS)
+            count = (height >> k) * (width >> k)  # positions of features: a pool in each group
             total = total + (weight * difference).sum() / count
         return total
 
-    def _positions(self, sides: np.ndarray) -> Iterator[int]:
-        """Yield the number of positions of features at each tap, for a picture's (H, W)."""
-        for k, layer in enumerate(self.layers):
-            if not isinstance(layer, nn.ReLU):
-                size, step, edge = map(np.max, (layer.kernel_size, layer.stride, layer.padding))
-                sides = (sides + 2 * edge - size) // step + 1
-            if k in self.taps:
-                yield int(sides.prod())
+
+@dataclass(frozen=True)
+class Weights:
+    """Files of weights found on this machine, or None."""
+
+    vgg16: Path | None = None  # state dict, features.N.weight and .bias
+    lpips: Path | None = None  # linear heads of LPIPS on VGG16, linK.model.1.weight
+
+    @property
+    def of_lpips(self) -> list[Path]:
+        """The two files that LPIPS needs; empty if one was not found."""
+        return [self.vgg16, self.lpips] if self.vgg16 and self.lpips else []
+
+
+def find_weights() -> Weights:
+    """Look for ``vgg16*.pth`` and ``lpips_vgg.pth`` in torch's cache, and in an installed lpips."""
+    cache = Path(torch.hub.get_dir()) / "checkpoints"
+    package = importlib.util.find_spec("lpips")  # importing it requires torchvision
+    heads = [cache / "lpips_vgg.pth"]
+    if package:
+        heads.append(Path(package.origin).parent / "weights/v0.1/vgg.pth")
+    first = lambda paths: next((path for path in paths if path.is_file()), None)
+    return Weights(first(sorted(cache.glob("vgg16*.pth"))), first(heads))
 
 
 def rand_vgg_loss() -> FeatureDistance:
@@ -217,92 +131,82 @@ def vgg16_loss(weights: Path) -> FeatureDistance:
     Raises:
         InputError: the file does not hold them.
     """
-    return FeatureDistance(load_layers(vgg16(), weights, "VGG16"), LOSS_TAPS)
+    return FeatureDistance(load_vgg16(weights), LOSS_TAPS)
 
 
 def rand_vgg() -> FeatureMetric:
     """Return the metric ``rand_vgg``."""
-    return FeatureMetric(random_vgg(), VGG16_TAPS)
+    return FeatureMetric(random_vgg())
 
 
 def lpips(weights: Weights) -> FeatureMetric | None:
-    """Return LPIPS if a network and its linear heads were found (AlexNet, else VGG16), else None.
+    """Return LPIPS on VGG16 if the network and its linear heads were found, else None.
 
     Raises:
         InputError: a file does not hold what its name says.
     """
-    found = weights.lpips_network
-    if found is None:
+    if not weights.of_lpips:
         return None
-    of_layers, of_heads = weights.lpips_files
-    layers = load_layers(found.make(), of_layers, found.name)
-    return FeatureMetric(layers, found.taps, load_heads(of_heads, layers, found.taps))
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Files of weights found on this machine, or None."""
-
-    vgg16: Path | None = None  # state dict, features.N.weight and .bias
-    alexnet: Path | None = None  # state dict likewise
-    lpips_vgg: Path | None = None  # linear heads, linK.model.1.weight
-    lpips_alex: Path | None = None  # linear heads likewise
-
-    @property
-    def lpips_network(self) -> LpipsParts | None:
-        """The network that :func:`lpips` would use."""
-        return next((parts for parts in LPIPS.values() if all(self._files(parts))), None)
-
-    @property
-    def lpips_files(self) -> list[Path]:
-        """The files of that network and of its linear heads; empty without them."""
-        return self._files(self.lpips_network) if self.lpips_network else []
-
-    def _files(self, parts: LpipsParts) -> list[Path | None]:
-        return [getattr(self, name) for name in parts.files]
-
-    def of_lpips(self, network: LpipsNetwork | None) -> Weights:
-        """Return the files of LPIPS on one network alone; all of them if ``network`` is None.
-
-        LPIPS on one network cannot be compared with LPIPS on the other.
-
-        Raises:
-            InputError: files of the network were not found.
-        """
-        if network is None:
-            return self
-        needed = LPIPS[network].files
-        if missing := [f"{name}*.pth" for name in needed if getattr(self, name) is None]:
+    layers, state, heads = load_vgg16(weights.vgg16), _load_state(weights.lpips), []
+    for k, group in enumerate(WIDTHS):
+        key = f"lin{k}.model.1.weight"
+        if key not in state or state[key].numel() != group[-1]:
             raise InputError(
-                f"--lpips {network}: found no {' and no '.join(missing)} in torch's cache of "
-                "weights (hub/checkpoints in TORCH_HOME) or in an installed package lpips"
+                f"{weights.lpips}: not LPIPS heads: '{key}' must hold {group[-1]} numbers"
             )
-        return Weights(**{name: getattr(self, name) for name in needed})
+        heads.append(state[key].flatten().float())
+    return FeatureMetric(layers, heads)
 
 
-def find_weights() -> Weights:
-    """Look for weights in torch's cache, and in an installed ``lpips``.
+def vgg16(width: float = 1.0) -> nn.Sequential:
+    """Make VGG16's convolutions, with layers indexed as in the keys ``features.N``."""
+    layers, channels = [], 3
+    for group in WIDTHS:
+        for full in group:
+            wanted = round(full * width)
+            # without weights; torch's default would draw from the global seed
+            layers += [skip_init(nn.Conv2d, channels, wanted, 3, padding=1), nn.ReLU()]
+            channels = wanted
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers)
 
-    Files are ``vgg16*.pth``, ``alexnet*.pth``, ``lpips_vgg.pth`` and ``lpips_alex.pth``.
-    """
-    cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    torch_home = Path(os.environ.get("TORCH_HOME", str(Path(cache) / "torch")))
-    checkpoints = torch_home / "hub" / "checkpoints"
-    package = importlib.util.find_spec("lpips")  # importing it requires torchvision
-    heads = Path(package.origin).parent / "weights" / "v0.1" if package else None
 
-    def first(*paths: Path) -> Path | None:
-        return next((p for p in paths if p.is_file()), None)
+def random_vgg() -> nn.Sequential:
+    """Make a quarter of VGG16's width with He et al.'s random weights, which keep the scale."""
+    layers = vgg16(RAND_WIDTH)
+    generator = torch.Generator().manual_seed(RAND_SEED)
+    for layer in layers:
+        if isinstance(layer, nn.Conv2d):
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)
+    return layers
 
-    def named(pattern: str) -> Path | None:
-        return first(*sorted(checkpoints.glob(pattern)))
 
-    return Weights(
-        vgg16=named("vgg16*.pth"),
-        alexnet=named("alexnet*.pth"),
-        lpips_vgg=named("lpips_vgg.pth") or (first(heads / "vgg.pth") if heads else None),
-        lpips_alex=named("lpips_alex.pth") or (first(heads / "alex.pth") if heads else None),
-    )
+def load_vgg16(path: Path) -> nn.Sequential:
+    """Make VGG16 with the weights of a file; an InputError unless it holds them."""
+    layers, state = vgg16(), _load_state(path)
+    found = {key.removeprefix("features."): x for key, x in state.items() if "features." in key}
+    for key, wanted in layers.state_dict().items():
+        if key not in found or found[key].shape != wanted.shape:
+            got = f"{tuple(found[key].shape)}" if key in found else "nothing"
+            raise InputError(
+                f"{path}: not weights of VGG16: 'features.{key}' must be "
+                f"{tuple(wanted.shape)}, found {got}"
+            )
+    layers.load_state_dict({key: found[key] for key in layers.state_dict()})
+    return layers
+
+
+def _load_state(path: Path) -> dict[str, Tensor]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; expected a torch state dict") from None
+    except Exception as error:
+        raise InputError(f"{path}: not a torch state dict ({reason_of(error)})") from None
+    if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):
+        raise InputError(f"{path}: not a torch state dict of tensors")
+    return state
 
 
 def mean_absolute(f: Tensor, g: Tensor) -> Tensor:

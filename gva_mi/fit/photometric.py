@@ -58,7 +58,7 @@ from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.core.options import Metres, Weight, Within, options_of
+from gva_mi.core.options import Metres, PythonOnly, Turn, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.data.crop import NoEvidence, gather, person_extent
@@ -95,15 +95,22 @@ class PhotometricOptions(DescentOptions):
     """Options of photometric tracking."""
 
     passes: Passes = 10  # how often every frame is visited
-    alpha: Weight = 0.5  # λα, weight of the avatar's outline against the mask
-    ssim: Weight = 0.1  # λs, weight of 1 - SSIM
-    learn: Learn = 3  # passes before the prior is fitted to the corrections
-    prior_weight: PriorWeight = 0.001  # weight of the prior beside the pictures
-    step: Metres = 0.0005  # metres that a joint moves the skin beyond it, in a first step
-    translation_lr: Metres = 0.0003  # metres in a first step
+    alpha: PythonOnly[Weight] = 0.5  # λα, weight of the avatar's outline against the mask
+    ssim: PythonOnly[Weight] = 0.1  # λs, weight of 1 - SSIM
+    learn: PythonOnly[Learn] = 3  # passes before the prior is fitted to the corrections
+    prior_weight: PythonOnly[PriorWeight] = 0.001  # weight of the prior beside the pictures
+    # Metres that a joint moves the skin beyond it, in a first step.
+    step: PythonOnly[Metres] = 0.0005
+    translation_lr: PythonOnly[Metres] = 0.0003  # metres in a first step
     # Standard deviations of an expression in such a step; 0: jaw and expression stay as given.
-    expression_lr: Annotated[float, Within(0, 1)] = 0.02
-    part: PartFrames = 240  # frames fitted together; a longer video is cut into clips
+    expression_lr: PythonOnly[Annotated[float, Within(0, 1)]] = 0.02
+    # Frames fitted together; a longer video is cut into clips.
+    part: PythonOnly[PartFrames] = 240
+    batch: PythonOnly[Annotated[int, Within(1, 10_000)]] = 4  # frames of a step, at most
+    # Radians in such a step; limits joints with short lever arms.
+    largest_turn: PythonOnly[Turn] = 0.03
+    # Frames that a clip shares with the next.
+    overlap: PythonOnly[Annotated[int, Within(0, 5_000)]] = 16
 
     command: ClassVar[str] = "track"
     decay: ClassVar[float] = 0.1

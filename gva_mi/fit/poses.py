@@ -222,17 +222,17 @@ class PoseOptions:
 
     trained: bool = True  # False: poses stay as they were given
     # False: hands do not turn at the wrist; few pixels show where a hand is, but not its turn.
-    wrists: bool = True
+    wrists: PythonOnly[bool] = True
     # Steps of the fit per step of the poses.
-    every: Annotated[int, Within(1, 1_000_000)] = 8
-    prior_weight: PriorWeight = 1e-5  # ν: weight of the prior beside Eq. 9
+    every: PythonOnly[Annotated[int, Within(1, 1_000_000)]] = 8
+    prior_weight: PythonOnly[PriorWeight] = 1e-5  # ν: weight of the prior beside Eq. 9
     # Metres that a joint moves the skin beyond it, in a first step.
     step: PythonOnly[Metres] = 0.003
     # Radians in such a step; limits joints with short lever arms.
     largest_turn: PythonOnly[Turn] = 0.03
     translation_lr: PythonOnly[Metres] = 0.002  # metres in a first step
     # Standard deviations of an expression in a first step; 0: jaw and expression stay as given.
-    expression_lr: Annotated[float, Within(0, 1)] = 0.03
+    expression_lr: PythonOnly[Annotated[float, Within(0, 1)]] = 0.03
     part: PythonOnly[Annotated[int, Within(2, 10_000)]] = 240  # frames that share a prior
 
 

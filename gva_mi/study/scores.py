@@ -84,18 +84,12 @@ class Scorer:
         with one_torch_thread():
             return list(on_all_cores(lambda pair: self(*pair), pairs))
 
-    @property
-    def network(self) -> str | None:
-        """The network of LPIPS, if its weights were found."""
-        found = self._weights.lpips_network
-        return found and found.name
-
     def networks(self) -> dict[str, Any]:
         """Describe network and weights of each perceptual metric; None for LPIPS without any."""
-        name, files = self.network, self._weights.lpips_files
+        files = self._weights.of_lpips
         digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
         return {
-            "lpips": {"network": name, "sha256": digests} if name else None,
+            "lpips": {"network": "VGG16", "sha256": digests} if files else None,
             "rand_vgg": {
                 "network": f"VGG16's layers, {RAND_WIDTH:g} of its channels",
                 "weights": f"random, seed {RAND_SEED}",

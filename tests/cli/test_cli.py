@@ -93,10 +93,6 @@ BAD = (
         "--loss.alpha must be a number from 0 to 1,000,000, got -1",
     ),
     (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
-    (
-        ("fit", "nowhere", "--out", "new", "--schedule.reinit-at", "never"),
-        "--schedule.reinit-at must be a number above 0 and below 1, got never",
-    ),
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
     ((), "a command is missing; expected one of demo, synth"),
@@ -124,11 +120,12 @@ def test_options_set_only_in_python_keep_their_defaults():
 def test_a_preset_sets_the_defaults_and_explicit_options_override_it():
     from gva_mi.fit import paper
     from gva_mi.fit.options import FitOptions
+    from gva_mi.fit.poses import PoseOptions
     from gva_mi.pose import SequenceOptions
 
-    words = ["subject", "--out", "run", "--steps", "7", "--avatar.stretch", "--preset"]
+    words = ["subject", "--out", "run", "--steps", "7", "--poses.trained", "--preset"]
     of = lambda *last: parse(load("fit"), "fit", [*words, *last]).keywords["options"]
-    assert of("paper") == replace(paper.FIT, steps=7, avatar=replace(paper.AVATAR, stretch=True))
+    assert of("paper") == replace(paper.FIT, steps=7, poses=PoseOptions())
     assert of("default").rates != of("paper").rates
     assert of("film") == replace(FitOptions(steps=2000).of_film(), steps=7)
     refined = parse(load("refine"), "refine", ["subject", "--preset=paper", "--size", "99"])
@@ -138,7 +135,7 @@ def test_a_preset_sets_the_defaults_and_explicit_options_override_it():
 def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
     for command, there in (
         ("fit nowhere --out new --step 3", "--steps"), ("refine nowhere --preset all", "paper"),
-        ("fit nowhere", "--out"), ("fit x --out new --rates.mean 3", "--rates.means"),
+        ("fit nowhere", "--out"), ("fit x --out new --mask-eror 3", "--mask-error"),
         ("study avatar --out x --fit.window 9", "--fit.window"),
     ):  # fmt: skip
         code, out, err = cli(*command.split())

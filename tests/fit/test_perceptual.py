@@ -90,41 +90,23 @@ def weights(tmp_path, monkeypatch):
     noise = lambda state: {
         f"features.{k}": 0.1 * torch.randn(x.shape, generator=generator) for k, x in state.items()
     }
-    monkeypatch.setattr(perceptual, "VGG16_WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
+    monkeypatch.setattr(perceptual, "WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     folder = tmp_path / "hub" / "checkpoints"
     folder.mkdir(parents=True)
     torch.save(noise(perceptual.vgg16().state_dict()), folder / "vgg16-0.pth")
-    torch.save(noise(perceptual.alexnet().state_dict()), folder / "alexnet-0.pth")
-    for name, widths in (("vgg", (4, 8, 8, 8, 8)), ("alex", (64, 192, 384, 256, 256))):
-        heads = {f"lin{k}.model.1.weight": torch.rand(1, w, 1, 1) for k, w in enumerate(widths)}
-        torch.save(heads, folder / f"lpips_{name}.pth")
+    widths = (4, 8, 8, 8, 8)
+    heads = {f"lin{k}.model.1.weight": torch.rand(1, w, 1, 1) for k, w in enumerate(widths)}
+    torch.save(heads, folder / "lpips_vgg.pth")
     return find_weights()
 
 
 def test_the_users_weights_are_found_and_used(weights, picture):
-    assert weights.lpips_network.name == "AlexNet"
-    assert weights.lpips_files == [weights.alexnet, weights.lpips_alex]
+    assert [path.name for path in weights.of_lpips] == ["vgg16-0.pth", "lpips_vgg.pth"]
     assert vgg16_loss(weights.vgg16)(blurred(picture, 1), picture) > 0
-    for used in (weights, Weights(vgg16=weights.vgg16, lpips_vgg=weights.lpips_vgg)):
-        metric = lpips(used)
-        assert metric(picture, picture) == 0 and metric(blurred(picture, 1), picture) > 0
-
-
-def test_the_network_of_lpips_can_be_chosen(weights, picture):
-    blurry = blurred(picture, 1)
-    vgg, alex = (lpips(weights.of_lpips(network))(blurry, picture) for network in ("vgg", "alex"))
-    assert weights.of_lpips("vgg").lpips_network.name == "VGG16" and vgg != alex
-    assert lpips(weights.of_lpips(None))(blurry, picture) == alex
-
-
-def test_a_network_of_lpips_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match="--lpips vgg: found no vgg16"):
-        Weights().of_lpips("vgg")
-
-
-def test_there_is_no_lpips_without_weights():
-    assert lpips(Weights()) is None and not Weights().lpips_files
+    metric = lpips(weights)
+    assert metric(picture, picture) == 0 and metric(blurred(picture, 1), picture) > 0
+    assert lpips(Weights()) is None and not Weights().of_lpips
 
 
 def test_files_that_are_no_weights_are_refused(tmp_path):

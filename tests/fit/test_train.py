@@ -285,7 +285,7 @@ def test_a_second_fit_starts_anew_with_the_poses_of_the_first(video, body, tmp_p
         with pytest.raises(Killed):
             fit(video, body, both, tmp_path / "run", resume=True, progress=killed_at(step))
     assert same(fit(video, body, both, tmp_path / "run", resume=True), wanted)
-    with pytest.raises(InputError, match="--first-steps are for trained poses"):
+    with pytest.raises(InputError, match="--preset film trains poses first"):
         replace(both, poses=PoseOptions(trained=False))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.fit.perceptual import ALEXNET_TAPS, Weights, alexnet
+from gva_mi.fit.perceptual import TAPS, Weights, vgg16
 from gva_mi.study.scores import NETWORK_LONGEST, NETWORK_SIDE, PSNR_MAX, Scorer, psnr, ssim
 
 
@@ -60,21 +60,23 @@ def test_large_pictures_are_shrunk_for_the_networks_alone():
     assert scorer(*large).psnr == psnr(*large)
 
 
-def test_networks_and_weights_are_named(tmp_path):
+def test_networks_and_weights_are_named(tmp_path, monkeypatch):
+    small = ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3)
+    monkeypatch.setattr("gva_mi.fit.perceptual.WIDTHS", small)
     assert Scorer(Weights()).networks()["lpips"] is None
-    layers, weights, heads = alexnet(), tmp_path / "alexnet.pth", tmp_path / "lpips_alex.pth"
+    layers, weights, heads = vgg16(), tmp_path / "vgg16.pth", tmp_path / "lpips_vgg.pth"
     torch.save(
         {f"features.{k}": torch.zeros_like(x) for k, x in layers.state_dict().items()}, weights
     )
-    widths = [layers[tap - 1].out_channels for tap in ALEXNET_TAPS]
+    widths = [layers[tap - 1].out_channels for tap in TAPS]
     torch.save(
         {f"lin{k}.model.1.weight": torch.ones(1, n, 1, 1) for k, n in enumerate(widths)}, heads
     )
-    scorer = Scorer(Weights(alexnet=weights, lpips_alex=heads))
+    scorer = Scorer(Weights(weights, heads))
     named = scorer.networks()
-    assert named["lpips"]["network"] == "AlexNet"
+    assert named["lpips"]["network"] == "VGG16"
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-    assert named["lpips"]["sha256"]["alexnet.pth"] == digest
+    assert named["lpips"]["sha256"]["vgg16.pth"] == digest
     assert named["rand_vgg"]["weights"] == "random, seed 0"
     box = np.zeros((16, 16, 3), np.uint8)  # of a small hand
     assert np.isfinite(scorer(box, box + 9).lpips)

@@ -12,7 +12,7 @@ import pytest
 
 SYNTH = "--frames 2 --size 32"
 SEEN = "--cases tuning --subjects 3 --size 48 --refine.passes 1 --refine.size 48"
-FIT = "--steps 5 --checkpoint-every 2 --window 16 --avatar.seed.count 300"
+FIT = "--steps 5 --checkpoint-every 2 --avatar.seed.count 300"
 OVERWRITE, RESUME = ("--overwrite",), ("--resume", "--overwrite")
 
 

@@ -17,15 +17,10 @@ from gva_mi.avatar.without_body import save_without_body
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body
-from gva_mi.cli import series
-from gva_mi.core.files import json_equals, write_json
 from gva_mi.data.film import write_film
 from gva_mi.data.fingerprint import fingerprint, require_same_body
-from gva_mi.data.ground_truth import held_out_views, load_ground_truth, save_views
-from gva_mi.data.importers.footage import masks, pictures
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.splat.formats.ply import load_ply, save_ply
@@ -37,19 +32,16 @@ from gva_mi.study.engine import Outcome, Study
 from gva_mi.study.metrics import load_metrics
 from gva_mi.study.refinement import load_refinement
 from gva_mi.study.tables import refine_cells
-from gva_mi.synthetic import SynthOptions, describe_errors
-from gva_mi.synthetic.provenance import recorded_options
 from samples.scenes import save_scene
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
-MADE_WITH = {"sources": "0"}
 
 
 class Made(Study):
     """A study whose inputs do not matter."""
 
-    kind, made_with = "refine", MADE_WITH
+    kind, made_with, stamp = "refine", {}, "0"
     variants = ("refined",)
 
     def rounds(self, missing):
@@ -62,6 +54,8 @@ def seeds(subject, avatar):
     small = body_of_few_vertices()
 
     def copied(folder):
+        body_of = {"name": "a"} | fingerprint(body)
+        (folder / "prepare.json").write_text(json.dumps({"body": body_of}))
         for path in ("cameras.npz", "poses.npz", "splits.json", "frames", "masks"):
             copy = shutil.copytree if (subject / path).is_dir() else shutil.copy
             copy(subject / path, folder / path)
@@ -73,23 +67,10 @@ def seeds(subject, avatar):
         (folder / "normals.json").write_text(json.dumps(about))
 
     def opened(folder, _=None):
+        require_same_body(folder, body)
         video = load_video(folder)
-        load_video(folder).offsets_of(len(body.v_template))
+        video.offsets_of(len(body.v_template))
         for frame in video.frames():
-            frame.on_background()
-
-    def seen_by_others(folder):
-        copied(folder)
-        video = load_video(folder)
-        for k, frame in enumerate((0, 4)):
-            for part in ("frames", "masks"):
-                image = subject / part / f"{frame:06d}.png"
-                (folder / "views" / part).mkdir(parents=True, exist_ok=True)
-                shutil.copy(image, folder / "views" / part / f"{k:06d}.png")
-        save_views(folder / "views", [0, 4], ["1", "2"], [video.cameras[k] for k in (0, 4)])
-
-    def opened_by_others(folder, _=None):
-        for frame in held_out_views(load_video(folder)).frames():
             frame.on_background()
 
     def filmed(folder):
@@ -97,21 +78,6 @@ def seeds(subject, avatar):
         shutil.rmtree(folder / "frames")
         shutil.rmtree(folder / "normals")
         write_film(folder / "video.mp4", [np.full((48, 48, 3), 40 * k, np.uint8) for k in range(6)])
-
-    def synthetic(folder):
-        about = {"options": SynthOptions().recorded(), "body": fingerprint(body)}
-        (folder / "synth.json").write_text(json.dumps(about))
-        (folder / "prepare.json").write_text(
-            json.dumps({"body": {"name": "a"} | fingerprint(body)})
-        )
-        (folder / "truth").mkdir()
-        shutil.copy(subject / "poses.npz", folder / "truth")
-        shutil.copy(subject / "cameras.npz", folder)
-        noise = {
-            "level": 1, "error_model": "white", "seed": 1,
-            "floor": {"joint_mm": 1.0, "limb_mm": 2.0},
-        }  # fmt: skip
-        (folder / "noise.json").write_text(json.dumps(noise))
 
     def run(folder):
         avatar.save(folder / "avatar.npz")
@@ -153,12 +119,10 @@ def seeds(subject, avatar):
     def study(folder):
         outcome = Outcome(HELD_OUT[0], "refined", {"change: body": -0.5, "points": "vertices"})
         Made(folder, None, None).save([outcome], {})
-        write_json(folder / "marker.json", MADE_WITH)
 
     def read_study(folder, path=None):
         each(folder, path, {
             "refine.json": lambda path: refine_cells(Made(folder, None, None).load()),
-            "marker.json": lambda path: (json_equals(path, MADE_WITH), series._hash_in(path)),
         })  # fmt: skip
 
     def gaussians(folder):
@@ -197,40 +161,15 @@ def seeds(subject, avatar):
 
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 
-    def footage(folder):
-        image = np.arange(W * H * 3, dtype=np.uint8).reshape(H, W, 3)
-        from PIL import Image
-
-        for suffix in ("png", "jpg", "bmp", "tif", "webp"):
-            Image.fromarray(image).save(folder / f"a.{suffix}")
-        np.save(folder / "masks.npy", np.ones((T, H, W), bool))
-        write_film(folder / "film.mp4", [np.full((H, W, 3), 255, dtype=np.uint8)] * T)  # of masks
-
-    def read_footage(folder, path=None):
-        read = {f"a.{suffix}": lambda path: list(pictures((path,), 3))
-                for suffix in ("png", "jpg", "bmp", "tif", "webp")}  # fmt: skip
-        whole = lambda path: list(masks(path))
-        read |= {"masks.npy": whole, "film.mp4": whole}
-        each(folder, path, read)
-        read_background(str(folder / "a.png"), 9, 9)
-
-    readers = {
+    return {
         "subject": (copied, opened),
-        "views": (seen_by_others, opened_by_others),
         "film": (filmed, opened),
-        "synth.json": (synthetic, lambda folder, path=None: each(folder, path, {
-            "synth.json": lambda path: recorded_options(folder),
-            "noise.json": lambda path: describe_errors(folder),
-            "truth/poses.npz": lambda path: load_ground_truth(path.parent, body),
-            "prepare.json": lambda path: require_same_body(folder, body)})),
         "run": (run, read_run),
         "study": (study, read_study),
         "gaussians": (gaussians, read_gaussians),
         "body": (bodies, read_bodies),
         "motion": (motions, read_motions),
-        "footage": (footage, read_footage),
-    }  # fmt: skip
-    return readers
+    }
 
 
 def each(folder, path, readers):

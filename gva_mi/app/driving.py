@@ -1,6 +1,6 @@
-"""Drive an avatar by any motion: its renders, and folders of one file for each frame.
+"""Drive an avatar by any motion, and render it.
 
-Every file of such a folder is whole or missing, and its marker keeps the stamp
+Every file of a folder of renders is whole or missing, and its marker keeps the stamp
 (:mod:`gva_mi.core.stamp`) of what they were made of. The same call, made again, writes only what is
 missing, with the bits of an uninterrupted run.
 """
@@ -82,7 +82,7 @@ def render(
     movie = Path(VIDEO).stem + SEE_THROUGH if alpha else VIDEO
     if video and alpha:
         require_alpha_codec(out / movie)
-    made_of = stamp_of(avatar, motion, pictures, behind, alpha, video, fps)
+    made_of = _stamp(avatar, motion, pictures, behind, alpha, video, fps)
     about = {"avatar": str(run), "poses": poses, "cameras": cameras}
     files = [frame_name(k) for k in range(len(pictures))]
     names = [*files, movie] if video else files
@@ -100,7 +100,7 @@ def render(
             write_image(out / files[k], image)
             yield image
 
-    folder = series(out, RENDERED, names, overwrite, about, made_of)
+    folder = _missing(out, names, overwrite, about, made_of)
     with folder as missing, bar("render") as progress:
         if movie in missing:
             write_film(out / movie, images(missing), fps, "alpha" if alpha else "playable")
@@ -148,23 +148,18 @@ def motion_of(
 
 
 @contextmanager
-def series(
-    out: Path,
-    marker: str,
-    names: Sequence[str],
-    overwrite: bool,
-    about: dict[str, Any],
-    made_of: str,
+def _missing(
+    out: Path, names: Sequence[str], overwrite: bool, about: dict[str, Any], made_of: str
 ) -> Iterator[list[str]]:
     """Lock a folder, then start it anew or continue it; yield those of ``names`` that are missing.
 
-    ``about`` is the content of the ``marker`` file, and ``made_of`` the stamp of all files. An
-    InputError says that the folder holds something else, or all files already.
+    ``about`` is the content of the marker, and ``made_of`` the stamp of all files. An InputError
+    says that the folder holds something else, or all files already.
     """
-    with folder_lock(out, f"gva-mi {Path(marker).stem}"):
+    with folder_lock(out, "gva-mi render"):
         missing = [name for name in names if not (out / name).exists()]
-        if overwrite or not missing or not is_fresh(out / marker, made_of):
-            start_folder(out, marker, overwrite, about, made_of)
+        if overwrite or not missing or not is_fresh(out / RENDERED, made_of):
+            start_folder(out, RENDERED, overwrite, about, made_of)
             missing = list(names)
         else:
             require_writable(out)
@@ -173,13 +168,10 @@ def series(
         yield missing
 
 
-def stamp_of(avatar: Avatar, motion: Pose, shots: Iterable[CameraShot], *how: object) -> str:
-    """Return the stamp of the files of a folder: one picture of a driven avatar in each.
-
-    Without pictures there are no ``shots``; ``how`` holds other numbers, words and arrays.
-    """
+def _stamp(avatar: Avatar, motion: Pose, pictures: Iterable[CameraShot], *how: object) -> str:
+    """Return the stamp of renders; ``how`` holds other numbers, words and arrays."""
     inputs: list[object] = [*avatar.record().values(), *motion.to_smplx().values(), *how]
-    for shot in shots:
+    for shot in pictures:
         camera = shot.camera
         inputs += [shot.frame, camera.K, camera.T_camera_world]
         inputs += [camera.model, camera.width, camera.height]

@@ -14,23 +14,12 @@ from typing import NamedTuple
 
 from gva_mi.core import llvm
 
-# Optional packages: the feature that needs each, and the extra that installs it.
-PACKAGES = {
-    "mitsuba": ("mesh normals and silhouettes, synthetic subjects", "mitsuba"),
-    "pymeshlab": ("meshing in the re-initialisation, the built-in body's generator", "mesh"),
-    "trimesh": ("meshes", "mesh"),
-    "skimage": ("PSNR and SSIM", "mesh"),
-    "scipy": ("nearest neighbours", "mesh"),
-    "av": ("reading and writing mp4", "avatar"),
-    "PIL": ("reading and writing PNG", "avatar"),
-    "jinja2": ("the report", "avatar"),
-    "matplotlib": ("the report's plots", "avatar"),
-    "roma": ("rotations", "avatar"),
-    "tyro": ("the command line", "avatar"),
+PACKAGES = {  # that commands need, by the extra that installs them
+    "mitsuba": ("mitsuba",),
+    "mesh": ("pymeshlab", "trimesh", "skimage", "scipy"),
+    "avatar": ("av", "PIL", "jinja2", "matplotlib", "roma", "tyro"),
 }
-
-# Extras that most users do without: the commands that need each package, and the extra.
-OPTIONAL = {
+OPTIONAL = {  # that most users do without: the commands that need each, and the extra
     "ai_edge_litert": ("`gva-mi avatar`, `prepare film` and `motion FILM`", "film"),
     "viser": ("`gva-mi view`", "viewer"),
     "transformers": ("`gva-mi prepare --masks sam`", "sam"),
@@ -45,12 +34,9 @@ class Component(NamedTuple):
     name: str
     found: str
     fine: bool = True
-    needed_for: str = ""  # said if it is missing
 
     def __str__(self) -> str:
-        mark = "ok     " if self.fine else "MISSING"
-        why = "" if self.fine or not self.needed_for else f"  (needed for: {self.needed_for})"
-        return f"{mark}  {self.name:<14} {self.found}{why}"
+        return f"{'ok     ' if self.fine else 'MISSING'}  {self.name:<14} {self.found}"
 
 
 def doctor() -> None:
@@ -69,21 +55,24 @@ def doctor() -> None:
 
 def examine() -> Iterator[Component]:
     """Examine everything that the program can use, essential components first."""
-    version = sys.version_info
-    yield Component("python", platform.python_version(), version >= (3, 11), "everything")
+    yield Component("python", platform.python_version(), sys.version_info >= (3, 11))
     yield Component("system", f"{platform.platform()}, {os.cpu_count()} cores")
     yield from _dr_jit()
-    for module in ("torch", *PACKAGES):
-        yield _package(module, *PACKAGES.get(module, ("everything", "")))
+    yield _package("torch", "")
+    for extra, modules in PACKAGES.items():
+        for module in modules:
+            yield _package(module, extra)
     for module, (commands, extra) in OPTIONAL.items():
-        yield _optional(module, commands, extra)
+        wanted = f"none; {commands} would need it: pip install 'gva_mi[{extra}]'"
+        there = importlib.util.find_spec(module) is not None  # importing may take seconds
+        yield Component(module, _version(module) if there else wanted)
     yield from _weights()
 
 
 def _dr_jit() -> Iterator[Component]:
     """Run a kernel that aborts with an old libLLVM, and read the vector width from its code."""
     if llvm.problem:
-        yield Component("libLLVM", llvm.problem, False, "every kernel")
+        yield Component("libLLVM", llvm.problem, False)
         return
     import drjit as dr
     from drjit.llvm import Float
@@ -97,29 +86,25 @@ def _dr_jit() -> Iterator[Component]:
     yield Component("libLLVM", f"{found} at {os.environ.get(llvm.PATH, 'the default path')}")
     width = f", {lanes.group(1)} float32 lanes" if lanes else ""
     says = f"{dr.__version__}, {dr.thread_count()} threads{width}"
-    yield Component("drjit", says, bool(dr.all(smaller == 0.5)), "every kernel")
+    yield Component("drjit", says, bool(dr.all(smaller == 0.5)))
 
 
-def _package(module: str, needed_for: str, extra: str) -> Component:
+def _version(module: str) -> str:
+    return metadata.version(metadata.packages_distributions().get(module, [module])[0])
+
+
+def _package(module: str, extra: str) -> Component:
     """Import a package in a process of its own, because a broken wheel may fail in any way."""
     trial = f"import gva_mi, {module}"
     result = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True)
     if result.returncode == 0:
-        names = metadata.packages_distributions().get(module, [module])
-        return Component(module, metadata.version(names[0]))
+        return Component(module, _version(module))
     last = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
-    install = f"; pip install 'gva_mi[{extra}]'" if "ModuleNotFound" in last else ""
+    if "ModuleNotFound" in last:
+        last += f"; pip install 'gva_mi[{extra}]'"
     if "libGL" in last or "libX11" in last:
-        install = "; apt-get install libgl1 libx11-6"
-    return Component(module, last + install, False, needed_for)
-
-
-def _optional(module: str, commands: str, extra: str) -> Component:
-    """Look for an optional package, without the seconds that importing it may take."""
-    if importlib.util.find_spec(module) is None:
-        return Component(module, f"none; {commands} would need it: pip install 'gva_mi[{extra}]'")
-    names = metadata.packages_distributions().get(module, [module])
-    return Component(module, metadata.version(names[0]))
+        last += "; apt-get install libgl1 libx11-6"
+    return Component(module, last, False)
 
 
 def _weights() -> Iterator[Component]:

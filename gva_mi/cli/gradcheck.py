@@ -17,7 +17,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.options import Seed, Within, options_of
 from gva_mi.gradcheck.avatar import PosedAvatar, check_avatar
 from gva_mi.gradcheck.engine import Report, write_reports
-from gva_mi.gradcheck.normals import COORDINATES, LINES, POINTS, SIZE, SPP, check_normals
+from gva_mi.gradcheck.normals import COORDINATES, SIZE, check_normals
 from gva_mi.gradcheck.splat import gradcheck as check_renderer
 from gva_mi.gradcheck.splat import write_picture
 from gva_mi.splat import render
@@ -29,7 +29,6 @@ What = Literal["splat", "avatar", "normals"]
 ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
     "seed": ("splat", "avatar"), "scene": ("splat",), "body": ("avatar",),
     **dict.fromkeys(("window", "camera_model", "antialiased"), ("splat",)),
-    **dict.fromkeys(("size", "spp", "lines", "points"), ("normals",)),
 }  # fmt: skip
 
 
@@ -45,12 +44,6 @@ class GradcheckOptions:
     window: Annotated[int, Within(1, 1024)] = 24
     camera_model: CameraModel | None = None  # splat: replaces the scene's own
     antialiased: Switch = False  # splat: reduce opacities by the area that the blur adds
-    size: Annotated[int, Within(32, 4096)] = SIZE  # normals: width and height of the picture, px
-    spp: Annotated[int, Within(1, 4096)] = SPP  # normals: rays for a pixel of the gradient
-    # normals: lines across the moving rectangle, for the reference boundary term.
-    lines: Annotated[int, Within(1, 1_000_000)] = LINES
-    # normals: points per face, for the reference interior.
-    points: Annotated[int, Within(1, 10_000)] = POINTS
 
     def require_only(self, what: What, **files: Path | None) -> None:
         """Raise an InputError for an option or a file that only another check has."""
@@ -137,9 +130,9 @@ def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, 
 def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
     """Check the derivatives of ``mesh_normals`` by coordinates of the body's pose."""
     count = options.count or len(COORDINATES)
-    fineness, rows = (options.size, options.spp, options.lines, options.points), []
+    rows = []
     with bar("gradcheck") as progress:
-        for done, found in enumerate(check_normals(count, *fineness), 1):
+        for done, found in enumerate(check_normals(count), 1):
             rows += found
             progress(done, count)
-    yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {options.size} px")
+    yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {SIZE} px")

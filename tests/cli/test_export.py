@@ -1,7 +1,6 @@
 """``gva-mi export``: the suffix selects the format; errors come before any work."""
 
 import gzip
-import json
 import shutil
 from dataclasses import replace
 
@@ -60,37 +59,6 @@ def test_files_of_gaussians_become_each_other(run, cli):
     assert torch.equal(plain.means.sort(0).values, rows.means.sort(0).values)
 
 
-def test_a_folder_holds_one_file_a_frame(run, dance, known, cli, turning):
-    for each in ("ply", "spz"):
-        out = run.parent / f"as {each[:3]}"
-        command = ("export", run, "--poses", dance, "--out", out, "--every", 2, "--each", each)
-        cli.works(*command)
-        assert sorted(path.name for path in out.iterdir()) == [
-            *(f"{k:06d}.{each}" for k in (0, 2, 4)), "export.json"
-        ]  # fmt: skip
-    with torch.no_grad():
-        assert same(
-            load_ply(run.parent / "as ply/000002.ply"), half_turned(known(turning(5, 1.0)[0][2]))
-        )
-    assert "versions" in json.loads((run.parent / "as ply/export.json").read_text())
-
-
-def test_an_interrupted_folder_is_resumed_with_the_same_bits(run, dance, cli):
-    out = run.parent / "new"
-    command = ("export", run, "--poses", dance, "--out", out, "--each", "spz", "--every", 2)
-    cli.works(*command)
-    wanted = {path.name: path.read_bytes() for path in out.iterdir()}
-    (out / "000002.spz").unlink()
-    assert f"{out}: goes on, 2 of 3 files are there" in cli.works(*command)
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
-    (out / "000002.spz").unlink()
-    err = cli.fails(*command[:-1], 4)  # another request
-    assert "give --overwrite" in err and not (out / "000002.spz").exists()
-    cli.works(*command)
-    err = cli.fails(*command)  # nothing is missing
-    assert "--overwrite" in err
-
-
 def test_poses_in_amass_form_and_a_surface_with_a_motion(run, dance, cli):
     for chosen, frames in (((), 3), (("--poses", dance, "--fps", 60), 5)):
         cli.works("export", run, "--out", run / "amass.npz", "--overwrite", *chosen)
@@ -123,9 +91,9 @@ def test_an_avatar_without_its_body_needs_the_same_body(run, known, body, cli):
 
 BAD = {
     "suffix": (("--out", "a.obj"), "no format ends in .obj; expected .ply (Gaussians"),
-    "frame": (("--out", "a.ply", "--frame", 3), "frame 3 is not there, the poses have 3"),
+    "frame": (("--out", "a.ply", "--frame", 3), "--frame 3 is out of range; there are 3 poses"),
     "no poses": (("--out", "a.ply", "--poses", "none.npz"), "none.npz: no such file"),
-    "meaningless": (("--out", "a.ply", "--every", 2), "--every is for a folder, not for .ply"),
+    "meaningless": (("--out", "a.ply", "--fps", 2), "--fps is for .glb and .npz, not for .ply"),
     "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
     "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz, not for .ply"),
     "film": (("--out", "a.mp4"), "gva-mi render --video makes films"),

@@ -58,7 +58,7 @@ def test_avatar_and_normals_write_one_table_each(monkeypatch, tmp_path, capsys):
     gradcheck("avatar", GradcheckOptions(2, seed=3), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())
     assert figures["passed"] and list(figures["scenes"]) == ["pose 3", "pose 4"]
-    monkeypatch.setattr(command, "check_normals", lambda count, *fineness: count * [[right, wrong]])
+    monkeypatch.setattr(command, "check_normals", lambda count: count * [[right, wrong]])
     with pytest.raises(InputError, match="WRONG: tangent f32 of a limb: boundary"):
         gradcheck("normals", GradcheckOptions(2), out=tmp_path)
     figures = json.loads((tmp_path / REPORT).read_text())
@@ -69,7 +69,7 @@ def test_avatar_and_normals_write_one_table_each(monkeypatch, tmp_path, capsys):
 
 def test_an_option_of_another_check_is_refused_with_its_name(cli):
     for what, option, value, of in (
-        ("avatar", "--window", 8, "splat"), ("splat", "--lines", 8, "normals"),
+        ("avatar", "--window", 8, "splat"), ("normals", "--seed", 8, "splat"),
         ("normals", "--scene", "x.npz", "splat"), ("splat", "--body", "body.npz", "avatar"),
     ):  # fmt: skip
         code, _, err = cli("gradcheck", what, option, value)

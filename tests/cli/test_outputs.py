@@ -80,14 +80,13 @@ COMMANDS = {  # {} is the folder that output goes to
     "track": "track {run} {subject}",
     "render": "render {run} --path turntable --poses {subject}/poses.npz --out {}/new",
     "export": "export {run} --out {}/a.ply",
-    "folder": "export {run} --poses {subject}/poses.npz --out {}/new",
     "motion": "motion {subject}/poses.npz {}/a.npz",
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
     "check": "check {subject} --json {}/a.json",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
-LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "folder", "study")
+LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "study")
 
 
 @pytest.fixture

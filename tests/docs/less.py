@@ -18,7 +18,7 @@ SMALLER = {
     "view": "--port 0",
     "gradcheck": "--window 8 --count 1 --scene scene.npz",
     "gradcheck avatar": "--count 1",
-    "gradcheck normals": "--count 1 --size 64 --lines 4000 --points 40",
+    "gradcheck normals": "--count 1",
     "bench": "--repeats 1",
     "bench splat": "--repeats 1 --scene scene.npz",
     # Seed 16 wears nothing and is bald, which is quick.

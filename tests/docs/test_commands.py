@@ -78,7 +78,6 @@ BEFORE = {("fit", True): kill_a_fit}
 def after_export(folder):
     for name in ("person.splat", "frame.ply", "person.glb", "motion.npz"):
         assert (folder / name).stat().st_size > 100, name
-    assert sorted(path.name for path in (folder / "frames").glob("*.splat"))[0] == "000000.splat"
     assert (folder / "again/000002.png").exists()
 
 

@@ -8,12 +8,11 @@ are compared with what lenses and people are like, and the body's silhouettes wi
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import BODY, JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
@@ -23,9 +22,9 @@ from gva_mi.data.ground_truth import read_views
 from gva_mi.data.importers.one_lens import ONE_LENS, seen_alike, usual_lens
 from gva_mi.data.pictures import write_image
 from gva_mi.data.problems import CheckReport, Faults, Problem, doubt, error
-from gva_mi.data.silhouettes import LEAST_OVERLAP, Silhouettes, draw_sheet, overlap
-from gva_mi.data.splits import spread
+from gva_mi.data.silhouettes import LEAST_OVERLAP, compare, draw_sheet
 from gva_mi.data.video import Video, read_video
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
 # A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large
@@ -38,17 +37,11 @@ LARGEST_TURN = 2 * np.pi
 FAR, ABSURD = 5.0, 10.0  # standard deviations; one person in three million has a beta above 5
 JUMP = 1.0  # of the person's height from one frame to the next; at 10 frames a second nobody can
 
-RENDERED = 48  # frames, evenly spaced
-FULL = 0.995  # of a mask: what is missing is noise of a file's compression
-# A person touches one side of the border, or two if head and feet are cut off; what is around the
-# person touches all four.
-AROUND = 0.5  # of the border
 FITS = 0.5  # IoU: more of both pictures is the person in common than not
 OUTSIDE = 0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
 # The root mean square radius of a standing person is some 45 cm. Clothes and hair add 5 cm all
 # round, and grown-ups differ by 8 % from the mean person whom zero betas stand for: a sixth in all.
 DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
-MEASURED = 12  # frames whose silhouettes are measured for this
 
 
 def check_subject(
@@ -80,10 +73,9 @@ def check_subject(
         why = "no frame has a picture, mask, camera and pose that can be used"
         report.skipped.append(f"poses and masks were not compared: {why}")
     else:
-        silhouettes = Silhouettes.of(video, progress)
-        check_silhouettes(report, silhouettes, body)
+        check_silhouettes(report, video, body, progress)
         if sheet is not None:
-            write_image(sheet, draw_sheet(video, silhouettes, body))
+            write_image(sheet, draw_sheet(video, body))
     report.problems.sort(key=lambda problem: problem.severity != "error")
     return report
 
@@ -167,57 +159,46 @@ def _before_one_lens(places: np.ndarray, cameras: Sequence[Camera]) -> np.ndarra
     return np.einsum("tji,tj->ti", T[:, :3, :3], seen - T[:, :3, 3])
 
 
-def check_silhouettes(report: CheckReport, silhouettes: Silhouettes, body: BodyModel) -> None:
+def check_silhouettes(
+    report: CheckReport, video: Video, body: BodyModel, progress: Progress | None
+) -> None:
     """Compare the body with the masks; add problems, mean IoU and share of joints inside."""
-    masks, numbers = silhouettes.masks, silhouettes.numbers
-    border = np.concatenate([masks[:, 0], masks[:, -1], masks[:, :, 0], masks[:, :, -1]], axis=1)
-    full = masks.mean((1, 2)) >= FULL
-    inverted = (border.mean(1) > AROUND) & ~full
-    for what, found, cause, remedy in (
-        ("full masks", full, "an alpha channel that was never written, or a threshold of zero",
+    numbers = [k for k in range(len(video)) if k not in video.absent]
+    scene, found = MeshScene(body.faces, body.v_template.float()), []
+    for outline in video.outlines(numbers):
+        frame = outline.pose, outline.camera, outline.mask
+        found.append(compare(body, video.shape, frame, scene))
+        if progress is not None:
+            progress(len(found), len(numbers))
+    for what, attribute, cause, remedy in (
+        ("full masks", "full", "an alpha channel that was never written, or a threshold of zero",
          "make these masks again, or delete them: frames without one are left out"),
-        ("inverted masks", inverted, "255 is the background", "write 255 where the person is"),
+        ("inverted masks", "inverted", "255 is the background", "write 255 where the person is"),
     ):  # fmt: skip
-        if found.any():
-            figure = f"{found.sum()} of {len(found)}"
-            report.problems.append(error(what, figure, cause, remedy, numbers[found]))
-    if full.all():
-        return
-    as_meant = replace(silhouettes, masks=masks ^ inverted[:, None, None])
-    compared = as_meant.some(np.flatnonzero(~full))
-    some = compared.some(spread(range(len(compared.numbers)), RENDERED))
-    iou = float(overlap(some.bodies(body), some.masks).mean())
-    inside = compared.joints_inside(body)
-    report.figures = {"iou": iou, "joints_inside": float(inside.mean())}
-    report.problems += _size(compared, body)
-    report.problems += _outside(compared.numbers, inside, iou)
+        wrong = [k for k, one in zip(numbers, found, strict=True) if getattr(one, attribute)]
+        if wrong:
+            figure = f"{len(wrong)} of {len(found)}"
+            report.problems.append(error(what, figure, cause, remedy, wrong))
+    compared = {k: one for k, one in zip(numbers, found, strict=True) if not one.full}
+    if compared:
+        inside = np.array([one.joints[0] / BODY.stop for one in compared.values()])
+        iou = float(np.mean([one.overlap for one in compared.values()]))
+        report.figures = {"iou": iou, "joints_inside": float(inside.mean())}
+        report.problems += _size(np.array([one.size for one in compared.values()]))
+        report.problems += _outside(np.array(list(compared)), inside, iou)
 
 
-def _size(silhouettes: Silhouettes, body: BodyModel) -> Iterator[Problem]:
-    """Compare the size of silhouettes and of masks that the picture's border does not cut."""
-    cut = lambda m: m[0].any() or m[-1].any() or m[:, 0].any() or m[:, -1].any()
-    whole = [i for i, mask in enumerate(silhouettes.masks) if mask.any() and not cut(mask)]
-    if not whole:
+def _size(ratios: np.ndarray) -> Iterator[Problem]:
+    """Yield masks that are larger or smaller than the body; NaN where they cannot be compared."""
+    if np.isnan(ratios).all():
         return
-    some = silhouettes.some(spread(whole, MEASURED))
-    # Rendered three times as wide and high around the picture, so that silhouettes are whole.
-    grown = [c.cropped(-c.width, -c.height, 3 * c.width, 3 * c.height) for c in some.cameras]
-    bodies = replace(some, cameras=grown).bodies(body)
-    ratios = [_radius(m) / _radius(b) for m, b in zip(some.masks, bodies, strict=True) if b.any()]
-    ratio = float(np.median(ratios)) if ratios else 1.0
+    ratio = float(np.nanmedian(ratios))
     if (wrong := max(ratio, 1 / ratio)) > DOUBTFUL_SIZE:
         yield (error if wrong > WRONG_SIZE else doubt)(
-            "focal length or distance",
-            f"masks are {ratio:.2f} times as large as the body, over {len(ratios)} frames",
+            "focal length or distance", f"masks are {ratio:.2f} times as large as the body",
             "K is of pictures of another size, or the poses' distance belongs to another lens",
             f"fx, fy {ratio:.2f} times as long, or the person {1 / ratio:.2f} times as far away",
-        )
-
-
-def _radius(mask: np.ndarray) -> float:
-    """Return the root mean square distance of a mask (h, w) from its middle, px."""
-    y, x = np.nonzero(mask)
-    return float(np.sqrt(x.var() + y.var() + 1 / 6))
+        )  # fmt: skip
 
 
 def _outside(numbers: np.ndarray, inside: np.ndarray, iou: float) -> Iterator[Problem]:

@@ -1,12 +1,12 @@
-"""Does the body stand where the masks are? Silhouettes of both, their overlap, and a sheet of them.
+"""Does the body stand where the masks are? Both are compared frame by frame, at a reduced size.
 
-:func:`sanity_check` asks this quickly before hours of work; ``gva-mi check`` looks closely.
+:func:`sanity_check` asks this quickly before hours of work; ``gva-mi check`` looks at all frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -14,99 +14,78 @@ import torch
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import BODY, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress
-from gva_mi.core.cpu import one_torch_thread
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import OUTLINE, outlined, strip
 from gva_mi.splat import Camera
 
-SMALL = 192  # px, longer side of the masks that are compared: a person of 1.8 m has 1 px a cm
+SMALL = 192  # px, longer side of pictures that are rendered: a person of 1.8 m has 1 px a cm
+COARSE = 48  # px, likewise without rendering: vertices of a body are as dense
+FULL = 0.995  # of a mask: what is missing is noise of a file's compression
+# A person touches one side of the border, or two if head and feet are cut off; what is around the
+# person touches all four.
+AROUND = 0.5  # of the border
 COMPARED = 8  # frames of the sanity check
 FEWEST_INSIDE = 0.5  # of the joints in the picture; noise and loose clothes leave most in the masks
 LEAST_OVERLAP = 0.25  # IoU; wide clothes and occlusion leave more
-COARSE = 48  # px, longer side: vertices of a body are as dense
 FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
-SHOWN, HEIGHT, CAPTION = 6, 360, 20  # the sheet: frames; px of a frame and of the line of text
+SHOWN, HEIGHT = 6, 360  # frames of the sheet, and their height in px
 GREEN = (0.1, 0.75, 0.35)  # of the masks, beside the body's orange
 
 
-def overlap(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the IoU (n,) of two stacks of masks (n, h, w) bool; 0 if both are empty."""
-    both, either = (a & b).sum((1, 2)), (a | b).sum((1, 2))
-    return both / np.maximum(either, 1)
-
-
 @dataclass(frozen=True)
-class Silhouettes:
-    """The masks of n frames and the body in them, at a reduced size."""
+class BodyAndMask:
+    """The body and the mask of one frame. An inverted mask is compared as it is meant."""
 
-    numbers: np.ndarray  # (n,) of the frames, ascending
-    cameras: list[Camera]  # n, of the reduced size
-    masks: np.ndarray  # (n, h, w) bool
-    pose: Pose  # n frames
-    shape: Shape
-
-    @staticmethod
-    def of(video: Video, progress: Progress | None = None) -> Silhouettes:
-        """Read the masks of a video's frames that are not absent, of which there must be one."""
-        numbers = [k for k in range(len(video)) if k not in video.absent]
-        size, masks = _reduced(*video.size, SMALL), []
-        for done, outline in enumerate(video.outlines(numbers), 1):
-            masks.append(_shrunk(outline.mask > 0.5, size))
-            if progress is not None:
-                progress(done, len(numbers))
-        cameras = [video.cameras[k].resized(*size) for k in numbers]
-        return Silhouettes(
-            np.array(numbers), cameras, np.stack(masks), video.pose[numbers], video.shape
-        )
-
-    def some(self, places: Sequence[int]) -> Silhouettes:
-        """Return those at some of the n places."""
-        places = list(places)
-        cameras = [self.cameras[i] for i in places]
-        return replace(
-            self, numbers=self.numbers[places], cameras=cameras, masks=self.masks[places],
-            pose=self.pose[places],
-        )  # fmt: skip
-
-    @torch.no_grad()
-    def bodies(self, body: BodyModel) -> np.ndarray:
-        """Render the body's silhouettes, (n, h, w) bool."""
-        scene = MeshScene(body.faces, body.v_template.float())
-        shown = []
-        with one_torch_thread():
-            for i, camera in enumerate(self.cameras):
-                vertices = body(self.pose[i], self.shape).vertices[0].float()
-                shown.append(scene.render(vertices, camera).numpy()[..., 3] > 0.5)
-        return np.stack(shown)
-
-    @torch.no_grad()
-    def joints_inside(self, body: BodyModel) -> np.ndarray:
-        """Return the share (n,) of root and body joints that lie in the masks."""
-        rest = body.rest(self.shape).joints.double().numpy()
-        rotations, transl = self.pose.rotations.numpy(), self.pose.transl.numpy()
-        places = joints_in_world(rotations, transl, rest)[:, : BODY.stop]
-        inside = [
-            count_in_mask(joints_seen(camera, joints), mask)[0]
-            for camera, joints, mask in zip(self.cameras, places, self.masks, strict=True)
-        ]
-        return np.array(inside) / BODY.stop
+    joints: tuple[int, int]  # of root and body: in the mask, in the picture
+    overlap: float  # IoU of both silhouettes
+    size: float  # of the mask, relative to the body; NaN if the border cuts it
+    full: bool  # the mask shows nothing but the person
+    inverted: bool  # the mask shows the background instead of the person
 
 
-def _reduced(width: int, height: int, longer: int) -> tuple[int, int]:
-    """Return the size (w, h), ``longer`` at most, at which a picture is compared."""
-    scale = min(1.0, longer / max(width, height))
-    return max(1, round(width * scale)), max(1, round(height * scale))
+@torch.no_grad()
+def compare(
+    body: BodyModel,
+    shape: Shape,
+    frame: tuple[Pose, Camera, np.ndarray],
+    scene: MeshScene | None = None,
+) -> BodyAndMask:
+    """Compare a body with the mask (H, W) of a frame.
 
-
-def _shrunk(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a mask (H, W) bool in ``size`` (w, h), (h, w) bool."""
+    Without a ``scene`` of the body, its vertices stand for its silhouette, and nothing is rendered.
+    """
     from PIL import Image
 
+    pose, camera, mask = frame
+    longer = COARSE if scene is None else SMALL
+    scale = min(1.0, longer / max(camera.width, camera.height))
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     small = Image.fromarray(mask.astype(np.float32)).resize(size, Image.Resampling.BOX)
-    return np.asarray(small) > 0.5
+    inside, camera = np.asarray(small) > 0.5, camera.resized(*size)
+    full = bool(inside.mean() >= FULL)
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    inverted = bool(border.mean() > AROUND) and not full
+    inside, border = inside ^ inverted, border ^ inverted
+    posed = body(pose, shape)
+    joints = joints_seen(camera, posed.joints[0, : BODY.stop].double().numpy())
+    pixels = joints_seen(camera, posed.vertices[0].double().numpy())
+    pixels = np.unique(np.floor(pixels[np.isfinite(pixels).all(1)]), axis=0)
+    x, y = pixels[((pixels >= 0) & (pixels < size)).all(1)].astype(int).T
+    shown = np.zeros(size[::-1], bool)  # pixels that hold a vertex
+    shown[y, x] = True
+    if scene is not None:
+        shown = scene.render(posed.vertices[0].float(), camera).numpy()[..., 3] > 0.5
+    overlap = (inside & shown).sum() / max(1, (inside | shown).sum())
+    cut = border.any() or not inside.any() or not len(pixels)
+    ratio = np.nan if cut else _radius(np.argwhere(inside)) / _radius(pixels)
+    return BodyAndMask(count_in_mask(joints, inside), float(overlap), ratio, full, inverted)
+
+
+def _radius(pixels: np.ndarray) -> float:
+    """Return the root mean square distance of pixels (n, 2) from their middle."""
+    return float(np.sqrt(pixels.var(0).sum() + 1 / 6))
 
 
 def joints_in_world(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -145,35 +124,25 @@ def sanity_check(video: Video, body: BodyModel) -> str | None:
     return None if doubt is None else f"{video.folder}: {doubt}; {check}"
 
 
-@torch.no_grad()
 def doubt_of(
     frames: Iterable[tuple[Pose, Camera, np.ndarray]], shape: Shape, body: BodyModel
 ) -> str | None:
     """Return a doubt if the body is not where the masks (H, W) of frames are, else None.
 
-    Joints beyond the picture's edge are ignored, because many videos end at the hips. Vertices
-    stand for the silhouette, so that nothing has to be rendered.
+    Joints beyond the picture's edge are ignored, because many videos end at the hips.
     """
-    inside, seen, of, overlaps = 0, 0, 0, []
-    for pose, camera, mask in frames:
-        posed = body(pose, shape)
-        joints = posed.joints[0, : BODY.stop].double().numpy()
-        hits, there = count_in_mask(joints_seen(camera, joints), mask > 0.5)
-        inside, seen, of = inside + hits, seen + there, of + len(joints)
-        size = _reduced(camera.width, camera.height, COARSE)
-        pixels = joints_seen(camera.resized(*size), posed.vertices[0].double().numpy())
-        whole = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int)
-        x, y = whole[((whole >= 0) & (whole < size)).all(1)].T
-        shown = np.zeros(size[::-1], bool)  # pixels that hold a vertex
-        shown[y, x] = True
-        overlaps.append(overlap(shown[None], _shrunk(mask > 0.5, size)[None])[0])
-    if not of:
+    found = [compare(body, shape, frame) for frame in frames]
+    if not found:
         return None
-    share, both = inside / max(1, seen), float(np.mean(overlaps))
+    inside, seen = np.sum([one.joints for one in found], axis=0)
+    inverted, of = np.mean([one.inverted for one in found]), BODY.stop * len(found)
+    both = np.mean([one.overlap for one in found])
+    if inverted > 0.5:
+        return f"doubtful: {inverted:.0%} of the masks show the background, expected the person"
     if seen < FEWEST_SEEN * of:
         figure = f"{seen / of:.0%} of the body's joints lie in the picture"
-    elif share < FEWEST_INSIDE:
-        figure = f"{share:.0%} of the body's joints lie in the masks"
+    elif inside < FEWEST_INSIDE * seen:
+        figure = f"{inside / seen:.0%} of the body's joints lie in the masks"
     elif both < LEAST_OVERLAP:
         return f"doubtful: {both:.0%} of the body and of the masks is in both, expected half"
     else:
@@ -181,23 +150,21 @@ def doubt_of(
     return f"doubtful: {figure}, expected most of them"
 
 
-def draw_sheet(video: Video, silhouettes: Silhouettes, body: BodyModel) -> np.ndarray:
-    """Draw the outlines of body and mask over some frames, (h, w, 3) float32."""
-    from PIL import Image, ImageDraw, ImageFont
+@torch.no_grad()
+def draw_sheet(video: Video, body: BodyModel) -> np.ndarray:
+    """Draw the outlines of body (orange) and mask (green) over some frames, (h, w, 3) float32."""
+    from PIL import Image
 
-    some = silhouettes.some(spread(range(len(silhouettes.numbers)), SHOWN))
-    first = some.cameras[0]
-    size = max(1, round(HEIGHT * first.width / first.height)), HEIGHT
-    large = replace(some, cameras=[camera.resized(*size) for camera in some.cameras])
-    resized = lambda image: Image.fromarray(image).resize(size, Image.Resampling.BILINEAR)
-    pictures = []
-    for number, mask, shown in zip(some.numbers, some.masks, large.bodies(body), strict=True):
-        image = np.round(video[int(number)].image * 255).astype(np.uint8)
-        picture = np.asarray(resized(image), np.float32) / 255
-        mask = np.asarray(resized(mask.astype(np.uint8) * 255)) > 127
-        pictures.append(outlined(outlined(picture, mask, GREEN), shown, OUTLINE))
-    row = strip([pictures])
-    line = Image.new("RGB", (row.shape[1], CAPTION), "white")
-    font = ImageFont.load_default(size=14)
-    ImageDraw.Draw(line).text((4, 2), "orange: body, green: mask", "black", font)
-    return np.concatenate([np.asarray(line, np.float32) / 255, row])
+    scene, pictures = MeshScene(body.faces, body.v_template.float()), []
+    size = max(1, round(HEIGHT * video.size[0] / video.size[1])), HEIGHT
+    there = [k for k in range(len(video)) if k not in video.absent]
+    for frame in video.frames(spread(there, SHOWN)):
+        image, mask = (
+            np.asarray(Image.fromarray(x).resize(size, Image.Resampling.BILINEAR))
+            for x in (np.round(frame.image * 255).astype(np.uint8), frame.mask)
+        )
+        vertices = body(frame.pose, video.shape).vertices[0].float()
+        shown = scene.render(vertices, frame.camera.resized(*size)).numpy()[..., 3] > 0.5
+        marked = outlined(image.astype(np.float32) / 255, mask > 0.5, GREEN)
+        pictures.append(outlined(marked, shown, OUTLINE))
+    return strip([pictures])

@@ -4,24 +4,42 @@
 
 DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``check.png``, ``motions.png`` and
 ``exports.png`` are written into OUT.
+
+The overview shows what an avatar is made of, and what it looks like in new poses. Above: a frame
+that training left out, its normals, the Gaussians drawn small, and the avatar from other sides.
+Below: the ground truth beside the render in two poses that are not in the video, and a raised hand.
 """
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from PIL import Image
 
 from gva_mi.body.smplx import load_body
-from gva_mi.data.pictures import read_image
+from gva_mi.data.normals import normal_colors
+from gva_mi.data.pictures import in_8_bits, read_image
+from gva_mi.data.splits import spread
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.renders import cut_out, render_frame
+from gva_mi.splat import render
+from gva_mi.splat.principal_axes import with_axes
+from gva_mi.study.evaluate import SplitView
+from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box
 from gva_mi.synthetic import SynthOptions, make_subject
 
+ROW_HEIGHT = 440  # pixels of a row of the overview
+TURNED = 3  # other sides of the avatar there
+TIMES = 2  # renders in new poses are so much larger than the pictures beside them
 SIZE = ("240", "340")  # pixels of one picture
 SHOWN = 6
 
@@ -72,9 +90,70 @@ def exports(run: Path, folder: Path) -> list[Path]:
     return sorted(out.glob("*.png"))
 
 
+def overview(shown: ShownAvatar, video: Video) -> np.ndarray:
+    """Return the picture, 8-bit (H, W, 3), on white.
+
+    Args:
+        shown: the avatar and its splits.
+        video: opened with the poses that the avatar was trained under.
+    """
+    rows = [list(_made_of(shown, video))]
+    if (view := shown.views.get("novel_pose")) is not None:
+        rows.append(list(_new_poses(shown, view)))
+    return _stacked([np.concatenate([_scaled(part) for part in row], axis=1) for row in rows])
+
+
+def _made_of(shown: ShownAvatar, video: Video) -> Iterator[np.ndarray]:
+    frame = video.truly_cut(video[(video.splits.test or video.splits.train)[0]])
+    yield cut_out(frame)
+    if frame.normals is not None:
+        inside = frame.mask[..., None] > 0.5
+        yield in_8_bits(np.where(inside, normal_colors(frame.normals), 1))
+    with torch.no_grad():
+        whole = with_axes(shown.avatar(frame.pose))
+        thin = replace(whole, scales=whole.scales / 3)
+        yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
+    yield from list(turntable(shown.avatar, frame.pose, TURNED + 1, video.size))[1:]
+
+
+def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:
+    """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
+    frames = {k: view.video.truly_cut(view.video[k]) for k in view.frames}
+    boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
+    if view.details is not None:
+        found = [(k, box) for k in frames for what, box in view.details.boxes(k) if what == "hands"]
+        boxes += sorted(found, key=lambda hand: hand[1].top)[:1]
+    for k, box in boxes:
+        yield box.cut(cut_out(frames[k]))
+        camera = box.cut_camera(frames[k].camera).resized(TIMES * box.width, TIMES * box.height)
+        yield render_frame(shown.avatar, frames[k].pose, camera)
+
+
+def _scaled(part: np.ndarray) -> np.ndarray:
+    """Cut a picture to what is not white, and scale it to the height of a row."""
+    from PIL import Image
+
+    cut = person_box(part.min(-1) < 250).cut(part)
+    width = max(1, round(cut.shape[1] * ROW_HEIGHT / cut.shape[0]))
+    resized = Image.fromarray(cut).resize((width, ROW_HEIGHT), Image.Resampling.LANCZOS)
+    return np.asarray(resized)
+
+
+def _stacked(rows: list[np.ndarray]) -> np.ndarray:
+    """Stack rows of different widths, each in the middle of the picture."""
+    width = max(row.shape[1] for row in rows)
+    picture = np.full((len(rows) * ROW_HEIGHT, width, 3), 255, np.uint8)
+    for k, row in enumerate(rows):
+        left = (width - row.shape[1]) // 2
+        picture[k * ROW_HEIGHT : (k + 1) * ROW_HEIGHT, left : left + row.shape[1]] = row
+    return picture
+
+
 if __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
-    shutil.copyfile(demo / "run/overview.png", out / "overview.png")  # its normals need all colours
+    trained = run_folder.under_trained_poses(load_video(demo / "subject"), demo / "run")
+    shown = ShownAvatar.of(run_folder.load_avatar(demo / "run"), trained, load_body())
+    Image.fromarray(overview(shown, trained)).save(out / "overview.png")  # normals: all colours
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         gva_mi("check", demo / "subject", "--sheet", folder / "check.png")

@@ -17,7 +17,7 @@ from gva_mi.avatar.without_body import require_body_of
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel, body_name, load_body
 from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
-from gva_mi.core.console import bar, say
+from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_room
 from gva_mi.data.fingerprint import PREPARED, prepared_body, require_same_body
@@ -41,10 +41,8 @@ from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
 from gva_mi.pose.observed_video import RefineOptions
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.fitted_poses import with_fitted_poses
-from gva_mi.study.measure import Evaluation
-from gva_mi.study.metrics import Metrics, measure_run, save_metrics
-from gva_mi.study.refinement import describe, refine_videos
+from gva_mi.study.evaluate import Metrics, measure_run
+from gva_mi.study.refinement import Evaluation, describe, refine_videos
 from gva_mi.study.report import write_report
 from gva_mi.study.scores import Scorer
 
@@ -212,18 +210,14 @@ def evaluate(
         require_room(run / run_folder.METRICS, overwrite=True)
         scorer = Scorer(find_weights())
         trained = run_folder.under_trained_poses(video, run)
+        about = {"scorer": scorer, "fit_to_pictures": fit_poses}
         with bar("evaluate") as progress:
-            metrics = measure_run(run, avatar, video, "full", model, poses, progress, scorer=scorer)
-        if fit_poses:
-            with bar("poses") as progress:
-                metrics = with_fitted_poses(
-                    metrics, avatar, video, trained, model, progress, scorer
-                )
-        save_metrics(run, metrics)
+            metrics = measure_run(run, avatar, video, "full", model, poses, progress, **about)
         page = run / run_folder.REPORT
         write_report(page, run, avatar, trained, title or subject.resolve().name, model)
-    for line in metrics.lines():
-        say(line)
+    for table in metrics.tables():
+        for line in aligned([table.head, *table.rows]):
+            say(line)
     say(f"report: {page}")
     return metrics
 

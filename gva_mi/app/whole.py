@@ -43,7 +43,7 @@ from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.pose.film.film_check import check_film
 from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord
 from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.film_report import FINDINGS, write_film_report
+from gva_mi.study.report import FINDINGS, write_film_report
 from gva_mi.synthetic import SynthOptions, make_subject
 from gva_mi.synthetic.options import VideoFrames
 

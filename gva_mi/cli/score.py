@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -18,10 +16,8 @@ from gva_mi.data.folder import CAMERAS
 from gva_mi.data.pictures import read_background
 from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import find_weights
-from gva_mi.study.page import number
-from gva_mi.study.picture_pairs import pairs_of_pictures, pairs_of_subject
-from gva_mi.study.score_pictures import RegionScores, score_pictures
-from gva_mi.study.scores import Scorer
+from gva_mi.study.figures import pivot, table, to_json
+from gva_mi.study.scores import Scorer, pairs_of_pictures, pairs_of_subject, score_pictures
 
 
 def score(
@@ -30,7 +26,6 @@ def score(
     *,
     masks: Path | None = None,
     background: str = "white",
-    body: Path | None = None,
     out: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -45,8 +40,6 @@ def score(
         masks: of the person in the pictures of truth: a film, a folder, or a .npy (T, H, W).
         background: the colour behind the renders, on which masked pictures are put; none: pictures
             stay as they are.
-        body: of the subject's poses, in SMPL-X's .npz format; without it the one that the subject
-            was prepared for, else the built-in body.
         out: also write the table to this .json file.
         overwrite: replace that file.
     """
@@ -56,23 +49,16 @@ def score(
     if not (truth / CAMERAS).is_file():  # not a subject's folder
         pairs = pairs_of_pictures(renders, truth, masks, color)
     elif masks is None:
-        pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth, body)), color)
+        pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth)), color)
     else:
         raise InputError(f"{truth}: has its own masks; give it without --masks")
     scorer = Scorer(find_weights())
     with bar("score") as progress:
-        rows = score_pictures(pairs, scorer, progress)
-    for line in aligned(_cells(rows), left=(0, 1)):
+        figures = score_pictures(pairs, scorer, progress)
+    found = table(pivot(figures, ("region", "alignment")))
+    for line in aligned([found.head, *found.rows]):
         say(line)
     if out is not None:
-        table = [asdict(row) for row in rows]
-        write_json(out, {"background": background, "rows": table, "networks": scorer.networks()})
+        record = {"background": background, "figures": to_json(figures)}
+        write_json(out, record | {"networks": scorer.networks()})
         say(f"figures: {out}")
-
-
-def _cells(rows: Sequence[RegionScores]) -> Iterator[Sequence[str]]:
-    """Yield the head of the table, and a row for each region and protocol."""
-    yield "", "", "PSNR, dB", "SSIM", "LPIPS", "rand_vgg", "pictures"
-    for row in rows:
-        known = (number(x, 4) for x in (row.ssim, row.lpips, row.rand_vgg))
-        yield row.region, row.protocol, number(row.psnr, 2), *known, str(row.count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,23 +12,33 @@ from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
-from gva_mi.core.atomic import folder_lock, require_writable
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
-from gva_mi.core.options import Within, Workers, options_of
+from gva_mi.core.lock import folder_lock
+from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
-from gva_mi.core.tasks import local_executor
+from gva_mi.core.workers import local_executor
 from gva_mi.data.importers.world import Axis, axis_of
 from gva_mi.pose.film.prepare_film import FilmOptions
-from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
-from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
-from gva_mi.study.engine import Outcome, Study, run_study
-from gva_mi.study.multiview import bones_table, multiview, multiview_table
+from gva_mi.pose.stature import PERSON_HEIGHTS
+from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out, variants_named
+from gva_mi.study.engine import (
+    REFINED,
+    STAGE_1,
+    AvatarStudy,
+    AvatarStudyOptions,
+    Outcome,
+    RefineStudy,
+    RefineStudyOptions,
+    Study,
+    run_study,
+)
+from gva_mi.study.figures import Table, pivot, table, to_json
+from gva_mi.study.multiview import multiview
 from gva_mi.study.pictures import ShownAvatar
-from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
-from gva_mi.study.tables import avatar_cells, refine_cells, tables, to_json, write_study_report
-from gva_mi.study.variants import variants_named
+from gva_mi.study.report import study_tables, write_study_report
 
 IN_PICTURES = 3  # cases that the avatar's page shows
 
@@ -45,7 +55,7 @@ class _Choice:
     error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
     subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
     workers: Workers = 1  # processes on this machine; any number gives the same bits
-    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
+    body: PythonOnly[Path | None] = None  # in SMPL-X's .npz format; None: the built-in body
     overwrite: Switch = False  # recompute results that the file already holds
 
 
@@ -89,9 +99,9 @@ class MultiviewChoice:
     calibration: Path | None = None
     up: Axis = "z"  # axis of the calibration's world
     known_lens: Switch = False  # films are solved with their true focal lengths
-    body: Path | None = None  # a body in SMPL-X's .npz format; without it the built-in body
+    # The person's height, metres; without it, that of an average person.
+    height: Annotated[float, PERSON_HEIGHTS] | None = None
     json_file: Annotated[Path | None, arg(name="json")] = None  # where to write all figures
-    film: Flat[FilmOptions] = field(default_factory=FilmOptions)
 
 
 def study(
@@ -123,7 +133,6 @@ def study(
 
 def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     """Resume the study, save after each outcome, then print and write the tables."""
-    summarise = refine_cells if isinstance(made, RefineStudy) else avatar_cells
     known, others = _kept(what, made, cases)
     if what.overwrite and isinstance(made, AvatarStudy):
         for case in cases:
@@ -137,35 +146,34 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
             outcomes.append(outcome)
             done = {outcome.key for outcome in outcomes}
             waiting = [outcome for outcome in known if outcome.key not in done]
-            summary = {title: to_json(own) for title, own in summarise(outcomes).items()}
-            made.save([*outcomes, *waiting, *others], summary)
-    cells, page = summarise(outcomes), made.path.with_suffix(".html")
-    for title, own in cells.items():
+            made.save([*outcomes, *waiting, *others])
+    for title, tables in study_tables(made.kind, outcomes).items():
         say(title)
-        written = tables(made.kind, own)
-        for table in written if summarise is refine_cells else written[:1]:
-            for line in aligned([table.head, *table.rows]):
-                say(line)
-    settings = {**made.made_with, "versions": versions()}
-    write_study_report(page, made.kind, outcomes, cells, settings, _pictures(made, cases))
+        for found in tables if made.kind == "refine" else tables[:1]:
+            _print(found)
+    page, settings = made.path.with_suffix(".html"), {**made.made_with, "versions": versions()}
+    write_study_report(page, made.kind, outcomes, settings, _pictures(made, cases))
     say(f"figures: {made.path}; page: {page}")
+
+
+def _print(found: Table) -> None:
+    for line in aligned([found.head, *found.rows]):
+        say(line)
 
 
 def _multiview(what: MultiviewChoice) -> None:
     """Solve the films, then print and write a row for each camera."""
     if what.json_file is not None:
         require_room(what.json_file, overwrite=True)
+    options = FilmOptions(height=what.height)
     with bar("study") as progress:
-        rows, bones = multiview(
-            what.films, what.calibration, load_body(what.body), what.film,
-            axis_of(what.up), what.known_lens, progress,
+        figures = multiview(
+            what.films, what.calibration, load_body(), options, axis_of(what.up), what.known_lens,
+            progress,
         )  # fmt: skip
-    for table in (multiview_table(rows), bones_table(bones)):
-        for line in aligned(table):
-            say(line)
+    _print(table(pivot(figures, ("subject",), ("region",)), "camera"))
     if what.json_file is not None:
-        figures = {"cameras": rows, "bones": bones}
-        write_json(what.json_file, {k: [asdict(row) for row in v] for k, v in figures.items()})
+        write_json(what.json_file, {"figures": to_json(figures)})
         say(f"figures: {what.json_file}")
 
 
@@ -188,8 +196,8 @@ def _pictures(
 ) -> Iterator[tuple[str, dict[str, ShownAvatar]]]:
     """Yield names and finished avatars of the first cases."""
     for case in cases[:IN_PICTURES] if isinstance(made, AvatarStudy) else ():
-        runs = [made.run(case, name) for name in made.variants]
-        yield case.name, {run.variant.name: run.shown() for run in runs if run.is_done}
+        shown = {name: made.run(case, name).shown() for name in made.variants}
+        yield case.name, {name: one for name, one in shown.items() if one is not None}
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:

@@ -11,9 +11,8 @@
       first/               the run with whose poses this one began, if it has first_steps
       poses.npz            of all frames, if poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar, written when the run is finished
-      metrics.json         of its evaluation: gva_mi.study.metrics
+      metrics.json         of its evaluation: gva_mi.study.evaluate
       report.html          the evaluation as a page: gva_mi.study.report
-      overview.png         the page's first picture on its own
 
 Every file is written atomically: after a kill it is the old one or the new one, whole.
 """
@@ -46,7 +45,7 @@ from gva_mi.splat import Gaussians
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
 FIRST = "first"
-METRICS, REPORT, OVERVIEW = "metrics.json", "report.html", "overview.png"
+METRICS, REPORT = "metrics.json", "report.html"
 # Columns of the history: parts of its milliseconds. Upkeep is density control, re-initialisation,
 # and binding Gaussians to the outer skin.
 LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")

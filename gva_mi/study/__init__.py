@@ -1,20 +1,24 @@
 """Evaluation, reports and studies. No step that refines or fits reads anything from here.
 
-* ``scores.py``, ``regions.py``: metrics of one render, and the pixels they use;
-* ``score_pictures.py``, ``picture_pairs.py``: scores of any method's renders;
-* ``evaluate.py``: their means over the splits of a video; ``similarity.py``: the alignment;
-  ``fitted_poses.py``: under poses that are fitted to the very pictures;
+Metrics, each a row of one long table:
+
+* ``figures.py``: the table, and the pivot that makes every page of it;
+* ``scores.py``, ``regions.py``: metrics of one render, and the pixels they use; scores of renders
+  of any method;
+* ``evaluate.py``: their means over the splits of a video, and ``metrics.json`` of a run;
+  ``similarity.py``: the alignment to the ground truth;
 * ``surface.py``: how Gaussians lie on the true surface;
-* ``metrics.py``: ``metrics.json`` of a run; ``report.py``: its page; ``overview.py``: the first
-  picture there; ``film_report.py``: the page of a film's avatar;
-* ``pictures.py``: avatars beside the ground truth, for the page of a run and of a study;
-* ``measure.py``: pose errors before and after refinement;
-* ``refinement.py``: ``refinement.json`` of a subject; ``pose_tables.py``: its figures on a page;
-* ``cases.py``, ``subjects.py``: tuning and held-out cases, and their videos; ``filmed.py``: those
-  whose estimates are made from the pictures; ``film_errors.py``: what is learned from them;
-* ``engine.py``: cases x variants -> figures, one resumable file; ``refine_study.py`` and
-  ``avatar_study.py`` (with ``variants.py``) define the two studies;
-* ``tables.py``: their tables and pages;
-* ``multiview.py``, ``calibrated.py``: real films against what several cameras see;
-* ``page.py``: the one writer of HTML pages.
+* ``refinement.py``: pose errors before and after refinement, and ``refinement.json`` of a subject.
+
+Pages:
+
+* ``page.py``: the one writer of HTML pages;
+* ``pictures.py``: avatars beside the ground truth;
+* ``report.py``: the pages of a run, of a film's avatar, and of a study.
+
+Studies:
+
+* ``cases.py``: tuning and held-out cases, and variants; ``filmed.py``: the videos of cases;
+* ``engine.py``: cases x variants -> figures, one resumable file;
+* ``multiview.py``: real films against what several cameras see.
 """

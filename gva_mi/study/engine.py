@@ -1,12 +1,20 @@
-"""The engine of both studies: cases x variants -> figures, kept in one file that is resumed.
+"""The two studies: cases x variants -> figures, kept in one file that is resumed.
+
+The refinement study measures stage 2 on subjects and errors it was not tuned on. One camera hardly
+determines a person's size, distance and focal length. The owner of a video may know them: with
+:attr:`RefineStudyOptions.known`, height and focal length are the true ones.
+
+The avatar study fits every variant to every case, in three rounds: takes are filmed, the poses of
+each case are refined, and each variant of each case is fitted and measured. If it is killed, only
+the steps since the last checkpoint of a fit are lost, and the page can show the avatars.
 
 A study's folder holds::
 
     takes/, videos/     the subjects, made where they are missing
-    KIND.json           {"format": 2, "kind", "made_with", "networks", "summary", "versions",
-                         "stamp", "results": [{"name", "held_out", "case", "variant", "figures"}]}
+    KIND.json           {"format", "kind", "made_with", "versions", "stamp", "cases": {name: case},
+                         "figures": rows of gva_mi.study.figures, whose subject is a case's name}
     KIND.html           the same as a page
-    runs/CASE/VARIANT/  runs of the avatar study
+    runs/CASE/VARIANT/  runs of the avatar study, in the form of gva_mi.fit.run_folder
 
 A result is used again only if everything it depends on is the same: the options, the body, and the
 results version of the study (:mod:`gva_mi.core.stamp`).
@@ -14,26 +22,53 @@ results version of the study (:mod:`gva_mi.core.stamp`).
 
 from __future__ import annotations
 
+import re
+import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
+from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
-from gva_mi.core.options import from_json
+from gva_mi.core.options import PictureSide, PythonOnly, Within, from_json, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, stamp, write_record
 from gva_mi.core.tasks import Task, run
-from gva_mi.data.fingerprint import fingerprint
-from gva_mi.study.cases import StudyCase
+from gva_mi.data.fingerprint import FILM, fingerprint
+from gva_mi.data.folder import POSES, REFINED_POSES
+from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.data.splits import Splits
+from gva_mi.data.video import Video, load_video
+from gva_mi.fit import run_folder
+from gva_mi.fit.options import FitOptions
+from gva_mi.fit.paper import REFINE
+from gva_mi.fit.train import fit
+from gva_mi.pose.refine import refine
+from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.study.cases import AvatarVariant, StudyCase
+from gva_mi.study.evaluate import measure_run
+from gva_mi.study.figures import Figure, figures_from, to_json
+from gva_mi.study.filmed import Filming, Work, filming_work, height_of
+from gva_mi.study.pictures import ShownAvatar
+from gva_mi.study.refinement import Evaluation, mask_iou, write_refinement
+from gva_mi.study.similarity import zoomed
+from gva_mi.synthetic.closest import closest
+from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
-FORMAT = 2
+FORMAT = 3
 EXPECTED = "what `gva-mi study` writes, or give --overwrite"
+
+STAGE_1, REFINED = "stage 1", "refined"  # variants of the refinement study
+PRINTED_POSES = "poses_printed.npz"  # in a case's folder, refined by Eq. 8 as printed
+PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
+MADE_WITH = "made_with.json"  # in a run's folder
+REFINE_STEPS = 1000  # of a case, in steps of a fit, for the progress bar
 
 
 @dataclass(frozen=True)
@@ -42,23 +77,12 @@ class Outcome:
 
     case: StudyCase
     variant: str
-    figures: Mapping[str, float | str | None]  # by name
+    figures: tuple[Figure, ...]
 
     @property
     def key(self) -> tuple[StudyCase, str]:
         """Identity of the outcome in its study."""
         return self.case, self.variant
-
-
-class Work(NamedTuple):
-    """A piece of a study's work: a Task."""
-
-    steps: int  # its amount, for the progress bar
-    call: Callable[..., Any]  # a partial function that can be pickled; takes ``progress``
-
-    def solve(self, progress: Progress | None = None) -> Any:  # noqa: ANN401
-        """Do the work in this process."""
-        return self.call(progress=progress)
 
 
 @dataclass(frozen=True)
@@ -110,17 +134,22 @@ class Study(ABC):
                     f"{self.path}: another version of gva-mi wrote this study; choose another "
                     "--out, or give --overwrite to compute it again"
                 )
-            fresh = is_fresh(self.path, self.stamp)
-            return [_outcome(row) for row in record["results"]] if fresh else []
+            if not is_fresh(self.path, self.stamp):
+                return []
+            cases = {name: from_json(StudyCase, case) for name, case in record["cases"].items()}
+            found: dict[tuple[str, str], list[Figure]] = {}
+            for figure in figures_from(record["figures"]):
+                found.setdefault((figure.subject, figure.variant), []).append(figure)
+            return [
+                Outcome(cases[name], variant, tuple(figures))
+                for (name, variant), figures in found.items()
+            ]
 
-    def save(self, outcomes: Sequence[Outcome], summary: dict[str, Any]) -> None:
-        """Write all results, and the summary of those that were asked for."""
-        results = [
-            {"name": outcome.case.name, "held_out": outcome.case.held_out, **asdict(outcome)}
-            for outcome in outcomes
-        ]
+    def save(self, outcomes: Sequence[Outcome]) -> None:
+        """Write all results."""
         record = {"format": FORMAT, "kind": self.kind, "made_with": self.made_with}
-        record |= {"summary": summary, "results": results}
+        record["cases"] = {outcome.case.name: asdict(outcome.case) for outcome in outcomes}
+        record["figures"] = to_json(figure for outcome in outcomes for figure in outcome.figures)
         write_record(self.path, record, self.stamp)
 
 
@@ -150,9 +179,248 @@ def run_study(
             pass
         before += steps
     found = run(last, executor, part_of_progress(progress, before, total - before, total))
-    for pair in wanted:
-        yield done[pair] if pair in done else Outcome(*pair, next(found).result)
+    for case, variant in wanted:
+        if (case, variant) in done:
+            yield done[case, variant]
+        else:
+            figures = next(found).result
+            own = (replace(figure, subject=case.name, variant=variant) for figure in figures)
+            yield Outcome(case, variant, tuple(own))
 
 
-def _outcome(row: dict[str, Any]) -> Outcome:
-    return from_json(Outcome, {name: row[name] for name in ("case", "variant", "figures")})
+@options_of("study")
+class RefineStudyOptions:
+    """Size of the refinement study."""
+
+    frames: VideoFrames = 64  # frames of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    known: bool = False  # the subject's height and the focal length are given
+    lens: bool = True  # of films, the focal length is given, as most phones record it
+    refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
+
+
+@dataclass(frozen=True)
+class RefineStudy(Study):
+    """A study of one variant: the refinement, or stage 1 as it is."""
+
+    options: RefineStudyOptions
+    variants: Sequence[str] = (REFINED,)
+    kind = "refine"
+
+    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
+        """Film the takes, then refine each case."""
+        options = self.options
+        filming = Filming(self.folder, options.frames, options.size, lens=options.lens)
+        measured = []
+        for case, variant in missing:
+            given = filming.subject(case), case, variant, self.body, options
+            measured.append(Work(10 * options.frames, partial(refinement_figures, *given)))
+        return [filming_work(filming, [case for case, _ in missing], self.body), measured]
+
+
+def refinement_figures(
+    subject: Path,
+    case: StudyCase,
+    variant: str,
+    body: BodyModel,
+    options: RefineStudyOptions,
+    progress: Progress | None = None,
+) -> list[Figure]:
+    """Measure a case of the refinement study."""
+    if variant == STAGE_1:
+        video = load_video(subject, normals="none")
+        truth = load_ground_truth(video.truth, body)
+        found = Evaluation(video, body, options.refine, None, truth)
+    else:
+        found = refine_case(subject, case, body, options.refine, options.known, progress)
+    return [*found.figures(), Figure(metric="mask IoU", value=mask_iou(found.video))]
+
+
+def refine_case(
+    subject: Path,
+    case: StudyCase,
+    body: BodyModel,
+    options: SequenceOptions,
+    known: bool = False,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Refine and measure a case's video; ``known``: with the true height and focal length."""
+    video = load_video(subject, normals=None if case.normals else "none")
+    truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
+    if case.noise == FILM or known:  # the stage 1 of films was given the height, too
+        options = replace(options, height=height_of(truth))
+    if not known:
+        refined = refine(video, body, options, progress)
+    else:
+        focused = with_true_focal(truth, video, body)
+        refined = replace(refine(focused, body, options, progress), cameras=focused.cameras)
+    return Evaluation(video, body, options, refined, truth)
+
+
+def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
+    """Give a video the true focal length; its poses follow, as by ``prepare --lens``."""
+    pelvis, zoom = body.rest(video.shape).joints[0], truth.cameras[0].fx / video.cameras[0].fx
+    pose, cameras = zoomed(video.pose, pelvis, video.cameras, zoom)
+    return replace(video, cameras=list(cameras), pose=pose)
+
+
+@options_of("study")
+class AvatarStudyOptions:
+    """Size of the avatar study."""
+
+    frames: VideoFrames = 80  # frames of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    lens: bool = True  # of films, the focal length is given, as most phones record it
+    steps: Annotated[int, Within(1, 1_000_000)] = 3000  # steps of each fit
+    novel: PythonOnly[NovelPictures] = 8  # pictures of novel poses, and as many of novel views
+    refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
+    fit: PythonOnly[FitOptions] = field(default_factory=FitOptions)  # but for its steps and seed
+
+
+@dataclass(frozen=True)
+class AvatarStudy(Study):
+    """A study whose variants are ways to make an avatar."""
+
+    options: AvatarStudyOptions
+    rows: Sequence[AvatarVariant]
+    kind = "avatar"
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(variant.name for variant in self.rows)
+
+    @cached_property
+    def made_with(self) -> dict[str, Any]:
+        """As of any study, and the version of the refinement: avatars begin with its poses."""
+        return super().made_with | {"refine_version": RESULTS_VERSIONS["refine"]}
+
+    @property
+    def _filming(self) -> Filming:
+        options = self.options
+        return Filming(self.folder, options.frames, options.size, options.novel, options.lens)
+
+    def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
+        """Film the takes, refine each case, then fit each variant."""
+        cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
+        also_printed = any(row.poses == "printed" for row in self.rows)
+        made = self.body, self.options.refine, self.stamp, also_printed
+        prepared = [
+            Work(REFINE_STEPS, partial(prepare_case, filming.subject(case), case, *made))
+            for case in cases
+        ]
+        films = filming_work(filming, cases, self.body)
+        return [films, prepared, [self.run(*pair) for pair in missing]]
+
+    def run(self, case: StudyCase, variant: str) -> VariantRun:
+        """Return the run of a variant; the case's folder must exist before it is solved."""
+        (row,) = (row for row in self.rows if row.name == variant)
+        out = self.folder / "runs" / file_name(case.name) / file_name(variant)
+        options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
+        options = options.of_film() if case.noise == FILM else options
+        return VariantRun(self._filming.subject(case), out, row, self.body, options, self.stamp)
+
+
+def file_name(name: str) -> str:
+    """Return the folder's name of a case or variant."""
+    return re.sub(r"\W+", "-", name).strip("-")
+
+
+def prepare_case(
+    subject: Path,
+    case: StudyCase,
+    body: BodyModel,
+    options: SequenceOptions,
+    stamp: str,
+    also_printed: bool,
+    progress: Progress | None = None,
+) -> None:
+    """Write refined poses into a case's folder, unless it has those of the same options.
+
+    ``also_printed``: also the poses that Eq. 8 as printed finds.
+    """
+    if not is_fresh(subject / PREPARED, stamp):
+        evaluation = refine_case(subject, case, body, options, progress=progress)
+        write_refinement(evaluation)
+        (subject / PRINTED_POSES).unlink(missing_ok=True)
+        write_record(subject / PREPARED, {}, stamp)
+    if also_printed and not (subject / PRINTED_POSES).exists():
+        found = refine(load_video(subject), body, REFINE)
+        save_poses(subject / PRINTED_POSES, found.pose, found.shape, stage=2)
+
+
+@dataclass(frozen=True)
+class VariantRun:
+    """Fit one variant to one case, and measure it: a Task."""
+
+    subject: Path  # the case's folder, refined
+    out: Path  # the run's folder
+    variant: AvatarVariant
+    body: BodyModel
+    options: FitOptions  # of the study; the variant changes them
+    stamp: str  # of the study
+
+    @property
+    def steps(self) -> int:
+        """Amount of work, for the progress bar."""
+        return self.options.steps
+
+    def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
+        """Fit, or resume a fit, and return its figures."""
+        self._make_room()
+        video, options = self.video(), self.variant.of(self.options)
+        offsets = video.offsets_of(len(self.body.v_template))
+        about = {"offsets": offsets, "resume": True, "progress": progress}
+        avatar = fit(video, self.body, options, self.out, **about)
+        args = (self.out, avatar, video, self.variant.name, self.body, self._poses)
+        # Fitted poses would bend a rigid body.
+        fitted = {"fit_to_pictures": not self.variant.rigid}
+        return measure_run(*args, driven=self.driven(video), **fitted).figures
+
+    def shown(self) -> ShownAvatar | None:
+        """Open the avatar and its splits for pictures; None if it is not finished."""
+        if not (self.out / run_folder.AVATAR).exists():  # figures may be kept without it
+            return None
+        video, avatar = self.video(), run_folder.load_avatar(self.out)
+        trained = run_folder.under_trained_poses(video, self.out)
+        return ShownAvatar.of(avatar, trained, self.body, self.driven(video))
+
+    def video(self) -> Video:
+        """Open the case's video under the poses that this variant is fitted with."""
+        video = load_video(self.subject, self._poses)
+        if self.variant.one_range:
+            splits = Splits.one_range(len(video)).without(video.absent)
+            video = replace(video, splits=splits)
+        if self.variant.rigid:
+            return replace(video, pose=self.driven(video)(video.pose))
+        if self.variant.poses != "true":
+            return video
+        truth = load_ground_truth(video.truth, self.body)
+        near = closest(self.body, truth.body, truth.pose, truth.shape)
+        return replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
+
+    def driven(self, video: Video) -> Callable[[Pose], Pose]:
+        """Return the function applied to every pose before it drives the avatar."""
+        if not self.variant.rigid:
+            return lambda pose: pose
+        joints = video.pose.rotations[video.splits.train[0], 1:]
+
+        def rigid(pose: Pose) -> Pose:
+            rotations = pose.rotations.clone()
+            rotations[:, 1:] = joints
+            return replace(pose, rotations=rotations)
+
+        return rigid
+
+    @property
+    def _poses(self) -> Path:
+        others = {"stage 1": POSES, "printed": PRINTED_POSES}
+        return self.subject / others.get(self.variant.poses, REFINED_POSES)
+
+    def _make_room(self) -> None:
+        """Remove a run that was made with other inputs."""
+        held = self.out / MADE_WITH
+        if self.out.exists() and not is_fresh(held, self.stamp):
+            shutil.rmtree(self.out)
+        if not held.exists():
+            write_record(held, {}, self.stamp)

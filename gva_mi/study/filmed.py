@@ -1,13 +1,18 @@
-"""The error model "film": nothing is invented, real networks and the film solver see the pictures.
+"""The videos of a study: a subject is rendered once, and each error model degrades a copy.
 
-The poses of :mod:`gva_mi.pose.film` stand in a world of their own. They are brought to the world of
-the ground truth: the camera sees the same, and errors can be measured.
+The error model "film" is the real one: networks and the film solver see the pictures. The poses of
+:mod:`gva_mi.pose.film` stand in a world of their own. They are brought to the world of the ground
+truth: the camera sees the same, and errors can be measured.
 """
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -16,16 +21,81 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
+from gva_mi.core.console import Progress
 from gva_mi.core.files import write_json
-from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH
+from gva_mi.core.stamp import RESULTS_VERSIONS
+from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH, require_same_body
 from gva_mi.data.folder import MASKS, SPLITS, TRUTH, SubjectWriter
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
 from gva_mi.splat import Camera
+from gva_mi.study.cases import StudyCase, Take
+from gva_mi.synthetic import degrade, make_subject
 
 ALL = 240.0  # pictures a second, more than any of these films has: every picture is used
+
+
+class Work(NamedTuple):
+    """A piece of a study's work: a Task."""
+
+    steps: int  # its amount, for the progress bar
+    call: Callable[..., Any]  # a partial function that can be pickled; takes ``progress``
+
+    def solve(self, progress: Progress | None = None) -> Any:  # noqa: ANN401
+        """Do the work in this process."""
+        return self.call(progress=progress)
+
+
+@dataclass(frozen=True)
+class Filming:
+    """Options of the videos of a study, and their folder."""
+
+    folder: Path  # of the study
+    frames: int  # of each video
+    size: int  # pixels, width and height of the pictures
+    novel: int = 0  # pictures of novel poses, and as many of novel views
+    lens: bool = True  # whether the focal length of films is known
+
+    def subject(self, case: StudyCase) -> Path:
+        """Return the folder of a case's video, existing or not.
+
+        A film's masks and poses are results of this program, so its folder names their version.
+        """
+        film = f"{FILM}{RESULTS_VERSIONS['refine']}{'' if self.lens else '-anylens'}"
+        made = film if case.noise == FILM else case.noise
+        return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
+
+    def film(
+        self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
+    ) -> None:
+        """Make the videos of some cases that are missing."""
+        for case in cases:
+            take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
+            if not take.exists():
+                make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
+            if not subject.exists() and case.noise == FILM:
+                watch_take(take, subject, body, self.lens)
+            elif not subject.exists():
+                degrade(take, subject, case.noise, case.draw, body)
+            require_same_body(subject, body)
+
+    def _name(self, take: Take) -> str:
+        frames, size = take.frames or self.frames, take.size or self.size
+        name = f"{take.name.replace(', ', '-').replace(' ', '')}-{frames}-{size}"
+        return f"{name}-novel{self.novel}" if self.novel else name
+
+
+def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) -> list[Work]:
+    """Return the work of filming cases, a piece for each take: no two workers render the same."""
+    by_take: dict[Take, dict[StudyCase, None]] = {}
+    for case in cases:
+        by_take.setdefault(case.take, {})[case] = None
+    return [
+        Work(filming.frames * len(several), partial(filming.film, tuple(several), body))
+        for several in by_take.values()
+    ]
 
 
 def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> None:

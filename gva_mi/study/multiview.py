@@ -2,96 +2,142 @@
 
 Real people come without ground truth. Where calibrated cameras film one person at the same time,
 each film alone gives poses, a lens and the direction up, and the landmarks of all films give points
-in space (:mod:`gva_mi.study.calibrated`). These err by a few centimetres, and a landmark is not
-quite the joint that it is named after.
+in space. These err by a few centimetres, and a landmark is not quite the joint that it is named
+after.
+
+A calibration is a TOML file with a table for each camera, as Pose2Sim, anipose and FreeMoCap write
+it: ``name``, ``size``, ``matrix``, ``distortions`` and ``rotation``, ``translation`` from the world
+to the camera. Points X follow from where the cameras see them:
+
+1. ``min Σ_c log(1 + |π_c(X) - x_c|² / τ²)``
+
+by iteratively reweighted direct linear transformation (Hartley and Zisserman, *Multiple View
+Geometry*, ch. 12): one camera that is far off is outvoted.
+
+Figures (:mod:`gva_mi.study.figures`) of a camera are means over the frames: focal lengths and the
+median distance of landmarks from the points, pixels of the film; the angle between the directions
+up; the distance of joints; the depth of the hips' middle, beyond the points'; the distance of
+joints with the hips' middle in the same place (aligned), of that across the line of sight (aside),
+and of the network's own metres, aligned, scaled as fits best.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 
+from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import require_file
 from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.landmark_noise import BONES, person_sizes
+from gva_mi.pose.film.landmark_noise import person_sizes
 from gva_mi.pose.film.prepare_film import FilmOptions, SolvedMotion, motion_of_film
-from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import SolvedFilm
-from gva_mi.study.calibrated import CalibratedCamera, read_calibration, triangulate
+from gva_mi.study.figures import Figure
 
+CALIBRATION = (
+    "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
+    "anipose's or FreeMoCap's calibration"
+)
+ROUNDS = 10  # of reweighting, and of undoing the distortion
 APART = 0.01  # τ of triangulation, of a person's height
 SEEN = 0.5  # least confidence of a landmark
 COMPARED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
 @dataclass(frozen=True)
-class OneCamera:
-    """What one film says, against the points of all of them; lengths in mm, means over frames."""
+class CalibratedCamera:
+    """A camera of a calibration, whose axes are x right, y down, z away."""
 
-    camera: str
-    lens: float  # focal length, pixels of the film
-    true_lens: float
-    points: float  # median distance of landmarks from the points of all films, pixels of the film
-    up: float  # degrees between the directions up
-    joints: float
-    depth: float  # of the hips' middle, beyond the points'
-    aligned: float  # with the hips' middle in the same place
-    aside: float  # of that, across the line of sight
-    network: float  # of the network's own metres, aligned, scaled as fits best
-    by_joint: dict[str, float]  # aligned
+    name: str
+    size: tuple[int, int]  # pixels
+    K: np.ndarray  # (3, 3) pixels
+    distortion: np.ndarray  # (4,) or (5,) of OpenCV
+    R: np.ndarray  # (3, 3) from the world
+    t: np.ndarray  # (3,) metres
+
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """Return x / z and y / z (..., 2) of points, by fixed-point iteration."""
+        k1, k2, p1, p2, k3 = (*self.distortion, 0.0)[:5]
+        seen = (pixels - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        x = seen
+        for _ in range(ROUNDS):
+            r2, xy = np.square(x).sum(-1, keepdims=True), x.prod(-1, keepdims=True)
+            aside = 2 * xy * [p1, p2] + (r2 + 2 * np.square(x)) * [p2, p1]
+            x = (seen - aside) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+        return x
+
+    def place(self, X: np.ndarray) -> np.ndarray:
+        """Return points (..., 3) of the world in the camera's axes."""
+        return X @ self.R.T + self.t
 
 
-@dataclass(frozen=True)
-class BoneFound:
-    """How a network's depths along a bone follow the true ones: eq. 3 of landmark_noise.
+def read_calibration(path: Path) -> list[CalibratedCamera]:
+    """Read the cameras of a calibration; tables without a matrix are ignored.
 
-    Its ``gain`` and ``bias`` (mm) by least squares over all films, ``error`` (mm) what is left, and
-    what stage 1 takes them to be.
+    Raises:
+        InputError: the file is not one.
     """
-
-    bone: str
-    gain: float
-    used_gain: float
-    bias: float
-    used_bias: float
-    error: float
-
-
-def bones_found(
-    cameras: Sequence[CalibratedCamera],
-    films: Sequence[tuple[SolvedFilm, Landmarks]],
-    body: BodyModel,
-    X: np.ndarray,
-) -> list[BoneFound]:
-    """Compare depths along the bones of the body with points X (T, 33, 3) of the world."""
-    rig = LandmarkRig.of(body, list(BODY))
-    true, seen = [], []
-    for camera, (solved, landmarks) in zip(cameras, films, strict=True):
-        scale = rig.scale(landmarks, solved.shape.betas)
-        true.append(camera.place(X)[..., 2])
-        seen.append(scale * landmarks.metric[:, landmarks.indices(BODY), 2].astype(float))
-    true, seen, found = np.concatenate(true), np.concatenate(seen), []
-    for (one, other), used in BONES.items():
-        sides = [(one, other)] if {one, other} <= set(BODY) else [
-            tuple(name if name in BODY else f"{side}_{name}" for name in (one, other))
-            for side in SIDES
-        ]  # fmt: skip
-        if not set(sides[0]) <= set(BODY):  # of a hand
-            continue
-        pairs = [[BODY.index(name) for name in pair] for pair in sides]
-        z, m = (np.concatenate([x[:, j] - x[:, i] for i, j in pairs]) for x in (true, seen))
-        known = np.isfinite(z) & np.isfinite(m)
-        gain, bias = np.polyfit(z[known], m[known], 1)
-        left = np.std(m[known] - gain * z[known])
-        numbers = gain, used.gain, 1e3 * bias, 1e3 * used.bias, 1e3 * left
-        found.append(BoneFound(f"{one} to {other}", *map(float, numbers)))
+    require_file(path, CALIBRATION)
+    with expecting(path, CALIBRATION):
+        tables = tomllib.loads(path.read_text())
+        tables = {name: table for name, table in tables.items() if "matrix" in table}
+        found = [_camera(name, table) for name, table in tables.items()]
+    for name, table in tables.items():
+        if table.get("fisheye") or np.size(table["distortions"]) not in (4, 5):
+            raise InputError(
+                f"{path}: {name} is a fisheye, or has not 4 or 5 distortions; expected a lens of "
+                "OpenCV with k1, k2, p1, p2 and perhaps k3"
+            )
+    if len(found) < 2:
+        raise InputError(f"{path}: expected at least two cameras, found {len(found)}")
     return found
+
+
+def _camera(key: str, table: dict) -> CalibratedCamera:
+    K, distortion = np.array(table["matrix"], float), np.array(table["distortions"], float)
+    turn = torch.tensor(table["rotation"], dtype=torch.float64)
+    width, height = (int(side) for side in table["size"])
+    t = np.array(table["translation"], float).reshape(3)
+    R = so3.to_matrix(turn.reshape(3)).numpy()
+    name = str(table.get("name", key))
+    return CalibratedCamera(name, (width, height), K.reshape(3, 3), distortion, R, t)
+
+
+def triangulate(
+    cameras: Sequence[CalibratedCamera], rays: np.ndarray, seen: np.ndarray, tau: np.ndarray
+) -> np.ndarray:
+    """Minimise eq. 1 from rays (C, N, 2).
+
+    Args:
+        cameras: C of them.
+        rays: x / z and y / z, of N points.
+        seen: (C, N) where a camera saw a point.
+        tau: (C,) of x / z.
+
+    Returns:
+        X (N, 3) metres; NaN where fewer than two cameras saw a point.
+    """
+    P = np.stack([np.column_stack([camera.R, camera.t]) for camera in cameras])[:, None]
+    x = np.where(seen[..., None], rays, 0)
+    rows = x[..., None] * P[:, :, 2:] - P[:, :, :2]  # (C, N, 2, 4)
+    weights = seen.astype(float)
+    for _ in range(ROUNDS):
+        A = (weights[..., None, None] * rows).transpose(1, 0, 2, 3).reshape(len(x[0]), -1, 4)
+        X = np.linalg.svd(A, full_matrices=False)[2][:, -1]
+        X = X[:, :3] / X[:, 3:]
+        local = np.stack([camera.place(X) for camera in cameras])
+        off = np.square(local[..., :2] / local[..., 2:] - x).sum(-1)
+        weights = seen / (local[..., 2] * np.sqrt(1 + off / tau[:, None] ** 2))
+    return np.where((seen.sum(0) >= 2)[:, None], X, np.nan)
 
 
 def compare(
@@ -101,7 +147,7 @@ def compare(
     body: BodyModel,
     X: np.ndarray,
     up: np.ndarray,
-) -> OneCamera:
+) -> list[Figure]:
     """Compare one film's stage 1 with points X (T, 33, 3) of the world, in the order of BODY.
 
     ``up`` (3,) is the world's direction up.
@@ -117,48 +163,27 @@ def compare(
     length = lambda off: float(np.nanmean(np.linalg.norm(off, axis=-1)))
     off, own = centred(found) - centred(true), centred(guessed)
     scale = np.nansum(own * centred(true)) / np.nansum(np.where(np.isnan(true), 0, own**2))
-    sides = lambda name: [k for k, full in enumerate(names) if full.endswith(name)]
     factor, local = solved.camera.width / camera.size[0], camera.place(X)
     rays = camera.rays(landmarks.pixels[:, landmarks.indices(BODY)].astype(float) / factor)
     beside = np.linalg.norm(local[..., :2] / local[..., 2:] - rays, axis=-1)
     angle = np.degrees(np.arccos(np.clip(T[:3, 1] @ (camera.R @ up), -1, 1)))
-    return OneCamera(
-        camera=camera.name,
-        lens=float(solved.camera.fx),
-        true_lens=float(factor * camera.K[0, 0]),
-        points=float(np.nanmedian(factor * camera.K[0, 0] * beside)),
-        up=float(angle),
-        joints=length(found - true),
-        depth=float(np.nanmean((found - true)[:, hips, 2])),
-        aligned=length(off),
-        aside=length(off[..., :2]),
-        network=length(scale * own - centred(true)),
-        by_joint={name: length(off[:, sides(name)]) for name in COMPARED},
-    )
-
-
-def multiview_table(rows: Sequence[OneCamera]) -> list[list[str]]:
-    """Return the lines of a table, heads first; lengths in mm."""
-    head = ["camera", "lens, px", "true", "points, px", "up, degrees", "joints", "depth", "aligned",
-            "aside", "network", *COMPARED]  # fmt: skip
-    found = [
-        [row.camera, *(f"{x:.0f}" for x in (row.lens, row.true_lens, row.points)), f"{row.up:.1f}"]
-        + [f"{x:.0f}" for x in (row.joints, row.depth, row.aligned, row.aside, row.network)]
-        + [f"{row.by_joint[name]:.0f}" for name in COMPARED]
-        for row in rows
-    ]
-    return [head, *found]
-
-
-def bones_table(rows: Sequence[BoneFound]) -> list[list[str]]:
-    """Return the lines of a table, heads first; lengths in mm."""
-    head = ["depths of the network along", "gain", "used", "bias", "used", "error"]
-    found = [
-        [row.bone, *(f"{x:.2f}" for x in (row.gain, row.used_gain))]
-        + [f"{x:.0f}" for x in (row.bias, row.used_bias, row.error)]
-        for row in rows
-    ]
-    return [head, *found]
+    values = {
+        "lens, px": solved.camera.fx,
+        "true lens, px": factor * camera.K[0, 0],
+        "points, px": np.nanmedian(factor * camera.K[0, 0] * beside),
+        "up, degrees": angle,
+        "joints, mm": length(found - true),
+        "depth, mm": np.nanmean((found - true)[:, hips, 2]),
+        "aligned, mm": length(off),
+        "aside, mm": length(off[..., :2]),
+        "network, mm": length(scale * own - centred(true)),
+    }
+    figures = [Figure(subject=camera.name, metric=k, value=float(x)) for k, x in values.items()]
+    for name in COMPARED:
+        joints = [k for k, full in enumerate(names) if full.endswith(name)]
+        about = {"region": name, "metric": "aligned, mm", "value": length(off[:, joints])}
+        figures.append(Figure(subject=camera.name, **about))
+    return figures
 
 
 def multiview(
@@ -169,7 +194,7 @@ def multiview(
     up: np.ndarray,
     known_lens: bool,
     progress: Progress | None = None,
-) -> tuple[list[OneCamera], list[BoneFound]]:
+) -> list[Figure]:
     """Solve the film of each camera alone, and compare it with all of them.
 
     Args:
@@ -203,10 +228,10 @@ def multiview(
     X = triangulate(cameras, rays.reshape(len(films), -1, 2), seen.reshape(len(films), -1), tau)
     X = X.reshape(*rays.shape[1:3], 3)
     found = [(motion.solved, motion.watched.landmarks) for motion in motions]
-    rows = [
-        compare(camera, *film, body, X, up) for camera, film in zip(cameras, found, strict=True)
-    ]
-    return rows, bones_found(cameras, found, body, X)
+    figures = []
+    for camera, film in zip(cameras, found, strict=True):
+        figures += compare(camera, *film, body, X, up)
+    return figures
 
 
 def _calibration_in(folder: Path) -> Path:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gva_mi.core.atomic import atomic_write
+from gva_mi.study.figures import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,15 +28,6 @@ class Picture:
 
     caption: str
     data: str  # a data: address
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of text under a head."""
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    words: bool = False  # cells are sentences, which wrap, and not numbers
 
 
 @dataclass(frozen=True)
@@ -113,11 +105,6 @@ def plot(caption: str, figure: Figure) -> Picture:
     figure.savefig(buffer, format="svg")
     plt.close(figure)
     return _embedded(caption, buffer, "svg+xml")
-
-
-def number(value: float | None, digits: int, sign: bool = False) -> str:
-    """Write a number for a table cell; a dash for None."""
-    return "–" if value is None else f"{value:{'+' if sign else ''}.{digits}f}"
 
 
 def _embedded(caption: str, data: io.BytesIO, kind: str) -> Picture:

@@ -22,8 +22,7 @@ from gva_mi.data.splits import spread
 from gva_mi.data.video import Frame, Video
 from gva_mi.fit.renders import CameraPath, cut_out, render_frame, shots
 from gva_mi.splat import Camera, Gaussians, look_at, render
-from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, views_of
-from gva_mi.study.metrics import aligned_views
+from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, aligned_views, views_of
 from gva_mi.study.page import Picture, Section, picture
 from gva_mi.study.regions import person_box
 from gva_mi.study.similarity import similarity_to_truth

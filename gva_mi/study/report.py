@@ -1,38 +1,113 @@
-"""The report of a run: pictures of the avatar, its metrics, and its training.
+"""The pages of a run (its pictures, figures and training), of a film's avatar, and of a study.
 
-It is made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. The page of a
-film's avatar (:mod:`gva_mi.study.film_report`) begins with films of it.
+The first two are made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. There
+is no ground truth of a real film. So the page of its avatar begins with the avatar from all around
+and in two motions that the film does not have, and says how to film it better
+(:mod:`gva_mi.pose.film.film_check`). The moving pictures are also written as .mp4 files.
+
+A subject counts once in a cell of a study's table: the figures of its cases are averaged first. The
+refinement study has a row for each error model (of ``LIMITS`` for each case), their mean, and the
+worst of each column. The avatar study has a row for each variant, separately for held-out and tuned
+subjects, with the mean difference to the variant "full" of the same cases, because subjects differ
+more than variants do.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import torch
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.pictures import read_image, write_image
+from gva_mi.body.so3 import to_matrix
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_json
+from gva_mi.core.options import from_json
+from gva_mi.data.film import write_film
+from gva_mi.data.pictures import read_image
+from gva_mi.data.problems import Problem
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.photometric import FITTED
-from gva_mi.fit.run_folder import Snapshot
-from gva_mi.study import page
-from gva_mi.study.evaluate import REGIONS
-from gva_mi.study.metrics import ALIGNED, AS_REFINED, TRAINED, Metrics, load_metrics
-from gva_mi.study.overview import overview
-from gva_mi.study.page import Headline, Section, Table, animation, number, picture, plot
+from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
+from gva_mi.pose.film.prepare_film import FilmRecord
+from gva_mi.study.cases import FULL
+from gva_mi.study.engine import Outcome
+from gva_mi.study.evaluate import ALIGNED, AS_REFINED, REGIONS, SPLITS, Metrics
+from gva_mi.study.figures import METRICS, Table, pivot, table, where
+from gva_mi.study.page import Headline, Picture, Section, animation, picture, plot, write_page
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
-from gva_mi.study.pose_tables import errors_table, pose_headlines
-from gva_mi.study.refinement import OVERLAYS
-from gva_mi.study.surface import SurfaceFigures
+from gva_mi.study.refinement import OVERLAYS, pose_tables
+from gva_mi.synthetic.motion import perform
 
-SHOWN = 4  # frames of a split
+SHOWN, STUDY_SHOWN = 4, 2  # frames of a split on the page of a run, of a case on a study's
 TURN_FRAMES = 24  # pictures of the turning avatar
 SMOOTHED = 25  # steps in a running mean of the curves
+
+FINDINGS = "film_check.json"  # on the film, in the subject's folder
+TURNTABLE = "turntable"
+DRIVEN = ("walk", "dance")  # motions of gva_mi.synthetic.motion
+FPS = 20  # frames a second of the films
+SECONDS = 6.0  # of a motion's round
+SIZE = (384, 512)  # pixels
+IN_PAGE = 3  # every 3rd picture of a film is in the page
+SEED = 0  # of the motions
+
+HEADLINES = (  # region, alignment, kind of error
+    ("body", "pelvis-aligned", "error", "pelvis-aligned error, stage 1 → refined"),
+    ("hands", "pelvis-aligned", "error", "pelvis-aligned, of the hands"),
+    ("feet", "pelvis-aligned", "error", "pelvis-aligned, of the feet"),
+    ("pelvis", "", "depth", "depth of the pelvis, which one camera hardly shows"),
+)
+REFINE_SHOWN = (  # a study's tables
+    "change", "stage 1 error, mm", "refined error, mm", "refined depth, mm", "increased",
+    "IoU - limit", "mask IoU", "s a frame",
+)  # fmt: skip
+AVATAR_SHOWN = (  # metrics, and regions unless all are
+    ("PSNR, dB", ("white",)), ("PSNR, dB", ("person", "hands", "face")), ("SSIM", ("white",)),
+    ("LPIPS", ("white",)), ("rand_vgg", ("white",)), ("given error, mm", ()),
+    ("trained error, mm", ()), ("spacing", ()), ("bias, mm", ()), ("stray, mm", ()),
+    ("seconds", ()), ("Gaussians", ()),
+)  # fmt: skip
+_SURFACE = (
+    "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
+    "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
+    "from the true surface to the nearest Gaussian, stray the 99th of that from a Gaussian to the "
+    "surface."
+)
+_SCORES = (
+    "The whole picture on white, then on black, the person's box, and the boxes of visible hands "
+    "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
+    "of a fixed seed, comparable only with itself. Poses of a test frame follow from the trained "
+    f"ones of the frames around it; ‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows "
+    "neither the scale of the world nor where the skeleton is inside the surface, so the ground "
+    f"truth is transformed to the avatar's world, once for all frames. ‘{FITTED}’, if any, have "
+    "seen what they are measured on."
+)
+_MOVES = (
+    "From all around in a pose of the film, and in two motions that the film does not have: "
+    f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
+    "guess."
+)
+_BETTER = "What the film does not show, and how to film it better."
+_GOOD = "The film shows the person from all sides, whole, sharp and alone, before a still camera."
+_REFINE = (
+    "Changes of errors are relative: -50 % is half the error of stage 1. Depths are those after "
+    "refinement, above zero if too far away. ‘Increased’ is the share of frames whose error "
+    "increased. Every error model counts once."
+)
+_AVATAR = (
+    "Mean ± standard deviation over subjects, the worst subject, and in brackets the difference to "
+    "full."
+)
 
 
 def write_report(
@@ -46,7 +121,7 @@ def write_report(
     first: Sequence[Section] = (),
     settings: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """Write the page, and its first picture beside it as a file of its own.
+    """Write the page.
 
     Args:
         path: of the page.
@@ -58,75 +133,53 @@ def write_report(
         first: sections that the page begins with; without them, the turning avatar.
         settings: what else the page lists at its end.
     """
-    metrics, history = load_metrics(run), run_folder.load_history(run)
+    metrics, history = Metrics.load(run), run_folder.load_history(run)
     shown = ShownAvatar.of(avatar, video, body)
-    write_image(path.with_name(run_folder.OVERVIEW), overview(shown, video))
-    width, height = metrics.training.size
-    page.write_page(
+    width, height = metrics.size
+    write_page(
         path,
         title=title,
         subtitle=f"{subtitle} {width} x {height} pixels, seed {metrics.options['seed']}.",
-        headlines=_headlines(metrics),
+        headlines=headlines(metrics),
         sections=[
             *(first or [_turning(avatar, video)]),
             *picture_sections([("", {"render": shown})], SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
-            *_reinitialisation(run_folder.load_snapshots(run), metrics.surface),
+            *_reinitialisation(run, metrics),
             _curves(history),
-            _tables(metrics),
+            _scores(metrics),
         ],
         settings={
             **settings,
             "options": metrics.options,
             "protocol": metrics.protocol,
-            "similarity": metrics.similarity,
             "versions": metrics.versions,
         },
     )
 
 
-_SURFACE = (
-    "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
-    "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
-    "from the true surface to the nearest Gaussian, stray the 99th of that from a Gaussian to the "
-    "surface."
-)
-_SCORES = (
-    "The whole picture on white, then on black, the person's box, and the boxes of visible hands "
-    "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
-    "of a fixed seed, comparable only with itself. A held-out range is a stretch of frames that "
-    "training left out; neighbours of single test frames were seen. The run's own poses are "
-    "trained on the training frames only; those of a test frame follow from the frames around it, "
-    f"‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows neither the scale of the world "
-    "nor where the skeleton is inside the surface, so the ground truth is transformed to the "
-    "avatar's world, once for all frames."
-)
-_FITTED = (
-    f" ‘{FITTED}’ have seen what they are measured on: the avatar is the same, and each pose is "
-    "fitted to its own picture."
-)
-
-
-def _headlines(metrics: Metrics) -> list[Headline]:
+def headlines(metrics: Metrics) -> list[Headline]:
     """Return pose errors first, because they limit all else; then PSNR, size and time."""
-    training, first = metrics.training, metrics.rows[0].name
-    minutes, seconds = divmod(round(training.seconds), 60)
-    shown = {first: "", ALIGNED: ", world aligned"}
-    psnr = {(row.name, row.split, row.region): f"{row.psnr:.1f}" for row in metrics.rows}
-    splits = {split for _, split, _ in psnr} - {"train"} or {"train"}
-    return [
-        *pose_headlines(metrics.refinement),
-        *(
-            Headline(
-                f"{whole} / {psnr.get((name, split, 'person'), '–')} dB",
-                f"PSNR, {split.replace('_', ' ')}{shown[name]}: whole picture / person's box",
-            )
-            for (name, split, region), whole in psnr.items()
-            if name in shown and region == "white" and split in splits
-        ),
-        Headline(f"{training.gaussians:,}", "Gaussians"),
-        Headline(f"{minutes} min {seconds:02d} s", f"for {training.steps:,} steps"),
-    ]
+    figures, found = metrics.figures, []
+    for region, alignment, kind, label in HEADLINES:
+        stages = tuple(f"{stage} {kind}, mm" for stage in ("stage 1", "refined"))
+        both = where(figures, region=region, alignment=alignment, metric=stages)
+        if len(both) == 2:
+            sign = "+" if kind == "depth" else ""
+            before, after = (f"{figure.value:{sign}.0f}" for figure in both)
+            found.append(Headline(f"{before} → {after} mm", label))
+    scores = where(figures, metric="PSNR, dB", alignment=("", ALIGNED), split=SPLITS[1:])
+    for whole in where(scores, region="white"):
+        about = {"split": whole.split, "alignment": whole.alignment}
+        (box,) = where(scores, region="person", **about)
+        name = ", ".join(filter(None, about.values())).replace("_", " ")
+        label = f"PSNR, {name}: whole picture / person's box"
+        found.append(Headline(f"{whole.value:.1f} / {box.value:.1f} dB", label))
+    minutes, seconds = divmod(round(metrics.value("seconds")), 60)
+    found.append(Headline(f"{metrics.value('Gaussians'):,}", "Gaussians"))
+    label = f"for {metrics.value('steps'):,} steps"
+    found.append(Headline(f"{minutes} min {seconds:02d} s", label))
+    return found
 
 
 def _turning(avatar: Avatar, video: Video) -> Section:
@@ -136,48 +189,34 @@ def _turning(avatar: Avatar, video: Video) -> Section:
     return Section("The avatar", text, [animation(caption, pictures)], columns=3)
 
 
-def _refinement(metrics: Metrics, overlays: Path) -> list[Section]:
+def _refinement(metrics: Metrics, overlays: Path) -> Iterator[Section]:
     """Show the refinement's picture and errors, if the subject's folder has the picture."""
-    if not overlays.exists():
-        return []
-    text = "The body over the frames, before the refinement of Eq. 8 (above) and after it (below)."
-    if metrics.poses_mm:
-        text += " ‘Trained’ poses were corrected by the pictures along with the avatar."
-    table = errors_table(metrics.refinement, metrics.poses_mm.get(TRAINED, {}))
-    pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
-    return [Section("Pose refinement", text, pictures, columns=1, tables=[table])]
+    if overlays.exists():
+        text = (
+            "The body over the frames, before the refinement of Eq. 8 (above) and after it "
+            "(below). ‘Trained’ poses were corrected by the pictures along with the avatar."
+        )
+        pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
+        tables = list(pose_tables(metrics.figures))
+        yield Section("Pose refinement", text, pictures, columns=1, tables=tables)
 
 
-def _reinitialisation(
-    snapshots: Iterable[Snapshot], surface: Sequence[SurfaceFigures]
-) -> Iterator[Section]:
+def _reinitialisation(run: Path, metrics: Metrics) -> Iterator[Section]:
     """Show the Gaussians before and after each re-initialisation, and how they lie."""
     pictures = [
         dots(f"step {snapshot.step}, {name}", gaussians)
-        for snapshot in snapshots
+        for snapshot in run_folder.load_snapshots(run)
         for name, gaussians in (("before", snapshot.before), ("after", snapshot.after))
     ]
+    shown = ("opaque Gaussians", "spacing", "bias, mm", "stray, mm")
+    surface = pivot(where(metrics.figures, metric=shown), ("split",), ("region",))
     if pictures or surface:
         text = (
             "Surface-guided re-initialisation: clumps of Gaussians in textured regions spread, and "
             f"floaters return to the surface. {_SURFACE if surface else ''}"
         )
-        tables = [surface_table(surface)] if surface else []
+        tables = [table(surface, "step")] if surface else []
         yield Section("Re-initialisation", text, pictures, columns=2, tables=tables)
-
-
-def surface_table(surface: Sequence[SurfaceFigures]) -> Table:
-    """List how the Gaussians lie on the true surface, a row for each moment of a fit."""
-    names = list(dict.fromkeys(name for moment in surface for name in moment.figures))
-    digits = {name: 1 if name.endswith("mm") else 2 for name in names}
-    rows = [
-        (
-            f"{moment.step:,}", moment.moment, f"{moment.gaussians:,}",
-            *(number(moment.figures.get(name), digits[name]) for name in names),
-        )
-        for moment in surface
-    ]  # fmt: skip
-    return Table(("step", "", "Gaussians", *names), rows)
 
 
 def _curves(history: Mapping[str, np.ndarray]) -> Section:
@@ -205,20 +244,211 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.convolve(padded, np.full(over, 1 / over), mode="valid")
 
 
-def _tables(metrics: Metrics) -> Section:
+def _scores(metrics: Metrics) -> Section:
     """List all scores, a table for each region."""
-    metric = ("psnr", "ssim", "lpips", "rand_vgg")
-    head = ("run", "split", "region", "frames", "PSNR, dB", "SSIM", "LPIPS", *metric[3:])
-    order = [(row.name, row.split) for row in metrics.rows if row.region == "white"]
     tables = []
     for region in REGIONS:
-        own = [row for row in metrics.rows if row.region == region]
-        rows = []
-        for row in sorted(own, key=lambda row: order.index((row.name, row.split))):
-            names = (row.name.replace("_", " "), row.split.replace("_", " "), region)
-            figures = (number(getattr(row, m), 2 if m == "psnr" else 4) for m in metric)
-            rows.append((*names, str(row.count), *figures))
-        if rows:
-            tables.append(Table(head, rows))
-    text = _SCORES + (_FITTED if any(row.name == FITTED for row in metrics.rows) else "")
-    return Section("Figures", text, tables=tables)
+        if own := where(metrics.figures, region=region, split=SPLITS):
+            tables.append(table(pivot(own, ("split", "alignment", "region")), "renders"))
+    return Section("Figures", _SCORES, tables=tables)
+
+
+def write_film_report(
+    out: Path,
+    run: Path,
+    video: Video,
+    body: BodyModel,
+    title: str,
+    progress: Progress | None = None,
+) -> None:
+    """Write the page ``out/report.html``, and films of the avatar beside it.
+
+    Args:
+        out: folder.
+        run: the folder of a run that was evaluated.
+        video: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
+        title: heading of the page.
+        progress: called after each rendered picture.
+    """
+    avatar, record = run_folder.load_avatar(run), FilmRecord.load(video.folder)
+    films = list(_films(out, avatar, video, progress))
+    better = _better(_problems(video.folder / FINDINGS), record.notes)
+    first = [Section("The avatar", _MOVES, films, columns=3), better]
+    subtitle = f"{record.frames} frames at {record.fps:.3g} a second. {_height(record)}"
+    where = out / run_folder.REPORT, run
+    write_report(*where, avatar, video, title, body, subtitle, first, {"film": vars(record)})
+
+
+def _height(record: FilmRecord) -> str:
+    """Say what is known of the person's size."""
+    if record.height is not None:
+        return f"The person is {record.height:.2f} m tall."
+    return (
+        "The person's height was not given, and an average one is assumed: size and distances are "
+        "uncertain by 5 %. --height 1.75 gives it."
+    )
+
+
+def _films(out: Path, avatar: Avatar, video: Video, progress: Progress | None) -> Iterator[Picture]:
+    """Write the films of the avatar, and yield each as an animation."""
+    front = _frame_from_front(avatar, video)
+    motions = {TURNTABLE: (video.pose[front], "turntable")}
+    motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN}
+    plans = {
+        name: (motion, shots(CameraPath(path=path, size=SIZE), avatar.rig, motion))
+        for name, (motion, path) in motions.items()
+    }
+    done, total = 0, sum(len(plan) for _, plan in plans.values())
+    for name, (motion, plan) in plans.items():
+        images = []
+        for layer in render_shots(avatar, motion, plan):
+            images.append(over(layer, np.array(WHITE)))
+            done += 1
+            if progress:
+                progress(done, total)
+        write_film(out / f"{name}.mp4", images, FPS, way="playable")
+        yield animation(name, images[::IN_PAGE])
+
+
+def driven_motion(avatar: Avatar, name: str) -> Pose:
+    """Return one round of a motion of :data:`DRIVEN` for an avatar, as if the camera went along."""
+    joints = avatar.rig.joints.double().numpy()
+    expressions = avatar.rig.expression_joints.shape[2]
+    t = np.arange(round(FPS * SECONDS)) / (FPS * SECONDS)
+    pose = perform(name, t, joints, expressions, np.random.default_rng(SEED))
+    pose = pose.map(lambda x: torch.as_tensor(x, dtype=torch.float32))
+    return replace(pose, transl=pose.transl * torch.tensor([0.0, 1.0, 0.0]))
+
+
+def _frame_from_front(avatar: Avatar, video: Video) -> int:
+    """Return the frame in which the person faces the camera most."""
+    there = [k for k in range(len(video)) if k not in video.absent]
+    ahead = to_matrix(video.pose.rotations[there, 0])[:, :, 2].double().numpy()
+    axes = np.stack([video.cameras[k].T_camera_world[2, :3] for k in there])
+    return there[int(np.argmin((ahead * axes).sum(1)))]
+
+
+def _problems(path: Path) -> list[Problem]:
+    """Read the findings of ``gva-mi avatar``'s check."""
+    expected = "the findings on a film"
+    record = read_json(path, expected)
+    with expecting(path, expected):
+        return [from_json(Problem, one) for one in record["findings"]]
+
+
+def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
+    """List what went wrong with the film, and what to do about it."""
+    tables = []
+    if problems:
+        rows = [(p.what, p.figure, p.cause, p.remedy) for p in problems]
+        tables.append(Table(("what", "measured", "likely cause", "what to do"), rows, words=True))
+    if notes:
+        tables.append(Table(("notes",), [(note,) for note in notes], words=True))
+    return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)
+
+
+def study_tables(kind: str, outcomes: Sequence[Outcome]) -> dict[str, list[Table]]:
+    """Summarise a study, ``refine`` or ``avatar``: tables by their common title."""
+    if kind == "refine":
+        return {"error models": _refine_tables(outcomes)}
+    return {
+        f"{purpose} subjects": _avatar_tables([o for o in outcomes if o.case.purpose == purpose])
+        for purpose in sorted({outcome.case.purpose for outcome in outcomes})
+    }
+
+
+def _refine_tables(outcomes: Iterable[Outcome]) -> list[Table]:
+    """Return tables with a row for each error model, then their mean and the worst."""
+    figures = [
+        replace(figure, subject=outcome.case.take.name, variant=outcome.case.row)
+        for outcome in outcomes
+        for figure in outcome.figures
+    ]
+    tables = []
+    for metric in REFINE_SHOWN:
+        cells = pivot(where(figures, metric=metric), ("variant",), ("alignment", "region"))
+        means, worst = {}, {}
+        for column in dict.fromkeys(column for row in cells.values() for column in row):
+            of_rows = [float(row[column].mean()) for row in cells.values() if column in row]
+            means[column] = np.array(of_rows)
+            worst[column] = np.array([METRICS[metric].worst(of_rows)])
+        if cells:
+            tables.append(table(cells | {("mean",): means, ("worst",): worst}, metric))
+    return tables
+
+
+def _avatar_tables(outcomes: Iterable[Outcome]) -> list[Table]:
+    """Return tables with a row for each variant, and differences to "full" in the same cases."""
+    figures, differences, tables = [], [], []
+    for outcome in outcomes:
+        figures += [figure for figure in outcome.figures if figure.split != "train"]
+    key = lambda f: replace(f, variant=FULL.name, value=None)
+    full = {key(f): f.value for f in figures if f.variant == FULL.name}
+    for f in figures:
+        if f.variant != FULL.name and None not in (f.value, full.get(key(f))):
+            differences.append(replace(f, value=f.value - full[key(f)]))
+    people = {outcome.case.name: outcome.case.take.name for outcome in outcomes}
+    for metric, regions in AVATAR_SHOWN:
+        about = {"metric": metric} | ({"region": regions} if regions else {})
+        cells, against = (
+            pivot(
+                [replace(f, subject=people[f.subject]) for f in where(some, **about)],
+                ("variant",),
+                ("split", "alignment", "region"),
+            )
+            for some in (figures, differences)
+        )
+        write = lambda row, column, values, known=against: spread_text(
+            values, column[-1], known.get(row, {}).get(column)
+        )
+        if cells:
+            tables.append(table(cells, metric, write))
+    return tables
+
+
+def spread_text(values: np.ndarray, metric: str, against: np.ndarray | None) -> str:
+    """Write mean and spread over subjects, the worst subject, and the difference to "full"."""
+    form, worst = METRICS[metric].form, METRICS[metric].worst
+    text = f"{values.mean():{form}} ± {values.std():{form}}"
+    if len(values) > 1:
+        text += f", worst {worst(values.tolist()):{form}}"
+    return text if against is None else f"{text} ({against.mean():+{form}})"
+
+
+def write_study_report(
+    path: Path,
+    kind: str,
+    outcomes: Sequence[Outcome],
+    settings: dict[str, Any],
+    pictures: Iterable[tuple[str, Mapping[str, ShownAvatar]]] = (),
+) -> None:
+    """Write the page of a study.
+
+    Args:
+        path: the ``.html`` file.
+        kind: "refine" or "avatar".
+        outcomes: all that were asked for.
+        settings: options and versions.
+        pictures: names of some cases, and the avatars of their variants.
+    """
+    text, shown = (_REFINE, "change") if kind == "refine" else (_AVATAR, "PSNR, dB")
+    sections = [
+        Section(title.capitalize(), text, tables=tables)
+        for title, tables in study_tables(kind, outcomes).items()
+    ]
+    own = [f for o in outcomes for f in o.figures if f.metric == shown and f.split != "train"]
+    each = table(pivot(own, ("subject", "variant"), ("split", "alignment", "region")), "case")
+    sections += picture_sections(pictures, STUDY_SHOWN)
+    sections.append(Section("Each case", f"{shown} of each case.", tables=[each]))
+    purposes = ", ".join(sorted({outcome.case.purpose for outcome in outcomes}))
+    subjects = len({outcome.case.take.name for outcome in outcomes})
+    variants = ", ".join(dict.fromkeys(outcome.variant for outcome in outcomes))
+    write_page(
+        path,
+        title=f"Study: {kind}",
+        subtitle=f"Synthetic subjects: {subjects} ({purposes}). Variants: {variants}.",
+        headlines=[],
+        sections=sections,
+        settings=settings,
+    )

@@ -1,4 +1,4 @@
-"""Metrics of one render against its target: PSNR, SSIM, LPIPS and ``rand_vgg``.
+"""Metrics of renders against their targets, and scores of any method's renders.
 
 * PSNR is limited to what rounding to 8 bits allows, :data:`PSNR_MAX`, which equal pictures reach;
 * SSIM is that of Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance;
@@ -9,21 +9,50 @@
 
 Most of a picture is background, where a render equals its target, and so do features that do not
 see the person. So only the part around the person is looked at; the rest counts as equal.
+
+``gva-mi score`` compares renders of any method by each protocol that published tables use:
+
+=======  =========================================================================================
+region   pixels
+=======  =========================================================================================
+whole    all
+box      the box of the person's mask (:func:`gva_mi.study.regions.person_box`)
+mask     those of the mask alone: PSNR of them, and the mean of SSIM's map over them
+hands    boxes of visible hands, from the poses of a subject (:mod:`gva_mi.study.regions`)
+face     likewise
+=======  =========================================================================================
+
+PSNR of a person who fills a tenth of a white picture is 10 dB higher whole than of the mask, so
+figures of different regions cannot be compared. Each region is scored twice: *strict*, and
+*shifted*, after the render was moved by the translation in the picture that fits best. The
+difference says how much of the error is place, and how much appearance.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.core.cpu import one_torch_thread
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress
+from gva_mi.core.errors import InputError
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.data.crop import block_means, bounds
+from gva_mi.core.threads import one_torch_thread
+from gva_mi.data.backdrop import alone
+from gva_mi.data.crop import Box, block_means, bounds
+from gva_mi.data.film import Film
+from gva_mi.data.importers.footage import files_of, masks
+from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.pictures import in_8_bits, read_image
+from gva_mi.data.video import Video
 from gva_mi.fit.perceptual import (
     RAND_SEED,
     RAND_WIDTH,
@@ -33,11 +62,16 @@ from gva_mi.fit.perceptual import (
     lpips,
     rand_vgg,
 )
+from gva_mi.study.figures import Figure
+from gva_mi.study.regions import Details, person_box
 
 # The PSNR of rounding to 8 bits, an error with a variance of 1/12 of a level squared: 58.9 dB.
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
 NETWORK_LONGEST = 1024  # pixels, the largest side that they see
+FARTHEST = 0.05  # of the longer side of the box: larger shifts are not believed
+STEPS = 10  # shifts are found to 1 / STEPS of a pixel
+STRICT, SHIFTED = "strict", "shifted"
 # Pixels from which their deepest features see something, and between the positions of these.
 NETWORK_SIGHT, NETWORK_STEP = 98, 16
 SSIM_RADIUS = 5  # pixels, of its window
@@ -55,9 +89,12 @@ class ImageScores(NamedTuple):
     rand_vgg: float  # less is better; comparable only with itself
 
 
-def mean_scores(scores: Sequence[ImageScores]) -> list[float | None]:
-    """Average each score of :class:`ImageScores`; None where it is not known."""
-    return [None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist()]
+def mean_figures(scores: Sequence[ImageScores], **about: str) -> list[Figure]:
+    """Average scores; ``about`` are the other columns of :class:`Figure`."""
+    means = [None if np.isnan(x) else x for x in np.mean(scores, axis=0).tolist()]
+    values = dict(zip(("PSNR, dB", "SSIM", "LPIPS", "rand_vgg"), means, strict=True))
+    values["pictures"] = len(scores)
+    return [Figure(**about, metric=name, value=value) for name, value in values.items()]
 
 
 class Scorer:
@@ -164,3 +201,172 @@ def ssim_map(render: np.ndarray, target: np.ndarray) -> np.ndarray:
     from skimage.metrics import structural_similarity
 
     return structural_similarity(target, render, full=True, **_SSIM)[1].mean(2)
+
+
+@dataclass(frozen=True)
+class PicturePair:
+    """A render and the picture that it should equal."""
+
+    name: str  # for errors
+    render: np.ndarray  # (H, W, 3) 8-bit
+    truth: np.ndarray  # (H, W, 3) 8-bit
+    mask: np.ndarray | None = None  # (H, W) in [0, 1], the person
+    boxes: Sequence[tuple[str, Box]] = ()  # hands and face
+
+    @property
+    def regions(self) -> Iterator[tuple[str, Box]]:
+        """Yield the rectangular regions of the pair."""
+        yield "whole", Box(0, 0, self.truth.shape[1], self.truth.shape[0])
+        if self.mask is not None:
+            yield "box", person_box(self.mask)
+        yield from self.boxes
+
+    def scores(self, scorer: Scorer) -> Iterator[tuple[str, ImageScores]]:
+        """Yield each region and its scores."""
+        for region, box in self.regions:
+            yield region, scorer(box.cut(self.render), box.cut(self.truth))
+        if self.mask is not None:
+            inside = self.mask > 0.5
+            away = self.render[inside].astype(np.float64) - self.truth[inside]
+            similar = float(ssim_map(self.render, self.truth)[inside].mean())
+            error = float(np.square(away).mean())
+            yield "mask", ImageScores(psnr_of(error), similar, np.nan, np.nan)
+
+
+def score_pictures(
+    pairs: Iterable[PicturePair], scorer: Scorer, progress: Progress | None = None
+) -> list[Figure]:
+    """Score renders by every region and protocol that their masks and boxes allow.
+
+    Raises:
+        InputError: a render has another size than its picture, or there is no pair.
+    """
+    found: dict[tuple[str, str], list[ImageScores]] = {}
+    for done, pair in enumerate(pairs, 1):
+        if pair.mask is not None and not (pair.mask > 0.5).any():
+            raise InputError(f"score: the mask of {pair.name} is empty")
+        if pair.render.shape != pair.truth.shape:
+            has, wants = (f"{x.shape[1]}x{x.shape[0]}" for x in (pair.render, pair.truth))
+            raise InputError(f"score: the render of {pair.name} has {has}, its picture {wants}")
+        shifted = replace(pair, render=shift_to_fit(pair))
+        for protocol, one in ((STRICT, pair), (SHIFTED, shifted)):
+            for region, scores in one.scores(scorer):
+                found.setdefault((protocol, region), []).append(scores)
+        if progress:
+            progress(done, done)
+    if not found:
+        raise InputError("score: there is no render to compare")
+    regions = ("whole", "box", "mask", "hands", "face")
+    ordered = ((p, r) for p in (STRICT, SHIFTED) for r in regions if (p, r) in found)
+    return [
+        figure
+        for protocol, region in ordered
+        for figure in mean_figures(found[protocol, region], region=region, alignment=protocol)
+    ]
+
+
+def shift_to_fit(pair: PicturePair) -> np.ndarray:
+    """Return the render moved as fits the picture best, to a tenth of a pixel.
+
+    It is returned as it is where no shift of at most :data:`FARTHEST` makes its error smaller.
+    """
+    from scipy.ndimage import shift
+    from skimage.registration import phase_cross_correlation
+
+    box = dict(pair.regions).get("box") or dict(pair.regions)["whole"]
+    a, b = (box.cut(x).mean(2) for x in (pair.truth, pair.render))
+    if a.std() == 0 or b.std() == 0:
+        return pair.render
+    by = phase_cross_correlation(a, b, upsample_factor=STEPS, normalization=None)[0]
+    if np.abs(by).max() > FARTHEST * max(box.width, box.height):
+        return pair.render
+    moved = shift(pair.render.astype(np.float32), (*by, 0), order=1, mode="nearest")
+    moved = np.round(np.clip(moved, 0, 255)).astype(np.uint8)
+    error = lambda x: np.square(x.astype(np.float64) - pair.truth).mean()
+    return moved if error(moved) < error(pair.render) else pair.render
+
+
+Color = np.ndarray | None  # (3,) in [0, 1]; None: pictures stay as they are
+Numbered = Mapping[int, Callable[[], np.ndarray]]  # pictures (H, W, 3 or 4) 8-bit by number
+
+
+def numbered(source: Path) -> Numbered:
+    """Open the pictures of a folder by the numbers in their names, or of a film in their order."""
+    files = files_of(source)
+    if files is None:
+        film = Film(source)
+        return {k: partial(film.__getitem__, k) for k in range(len(film))}
+    try:
+        return {number_in(path): partial(read_image, path, 4) for path in files}
+    except ValueError as error:
+        raise InputError(f"{source}: {error}; expected a frame's number in each") from None
+
+
+def pairs_of_subject(
+    renders: Path, video: Video, body: BodyModel, color: Color
+) -> Iterator[PicturePair]:
+    """Pair renders with a subject's frames, masks, and boxes of visible hands and faces.
+
+    Raises:
+        InputError: the subject has no frame of a render's number.
+    """
+    rendered, details = numbered(renders), Details.of(video, body)
+    _require_all(rendered, set(range(len(video))) - set(video.absent), video.folder)
+
+    def pair(number: int) -> PicturePair:
+        frame, render = video.truly_cut(video[number]), _on(color, rendered[number]())
+        picture = _on(color, in_8_bits(frame.image), frame.mask)
+        boxes = tuple(details.boxes(number))
+        return PicturePair(f"frame {number}", render, picture, frame.mask, boxes)
+
+    return map(pair, rendered)
+
+
+def pairs_of_pictures(
+    renders: Path, truth: Path, masked: Path | None, color: Color
+) -> Iterator[PicturePair]:
+    """Pair renders with pictures of the same numbers, and with their masks if given.
+
+    Raises:
+        InputError: there is no picture, or no mask, of a render's number.
+    """
+    rendered, seen = numbered(renders), numbered(truth)
+    _require_all(rendered, seen, truth)
+    inside: dict[int, np.ndarray] = {}
+    if masked is not None:
+        named = masked.is_dir() and not any(masked.glob("*.npy"))
+        numbers = map(number_in, files_of(masked)) if named else range(len(seen))
+        inside = dict(zip(numbers, masks(masked), strict=False))
+        _require_all(rendered, inside, masked)
+
+    def pair(number: int) -> PicturePair:
+        mask = inside[number].astype(np.float32) / 255 if inside else None
+        pictures = _on(color, rendered[number]()), _on(color, seen[number](), mask)
+        return PicturePair(f"frame {number}", *pictures, mask)
+
+    return map(pair, rendered)
+
+
+def _require_all(rendered: Numbered, known: Container[int], source: Path) -> None:
+    """Raise an InputError for the first render without a counterpart."""
+    for number in rendered:
+        if number not in known:
+            raise InputError(
+                f"{source}: has no frame {number}, of which there is a render; expected files of "
+                "the same numbers, or films of the same length"
+            )
+
+
+def _on(color: Color, picture: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """Put a picture (H, W, 3 or 4) on a colour, by its mask (H, W) or else by its alpha."""
+    rgb = picture[..., :3]
+    if color is None or (mask is None and picture.shape[2] == 3):
+        return rgb
+    if mask is None:
+        alpha = picture[..., 3:].astype(np.float32) / 255
+        return in_8_bits(rgb / 255 * alpha + color * (1 - alpha))
+    if mask.shape != rgb.shape[:2]:
+        sizes = f"{rgb.shape[1]}x{rgb.shape[0]}, its mask {mask.shape[1]}x{mask.shape[0]}"
+        raise InputError(f"score: a picture has {sizes}; expected the same size")
+    person = alone(rgb.astype(np.float32) / 255, mask)
+    return in_8_bits(person + color * (1 - mask[..., None]))

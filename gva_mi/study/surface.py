@@ -29,6 +29,7 @@ body vertices that a point of skin, cloth or hair follows.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,6 +45,7 @@ from gva_mi.data.fingerprint import SYNTH
 from gva_mi.fit import run_folder
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.study.figures import Figure
 from gva_mi.synthetic import remake_subject
 from gva_mi.synthetic.provenance import recorded_options
 from gva_mi.synthetic.subject import Subject
@@ -59,23 +61,14 @@ DISTANCE = 4.0  # metres from the person's centre to the cameras around
 AROUND = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
 HEM = 0.8  # share of a garment's slack beyond which a face belongs to the hem
 
+END = "end"  # of the fit, a moment
 PARTS = ("hair", "hem", "accessories", "rest")
 
 
-@dataclass(frozen=True)
-class SurfaceFigures:
-    """Measures of the Gaussians on the true surface at one moment of a fit."""
+def surface_figures(run: Path, avatar: Avatar, subject: Path, body: BodyModel) -> Iterator[Figure]:
+    """Measure a run before and after each re-initialisation, and at its end.
 
-    step: int
-    moment: str  # "before" or "after" a re-initialisation, or "end" of the fit
-    gaussians: int  # opaque ones
-    figures: dict[str, float]  # eq. 2, eq. 3 by part, eq. 4
-
-
-def surface_figures(
-    run: Path, avatar: Avatar, subject: Path, body: BodyModel
-) -> tuple[SurfaceFigures, ...]:
-    """Measure a run, in the order of its steps; empty if the true surface is unknown.
+    Nothing is yielded if the true surface is unknown. The split of a figure is its moment.
 
     Args:
         run: the folder of the finished fit.
@@ -83,27 +76,23 @@ def surface_figures(
         subject: the folder it was fitted to.
         body: the fitted body model.
     """
-    if not (subject / SYNTH).is_file():
-        return ()
-    truth = TrueSurface.of(subject, body, avatar.rig)
+    truth = TrueSurface.of(subject, body, avatar.rig) if (subject / SYNTH).is_file() else None
     if truth is None:
-        return ()
+        return
     moments = []
     for snapshot in run_folder.load_snapshots(run):
-        moments.append((snapshot.step, "before", snapshot.before))
-        moments.append((snapshot.step, "after", snapshot.after))
-    moments.append((len(run_folder.load_history(run)["loss"]), "end", avatar.canonical))
-    found = []
-    for step, moment, gaussians in moments:
+        moments.append((f"step {snapshot.step:,}, before", snapshot.before))
+        moments.append((f"step {snapshot.step:,}, after", snapshot.after))
+    for moment, gaussians in (*moments, (END, avatar.canonical)):
         opaque = gaussians.opacities.detach() > OPAQUE
         means = gaussians.means.detach()[opaque].double().numpy()
-        if len(means) >= FEWEST:
-            even = spacing(means, truth)
-            figures = {} if even is None else {"spacing": even}
-            figures |= {f"bias of {name}, mm": x for name, x in bias_mm(means, truth).items()}
-            figures |= {"stray, mm": stray_mm(means, truth)}
-            found.append(SurfaceFigures(step, moment, len(means), figures))
-    return tuple(found)
+        if len(means) < FEWEST:
+            continue
+        yield Figure(split=moment, metric="opaque Gaussians", value=len(means))
+        yield Figure(split=moment, metric="spacing", value=spacing(means, truth))
+        for part, value in bias_mm(means, truth).items():
+            yield Figure(split=moment, region=part, metric="bias, mm", value=value)
+        yield Figure(split=moment, metric="stray, mm", value=stray_mm(means, truth))
 
 
 def spacing(means: np.ndarray, truth: TrueSurface) -> float | None:

@@ -53,9 +53,13 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     assert "short" in {finding["what"] for finding in found["findings"]}
     page = (me / "report.html").read_text()
     assert "What to film better" in page and f"{height:.2f} m tall" in page
-    rows = json.loads((me / "run/metrics.json").read_text())["rows"]
-    whole = {(row["name"], row["split"]): row["psnr"] for row in rows if row["region"] == "white"}
-    for name in ("full", "poses as refined", "poses fitted to the pictures"):
+    rows = json.loads((me / "run/metrics.json").read_text())["figures"]
+    whole = {
+        (row["alignment"], row["split"]): row["value"]
+        for row in rows
+        if (row["region"], row["metric"]) == ("white", "PSNR, dB")
+    }
+    for name in ("", "poses as refined", "poses fitted to the pictures"):
         assert whole[name, "held_out_range"] > 15 and whole[name, "test"] > 15
 
     said = cli.works(*command)
@@ -64,8 +68,8 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     shutil.rmtree(me / "run")
     said = cli.works(*command, "--steps", 20, "--no-test-frames")
     assert said.count("was finished before") == 3
-    rows = json.loads((me / "run/metrics.json").read_text())["rows"]
-    assert {row["split"] for row in rows} == {"train"}
+    rows = json.loads((me / "run/metrics.json").read_text())["figures"]
+    assert {row["split"] for row in rows if row["metric"] == "SSIM"} == {"train"}
 
     again = tmp_path / "again"
     assert cli("prepare", "film", film, again, "--height", height)[0] == 0

@@ -20,7 +20,7 @@ from gva_mi.cli.parse import parse
 from gva_mi.core.console import complete_streams, say
 from gva_mi.core.errors import expecting
 from gva_mi.core.options import ranges
-from gva_mi.study.metrics import ALIGNED
+from gva_mi.study.evaluate import ALIGNED
 
 TINY = ("--size", 64, "--frames", 6)
 
@@ -46,16 +46,17 @@ def test_the_demo_writes_subject_run_and_report(tiny_demo):
     page = (tiny_demo / "run/report.html").read_text()
     assert page.count("data:image/") > 10 and "http" not in page.split("</style>")[1]
     metrics = json.loads((tiny_demo / "run/metrics.json").read_text())
-    splits = {row["split"] for row in metrics["rows"]}
+    figures, protocol = metrics["figures"], metrics["protocol"]
+    scores = [row for row in figures if row["metric"] == "PSNR, dB"]
+    splits = {row["split"] for row in scores}
     assert splits == {"train", "test", "novel_pose", "novel_view"}
-    assert metrics["refinement"]["vertex_mm"] is not None
-    assert metrics["training"]["size"] == [64, 64]
-    assert {row["region"] for row in metrics["rows"]} >= {"white", "black", "person"}
-    assert {row["split"] for row in metrics["rows"] if row["name"] == ALIGNED} == {
-        "novel_pose", "novel_view"
-    }  # fmt: skip
-    assert metrics["similarity"]["scale"] > 0 and metrics["surface"][-1]["moment"] == "end"
-    assert metrics["protocol"]["seen"]["test masks"] == ["refine"]
+    assert {row["region"] for row in scores} >= {"white", "black", "person"}
+    aligned = {row["split"] for row in scores if row["alignment"] == ALIGNED}
+    assert aligned == {"novel_pose", "novel_view"}
+    assert {"refined error, mm", "trained error, mm"} <= {row["metric"] for row in figures}
+    assert "end" in {row["split"] for row in figures if row["metric"] == "spacing"}
+    assert metrics["size"] == [64, 64] and protocol["similarity"]["scale"] > 0
+    assert protocol["seen"]["test masks"] == ["refine"]
     assert not list(tiny_demo.rglob("*.part"))
 
 

@@ -2,27 +2,30 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 
-from gva_mi.study import avatar_study, refine_study
-from gva_mi.study.cases import HELD_OUT, LIMITS, StudyCase
-from gva_mi.study.measure import PoseFigures
-from gva_mi.study.variants import VARIANTS
+from gva_mi.study import engine
+from gva_mi.study.cases import HELD_OUT, LIMITS, VARIANTS, StudyCase
+from gva_mi.study.figures import Figure
 
-FIGURES = PoseFigures.from_json({
-    "vertex_mm_stage1": 80.0, "vertex_mm": 20.0, "hand_vertex_mm_stage1": 80.0,
-    "hand_vertex_mm": 160.0, "ankle_depth_mm_stage1": 40.0, "ankle_depth_mm": -8.0,
-    "frames_worse": 0.25, "iou_stage1": 0.7, "iou": 0.8, "iou_truth": 0.75,
-})  # fmt: skip
+REFINED = [
+    Figure(region="body", alignment="absolute", metric="change", value=-0.75),
+    Figure(region="hands", alignment="absolute", metric="change", value=1.0),
+    Figure(region="body", alignment="absolute", metric="stage 1 error, mm", value=80.0),
+    Figure(region="ankles", metric="refined depth, mm", value=-8.0),
+]
+FITTED = [
+    Figure(split="test", region="white", metric="PSNR, dB", value=30.0),
+    Figure(metric="seconds", value=60.0),
+]
 
 
 @dataclass
 class Work:
     """As if a case were computed at once."""
 
-    figures: dict[str, Any]
+    figures: list
     log: list
     pair: tuple
     steps: int = 1
@@ -36,12 +39,7 @@ class Work:
 def done(monkeypatch):
     """Cases and variants that were computed, in their order."""
     log = []
-    refined = refine_study.columns(FIGURES) | FIGURES.to_json()
-    fitted = {"psnr: test": 30.0, "cost: seconds": 60.0}
-    for study, figures in (
-        (refine_study.RefineStudy, refined),
-        (avatar_study.AvatarStudy, fitted),
-    ):
+    for study, figures in ((engine.RefineStudy, REFINED), (engine.AvatarStudy, FITTED)):
         rounds = lambda self, missing, f=figures: [[Work(f, log, pair) for pair in missing]]
         monkeypatch.setattr(study, "rounds", rounds)
     monkeypatch.setattr(StudyCase, "lacks", None)
@@ -49,37 +47,43 @@ def done(monkeypatch):
 
 
 def test_the_refinements_table_has_a_row_for_each_error_model(done, tmp_path, cli):
-    out = cli.works("study", "refine", "--out", tmp_path / "new", "--refine.passes", 3)
+    out = cli.works("study", "refine", "--out", tmp_path / "new", "--frames", 8)
     families = list(dict.fromkeys(case.kind_of_errors for case in HELD_OUT))
     lines = out.splitlines()
-    start = next(k for k, line in enumerate(lines) if line.startswith("error model "))
-    head, rows = lines[start], lines[start + 1 : start + 3 + len(families)]
-    assert head.split()[:4] == ["error", "model", "body", "hands"]
+    start = next(k for k, line in enumerate(lines) if line.startswith("change "))
+    rows = lines[start + 1 : start + 3 + len(families)]
+    assert lines[start].split() == ["change", "absolute,", "body", "absolute,", "hands"]
     assert [row.split("  ")[0] for row in rows] == [*families, "mean", "worst"]
     assert rows[0].split()[1:5] == ["-75", "%", "+100", "%"]
     record = json.loads((tmp_path / "new/refine.json").read_text())
-    assert [result["name"] for result in record["results"]] == [case.name for case in HELD_OUT]
-    assert record["results"][0]["figures"]["ankle_depth_mm"] == -8
-    mean = record["summary"]["error models"]["mean"]
-    assert mean["change: hands"]["mean"] == pytest.approx(1.0)
-    assert record["made_with"]["options"]["refine"]["passes"] == 3 and record["versions"]
+    assert list(record["cases"]) == [case.name for case in HELD_OUT]
+    depths = [row for row in record["figures"] if row["metric"] == "refined depth, mm"]
+    assert len(depths) == len(HELD_OUT) and depths[0]["value"] == -8
+    assert depths[0]["subject"] == HELD_OUT[0].name and depths[0]["variant"] == "refined"
+    assert record["made_with"]["options"]["frames"] == 8 and record["versions"]
     page = (tmp_path / "new/refine.html").read_text()
     assert "bruno: bursts 1000" in page and "held out" in page and "+100 %" in page
 
 
 def test_the_avatars_table_has_a_row_for_each_variant(done, tmp_path, cli):
     avatar = ("study", "avatar", "--out", tmp_path, "--subjects", "bruno", "edgar")
-    out = cli.works(*avatar, "--rows", "full", "with residual", "--fit.steps", 600)
+    out = cli.works(*avatar, "--rows", "full", "with residual", "--steps", 600)
     lines = out.splitlines()
-    head = lines.index("held-out subjects") + 1
-    assert lines[head].split() == ["psnr", "test"]
+    head = lines.index("held out subjects") + 1
+    assert lines[head].split() == ["PSNR,", "dB", "test,", "white,", "PSNR,", "dB"]
     assert lines[head + 1].split()[:4] == ["full", "30.00", "±", "0.00,"]
     assert lines[head + 2].startswith("with residual ") and "(+0.00)" in lines[head + 2]
     record = json.loads((tmp_path / "avatar.json").read_text())
-    assert {r["variant"] for r in record["results"]} == {"full", "with residual"}
-    assert record["made_with"]["options"]["fit"]["steps"] == 600
+    assert {row["variant"] for row in record["figures"]} == {"full", "with residual"}
+    assert record["made_with"]["options"]["steps"] == 600
     page = (tmp_path / "avatar.html").read_text()
     assert "bruno: bursts 1000" in page and "held out" in page
+
+
+def results(path):
+    """Cases and variants whose figures a file holds."""
+    rows = json.loads(path.read_text())["figures"]
+    return list(dict.fromkeys((row["subject"], row["variant"]) for row in rows))
 
 
 def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
@@ -91,8 +95,7 @@ def test_a_study_is_resumed_and_keeps_other_results(done, tmp_path, cli):
     assert f"{len(first)} results are in" in out and len(done) == len(HELD_OUT)
     done.clear()
     assert cli(*lean)[0] == 0 and not done
-    record = json.loads((tmp_path / "refine.json").read_text())
-    names = [result["name"] for result in record["results"]]
+    names = [name for name, _ in results(tmp_path / "refine.json")]
     assert sorted(names) == sorted(case.name for case in HELD_OUT)
     assert cli(*lean, "--overwrite")[0] == 0 and done == first
 
@@ -101,12 +104,10 @@ def test_stage_1_alone_is_another_result_than_its_refinement(done, tmp_path, cli
     limits = ("study", "refine", "--cases", "limits", "--out", tmp_path)
     out = cli.works(*limits, "--stage", 1)
     assert {variant for _, variant in done} == {"stage 1"} and "seed 140, room, held" not in out
-    head = next(line for line in out.splitlines() if line.startswith("absolute, mm "))
-    assert head.split()[2:6] == ["body,", "stage", "1", "body"]
+    assert "stage 1 error, mm" in out
     assert cli(*limits)[0] == 0
     assert {variant for _, variant in done} == {"stage 1", "refined"}
-    kept = json.loads((tmp_path / "refine.json").read_text())["results"]
-    assert len(kept) == len(done) == 2 * len(LIMITS)
+    assert len(results(tmp_path / "refine.json")) == len(done) == 2 * len(LIMITS)
 
 
 def test_overwriting_removes_the_runs_of_an_avatar_study(done, tmp_path, cli):
@@ -118,8 +119,8 @@ def test_overwriting_removes_the_runs_of_an_avatar_study(done, tmp_path, cli):
     done.clear()
     assert cli(*avatar, "--rows", "full", "--overwrite")[0] == 0 and len(done) == 1
     assert not run.exists()  # or its avatar would be taken for the new one
-    kept = json.loads((tmp_path / "avatar.json").read_text())["results"]
-    assert [r["variant"] for r in kept] == [variant.name for variant in VARIANTS]
+    kept = [variant for _, variant in results(tmp_path / "avatar.json")]
+    assert kept == [variant.name for variant in VARIANTS]
 
 
 def test_names_that_no_case_has_are_refused(done, tmp_path, cli):

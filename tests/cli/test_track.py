@@ -91,15 +91,16 @@ def test_test_frames_are_fitted_only_on_request(video, body, subject, tmp_path, 
     rows = {}
     for arguments in ((), ("--fit-poses",)):
         out = cli.works("evaluate", tmp_path, subject, *arguments)
-        rows[arguments] = json.loads((tmp_path / "metrics.json").read_text())["rows"]
+        rows[arguments] = json.loads((tmp_path / "metrics.json").read_text())["figures"]
         assert (
             (FITTED in out)
             == (f"‘{FITTED}’" in (tmp_path / "report.html").read_text())
             == bool(arguments)
         )
     plain, every = rows.values()
-    assert FITTED not in {row["name"] for row in plain}
-    assert every[: len(plain)] == plain
-    assert {(row["name"], row["split"]) for row in every[len(plain) :]} == {(FITTED, "test")}
+    assert FITTED not in {row["alignment"] for row in plain}
+    fitted = [row for row in every if row not in plain]
+    assert [row for row in every if row in plain] == plain
+    assert {(row["alignment"], row["split"]) for row in fitted} == {(FITTED, "test")}
     seen = json.loads((tmp_path / "metrics.json").read_text())["protocol"]["seen"]
     assert seen["test pictures"] == ["stage 1", FITTED] and seen["test masks"] == [FITTED]

@@ -22,14 +22,12 @@ SMALLER = {
     "bench": "--repeats 1",
     "bench splat": "--repeats 1 --scene scene.npz",
     # Seed 16 wears nothing and is bald, which is quick.
-    "study refine": "--subjects 16 --frames 3 --size 48 --refine.passes 1",
-    "study refine --cases": "--subjects dalia --frames 3 --size 48 --refine.passes 1",
-    "study refine --held-out-set": "--subjects 609 --error-models lean --frames 3 --size 48 "
-    "--refine.passes 1",
-    "study avatar": "--subjects 16 --error-models lean --rows full --frames 3 --size 48 --novel 1 "
-    "--refine.passes 1 --fit.steps 10",
+    "study refine": "--subjects 16 --frames 3 --size 48",
+    "study refine --cases": "--subjects dalia --frames 3 --size 48",
+    "study refine --held-out-set": "--subjects 609 --error-models lean --frames 3 --size 48",
+    "study avatar": "--subjects 16 --error-models lean --rows full --frames 3 --size 48 --steps 10",
     "study avatar --held-out-set": "--subjects 809 --error-models lean --rows full --frames 3 "
-    "--size 48 --novel 1 --refine.passes 1 --fit.steps 10",
+    "--size 48 --steps 10",
 }
 
 # Placeholders.
@@ -57,9 +55,9 @@ NOT_RUN = {
     "gva-mi study refine --cases limits --stage 1 --out limits": (
         "an hour; tests/study/test_filmed.py renders and watches one film"
     ),
-    "gva-mi study avatar --held-out-set 23 --error-models film --fit.steps 2000 --rows full "
+    "gva-mi study avatar --held-out-set 23 --error-models film --steps 2000 --rows full "
     "--out film-avatars": ("an hour; tests/study/test_filmed.py renders and watches one film"),
-    "gva-mi study avatar --held-out-set 24 --error-models film --fit.steps 2000 --rows full "
+    "gva-mi study avatar --held-out-set 24 --error-models film --steps 2000 --rows full "
     "--no-lens --out any-lens": (
         "an hour; tests/study/test_filmed.py renders and watches one film"
     ),

@@ -11,7 +11,7 @@ import torch
 from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose import SequenceOptions, SingleFrameOptions, refine
-from gva_mi.study.measure import measure
+from gva_mi.study.refinement import measure
 
 SEQUENCE = SequenceOptions(size=96, faces=2000, passes=12, learn=5)
 SHORT = replace(SEQUENCE, passes=1, learn=0)
@@ -23,6 +23,9 @@ def sequence(clip, body):
     return refine(clip, body, SEQUENCE)
 
 
+BODY = ("body", "absolute")
+
+
 @pytest.fixture(scope="module")
 def paper(clip, body):
     return refine(clip, body, PAPER)
@@ -31,11 +34,13 @@ def paper(clip, body):
 @pytest.mark.parametrize(("way", "left"), [("sequence", 0.55), ("paper", 0.7)])
 def test_a_known_error_is_corrected(request, clip, body, true_pose, way, left):
     refined = request.getfixturevalue(way)
-    errors = measure(
-        clip, body, refined, GroundTruth(body, true_pose, clip.shape, clip.cameras)
-    ).means
-    assert errors.relative("body") < left - 1
-    assert errors["iou"] > errors["iou_stage1"] and errors["iou_truth"] > 0.99
+    truth = GroundTruth(body, true_pose, clip.shape, clip.cameras)
+    found = measure(clip, body, refined, truth)
+    mean = lambda *key: float(found[key].mean())
+    before, after = (mean(*BODY, f"{x} error, mm") for x in ("stage 1", "refined"))
+    assert after / before < left
+    assert mean("", "", "refined IoU") > mean("", "", "stage 1 IoU")
+    assert mean("", "", "true IoU") > 0.99
     assert (refined.losses < refined.losses_stage1).all() and not refined.kept
     assert refined.cameras is None
 
@@ -70,8 +75,9 @@ def test_without_normals_the_silhouette_suffices(clip, seen_in, turning, body):
     blind = replace(clip, pose=replace(true, rotations=rotations), pictures=masks)
     refined = refine(blind, body, SEQUENCE)
     assert refined.without_normals == list(range(24))
-    errors = measure(blind, body, refined, GroundTruth(body, true, shape, blind.cameras)).means
-    assert errors.relative("body") < 0.55 - 1
+    found = measure(blind, body, refined, GroundTruth(body, true, shape, blind.cameras))
+    before, after = (found[*BODY, f"{x} error, mm"].mean() for x in ("stage 1", "refined"))
+    assert after / before < 0.55
 
 
 @pytest.mark.parametrize("options", [SHORT, replace(PAPER, passes=2)], ids=lambda o: o.name)
@@ -110,10 +116,12 @@ def test_a_frame_whose_loss_grew_keeps_its_pose(clip, coarse):
 
 def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
     perfect = replace(sequence, pose=true_pose, shape=clip.shape)
-    errors = measure(
-        clip, body, perfect, GroundTruth(body, true_pose, clip.shape, clip.cameras)
-    ).means
-    assert errors["vertex_mm"] == errors["hand_vertex_mm"] == errors["aligned_vertex_mm"] == 0
-    assert errors["iou"] == errors["iou_truth"] and errors["frames_worse"] == 0
-    unknown = measure(clip, body, perfect).means
-    assert unknown["vertex_mm"] is None is unknown["iou_truth"] and unknown["iou"] == errors["iou"]
+    truth = GroundTruth(body, true_pose, clip.shape, clip.cameras)
+    found = measure(clip, body, perfect, truth)
+    errors = [x for (*_, metric), x in found.items() if metric == "refined error, mm"]
+    assert len(errors) == 8 and not torch.stack(errors).any()
+    assert torch.equal(found["", "", "refined IoU"], found["", "", "true IoU"])
+    assert not found["body", "absolute", "increased"].any()
+    unknown = measure(clip, body, perfect)
+    assert {metric for *_, metric in unknown} == {"stage 1 IoU", "refined IoU"}
+    assert torch.equal(unknown["", "", "refined IoU"], found["", "", "refined IoU"])

@@ -29,9 +29,9 @@ from gva_mi.splat.scene import Scene, random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT
 from gva_mi.study.engine import Outcome, Study
-from gva_mi.study.metrics import load_metrics
+from gva_mi.study.evaluate import Metrics
+from gva_mi.study.figures import Figure
 from gva_mi.study.refinement import load_refinement
-from gva_mi.study.tables import refine_cells
 from samples.scenes import save_scene
 
 W, H, T = 32, 24, 3
@@ -93,14 +93,11 @@ def seeds(subject, avatar):
                 arrays[f"{side}_{name}"] = getattr(avatar.canonical, name).detach().numpy()
         (folder / "reinit").mkdir()
         np.savez(folder / "reinit/000002.npz", **arrays)
-        row = {"name": "full", "split": "test", "psnr": 20.0, "ssim": 0.9, "lpips": None,
-               "rand_vgg": 0.1}  # fmt: skip
-        about = {"rows": [row], "refinement": {"figures": {}}, "options": {"seed": 0},
-                   "training": {"steps": 1, "seconds": 1.0, "gaussians": 2, "size": [4, 4]},
-                   "versions": {}, "protocol": {},
-                   "poses_mm": {"given": {"body": 9.0}, "trained": {"body": 8.0}}}  # fmt: skip
+        row = {"split": "test", "region": "white", "metric": "PSNR, dB", "value": 20.0}
+        about = {"figures": [row, {"metric": "LPIPS", "value": None}], "options": {"seed": 0},
+                 "size": [4, 4], "versions": {}, "protocol": {"seen": {}}}  # fmt: skip
         (folder / "metrics.json").write_text(json.dumps(about))
-        refinement = {"figures": {"iou": 0.9, "iou_stage1": 0.8}, "test_frames": "seen"}
+        refinement = {"figures": [row], "test_frames": "seen"}
         (folder / "refinement.json").write_text(json.dumps(refinement))
         shutil.copy(subject / "frames/000000.png", folder / "refinement.png")
 
@@ -108,21 +105,23 @@ def seeds(subject, avatar):
         each(folder, path, {
             "avatar.npz": Avatar.load, "bare.npz": run_folder.load_avatar,
             "checkpoint.pt": lambda path: run_folder.load_state(folder),
-            "metrics.json": lambda path: list(load_metrics(folder).lines()),
+            "metrics.json": lambda path: Metrics.load(folder).tables(),
             "refinement.json": lambda path: load_refinement(folder),
-            "refinement.png": lambda path: report._refinement(load_metrics(folder), path),
+            "refinement.png": lambda path: list(report._refinement(Metrics.load(folder), path)),
             "options.json": lambda path: run_folder.load_options(folder),
             "history.npz": lambda path: run_folder.load_history(folder),
             "reinit/000002.npz": lambda path: list(run_folder.load_snapshots(folder)),
         })  # fmt: skip
 
     def study(folder):
-        outcome = Outcome(HELD_OUT[0], "refined", {"change: body": -0.5, "points": "vertices"})
-        Made(folder, None, None).save([outcome], {})
+        about = {"subject": HELD_OUT[0].name, "variant": "refined", "region": "body"}
+        change = Figure(**about, metric="change", value=-0.5)
+        Made(folder, None, None).save([Outcome(HELD_OUT[0], "refined", (change,))])
 
     def read_study(folder, path=None):
         each(folder, path, {
-            "refine.json": lambda path: refine_cells(Made(folder, None, None).load()),
+            "refine.json": lambda path: report.study_tables(
+                "refine", Made(folder, None, None).load()),
         })  # fmt: skip
 
     def gaussians(folder):

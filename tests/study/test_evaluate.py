@@ -1,3 +1,6 @@
+"""An avatar's figures are of the frames and pixels that they are named after; files keep them."""
+
+import json
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,29 +10,46 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose
+from gva_mi.core.errors import InputError
 from gva_mi.data.crop import Box
 from gva_mi.data.ground_truth import save_views
+from gva_mi.data.normals import NormalMaps
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.renders import render_frame
+from gva_mi.fit.run_folder import METRICS
 from gva_mi.splat import look_at
-from gva_mi.study.evaluate import evaluate, evaluate_views, views_of, with_trained_poses
+from gva_mi.study.evaluate import (
+    Metrics,
+    evaluate,
+    evaluate_views,
+    protocol_of,
+    views_of,
+    with_trained_poses,
+)
+from gva_mi.study.figures import Figure, where
 from gva_mi.study.scores import PSNR_MAX, Scorer
 
 NONE = Weights()  # whatever this machine has
 
 
+def psnr(figures):
+    """PSNR by split and region."""
+    return {(f.split, f.region): f.value for f in where(figures, metric="PSNR, dB")}
+
+
 def test_the_avatar_that_made_the_pictures_reaches_the_maximum(known, studio, body):
-    rows = evaluate(known, studio, name="known", weights=NONE, body=body)
-    whole = [row for row in rows if row.region == "white"]
-    assert [(row.split, row.count) for row in whole] == [
-        ("train", 1), ("test", 1), ("novel_pose", 2)
-    ]  # fmt: skip
+    rows = evaluate(known, studio, weights=NONE, body=body)
     assert {row.region for row in rows} == {"white", "black", "person", "hands"}
-    for row in whole:
-        assert (row.name, row.psnr, row.lpips) == ("known", PSNR_MAX, None)
-        assert row.ssim == pytest.approx(1) and row.rand_vgg == 0
+    whole = where(rows, region="white")
+    found = {(row.split, row.metric): row.value for row in whole}
+    for split, pictures in (("train", 1), ("test", 1), ("novel_pose", 2)):
+        assert found.pop((split, "pictures")) == pictures
+        assert found.pop((split, "SSIM")) == pytest.approx(1)
+        for metric, value in (("PSNR, dB", PSNR_MAX), ("LPIPS", None), ("rand_vgg", 0)):
+            assert found.pop((split, metric)) == value
+    assert not found
 
 
 def test_a_held_out_range_has_rows_of_its_own(studio):
@@ -57,9 +77,10 @@ def test_figures_are_taken_in_the_boxes_of_hands_and_face(known, studio):
                 yield replace(frame, image=image)
 
     marked = replace(view, video=Marked(), details=details)
-    rows = {row.region: row for row in evaluate_views(known, [marked], "x", Scorer(NONE))}
-    assert rows["hands"].psnr == PSNR_MAX and rows["hands"].count == rows["face"].count == 1
-    assert rows["face"].psnr < rows["white"].psnr < PSNR_MAX
+    figures = evaluate_views(known, [marked], Scorer(NONE))
+    found = {region: x for (_, region), x in psnr(figures).items()}
+    assert found["face"] < found["white"] < PSNR_MAX == found["hands"]
+    assert [f.value for f in where(figures, metric="pictures", region=("hands", "face"))] == [1, 1]
 
 
 @pytest.fixture
@@ -80,10 +101,10 @@ def watched(studio, known, camera, tmp_path):
 
 def test_pictures_of_other_cameras_are_novel_views(known, watched, body):
     video = load_video(watched)
-    rows = {row.split: row for row in evaluate(known, video, weights=NONE, body=body)
-            if row.region == "white"}  # fmt: skip
-    assert set(rows) == {"train", "test", "novel_view"} and rows["novel_view"].count == 2
-    assert rows["novel_view"].psnr == PSNR_MAX
+    whole = where(evaluate(known, video, weights=NONE, body=body), region="white")
+    assert {row.split for row in whole} == {"train", "test", "novel_view"}
+    assert psnr(whole)["novel_view", "white"] == PSNR_MAX
+    assert [f.value for f in where(whole, split="novel_view", metric="pictures")] == [2]
 
 
 def test_views_of_other_cameras_use_the_trained_poses(known, watched):
@@ -94,25 +115,19 @@ def test_views_of_other_cameras_use_the_trained_poses(known, watched):
     given = {view.split: view for view in views_of(off)}
     trained = [with_trained_poses(view, video) for view in given.values()]
     before, after = (
-        {row.split: row.psnr for row in evaluate_views(known, views, "x", Scorer(NONE))
-         if row.region == "white"}
+        psnr(where(evaluate_views(known, views, Scorer(NONE)), region="white")).values()
         for views in (list(given.values()), trained)
-    )  # fmt: skip
-    assert max(before.values()) < 45
-    assert set(after.values()) == {PSNR_MAX}
+    )
+    assert max(before) < 45 and set(after) == {PSNR_MAX}
 
 
 def test_background_raises_the_psnr_of_the_whole_picture_but_not_of_the_box(known, subject):
     damaged = type(known).from_record(known.record())
     with torch.no_grad():
         damaged.canonical.means += 0.03
-    rows = {
-        row.region: row
-        for row in evaluate(damaged, load_video(subject), splits=["test"], weights=NONE)
-    }
-    assert set(rows) == {"white", "black", "person"}  # without a body nobody looks for hands
-    assert rows["person"].psnr < rows["white"].psnr
-    assert rows["black"].psnr != rows["white"].psnr
+    found = psnr(evaluate(damaged, load_video(subject), splits=["test"], weights=NONE))
+    assert set(found) == {("test", region) for region in ("white", "black", "person")}
+    assert found["test", "person"] < found["test", "white"] != found["test", "black"]
 
 
 def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
@@ -126,4 +141,58 @@ def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
     assert with_truth == evaluate(known, load_video(subject), splits=["test"], weights=NONE)
     shutil.rmtree(folder / "truth")
     without = evaluate(known, load_video(folder), splits=["test"], weights=NONE)
-    assert without[0].psnr < with_truth[0].psnr
+    assert psnr(without)["test", "white"] < psnr(with_truth)["test", "white"]
+
+
+def test_metrics_survive_a_round_trip(tmp_path):
+    figures = (
+        Figure(split="test", region="white", metric="PSNR, dB", value=30.125),
+        Figure(split="test", region="white", metric="LPIPS", value=None),
+        Figure(metric="seconds", value=1.5),
+    )
+    metrics = Metrics(
+        figures=figures,
+        size=(48, 32),
+        protocol={"seen": {"test pictures": ["stage 1"]}},
+        options={"seed": 7, "steps": 3},
+        versions={"python": "3.11"},
+    )
+    metrics.save(tmp_path)
+    assert Metrics.load(tmp_path) == metrics and metrics.value("seconds") == 1.5
+    record = json.loads((tmp_path / METRICS).read_text())
+    assert list(record) == ["figures", "size", "protocol", "options", "versions"]
+    assert list(record["figures"][0]) == [
+        "subject", "variant", "split", "region", "alignment", "metric", "value",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", [None, "{", "[]", '{"figures": []}'])
+def test_a_file_that_cannot_be_read_is_named(text, tmp_path):
+    if text is not None:
+        (tmp_path / METRICS).write_text(text)
+    with pytest.raises(InputError, match="metrics.json: .* what `gva-mi evaluate` writes"):
+        Metrics.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "poses, refinement, seen",
+    [
+        ("poses.npz", None, (["stage 1"], [], [])),
+        ("poses_refined.npz", None, (["stage 1"], ["refine"], ["refine"])),
+        ("poses_refined.npz", "seen", (["stage 1"], ["refine"], ["refine"])),
+        ("poses_refined.npz", "held out", (["stage 1"], [], [])),
+        ("poses_photometric.npz", None, (["stage 1", "track"], ["track"], [])),
+    ],
+)
+def test_the_protocol_lists_who_has_seen_the_test_frames(poses, refinement, seen, video, tmp_path):
+    if refinement is not None:
+        (tmp_path / "refinement.json").write_text(
+            json.dumps({"figures": [], "test_frames": refinement})
+        )
+    video = replace(video, normals=NormalMaps(tmp_path, "perspective", None))
+    options = {"vgg16": None}
+    found = protocol_of(Scorer(Weights()), video, tmp_path / poses, options)
+    assert tuple(found["seen"].values()) == seen and found["masks"] == "the video's"
+    assert found["training_loss"] == "rand_vgg" and found["networks"]["lpips"] is None
+    ours = protocol_of(Scorer(Weights()), video, tmp_path / poses, {"vgg16": "my.pth"})
+    assert ours["training_loss"] == "VGG16, my.pth"

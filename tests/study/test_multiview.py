@@ -1,21 +1,24 @@
 """Points that calibrated cameras see together, and one camera's poses against them."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from gva_mi.body import so3
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.solver import SolvedFilm
 from gva_mi.splat import Camera, look_at
-from gva_mi.study.calibrated import CalibratedCamera, read_calibration, triangulate
-from gva_mi.study.multiview import COMPARED, bones_found, compare, multiview
+from gva_mi.study.multiview import (
+    COMPARED,
+    CalibratedCamera,
+    compare,
+    multiview,
+    read_calibration,
+    triangulate,
+)
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
 NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED]
@@ -120,43 +123,30 @@ def solved(cameras, built_in_body):
     return SolvedFilm(pose, shape, camera, 0.0), landmarks, X
 
 
+def compared(*given):
+    """The figures of one camera by metric, and by the joint where there is one."""
+    return {f.region or f.metric: f.value for f in compare(*given)}
+
+
 def test_true_poses_have_no_error(cameras, solved, built_in_body):
     film, landmarks, X = solved
-    row = compare(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
-    lengths = row.joints, row.depth, row.aligned, row.aside, row.network, *row.by_joint.values()
-    assert np.abs([*lengths, row.points]).max() < 1e-2
-    assert row.lens == row.true_lens == 500 and row.up < 1e-3
+    row = compared(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
+    assert row.pop("lens, px") == row.pop("true lens, px") == 500
+    assert row.pop("up, degrees") < 1e-3 and np.abs([*row.values()]).max() < 1e-2
 
 
 def test_errors_are_those_of_the_poses(cameras, solved, built_in_body):
     film, landmarks, X = solved
     away = cameras[0].R[2] * 0.1  # of the line of sight, in the world
     film.pose.transl[:] += torch.from_numpy(away).float()
-    row = compare(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
-    assert row.depth == pytest.approx(100, abs=0.1) and row.joints == pytest.approx(100, abs=0.1)
-    assert row.aligned < 0.1
+    row = compared(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
+    assert [row["depth, mm"], row["joints, mm"]] == pytest.approx([100, 100], abs=0.1)
+    assert row["aligned, mm"] < 0.1
     film.pose.rotations[:, JOINTS.index("left_elbow")] = 0
-    row = compare(cameras[0], film, landmarks, built_in_body, X, np.array([0.1, 1, 0]) / 1.01**0.5)
-    assert row.by_joint["wrist"] > 50 and row.by_joint["elbow"] < 0.1
-    assert row.up == pytest.approx(np.degrees(np.arctan(0.1)), abs=1e-3)
-
-
-def test_bones_show_how_much_of_the_depth_a_network_says(cameras, built_in_body):
-    rig = LandmarkRig.of(built_in_body, list(BODY))
-    turns = torch.zeros(12, 3, dtype=torch.float64)
-    turns[:, 1] = torch.linspace(0, torch.pi, 12)
-    X = (rig.rest.double() @ so3.to_matrix(turns).mT).numpy()
-    one, films, cameras = np.ones(X.shape[:2]), [], cameras[:1]
-    for camera in cameras:
-        metric = camera.place(X) * [1, 1, 0.5]
-        landmarks = Landmarks(BODY, metric[..., :2], one, one, metric)
-        films.append((SimpleNamespace(shape=Shape(torch.zeros(10))), landmarks))
-    found = {row.bone: row for row in bones_found(cameras, films, built_in_body, X)}
-    assert found["elbow to wrist"].used_gain == 0.45
-    scale = rig.scale(landmarks, torch.zeros(10))
-    for row in found.values():
-        assert row.gain == pytest.approx(0.5 * scale, rel=1e-5)
-        assert (row.bias, row.error) == pytest.approx((0, 0), abs=0.01)
+    up = np.array([0.1, 1, 0]) / 1.01**0.5
+    row = compared(cameras[0], film, landmarks, built_in_body, X, up)
+    assert row["wrist"] > 50 and row["elbow"] < 0.1
+    assert row["up, degrees"] == pytest.approx(np.degrees(np.arctan(0.1)), abs=1e-3)
 
 
 @pytest.mark.slow
@@ -173,6 +163,6 @@ def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (films / "cameras.toml").write_text(text.replace("640.0, 480.0", "256.0, 256.0"))
     main(["study", "multiview", str(films), "--height", "1.7", "--json", str(tmp_path / "a.json")])
-    rows = json.loads((tmp_path / "a.json").read_text())["cameras"]
-    assert [(row["camera"], row["true_lens"]) for row in rows] == [("a", 600), ("b", 600)]
-    assert rows[0]["lens"] == rows[1]["lens"] != 600
+    figures = json.loads((tmp_path / "a.json").read_text())["figures"]
+    lens = {row["subject"]: row["value"] for row in figures if row["metric"] == "lens, px"}
+    assert set(lens) == {"a", "b"} and lens["a"] == lens["b"] != 600

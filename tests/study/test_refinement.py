@@ -11,9 +11,19 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.data.pictures import write_image
 from gva_mi.pose import SequenceOptions
-from gva_mi.study.measure import Evaluation, PoseFigures, mask_iou, measure
-from gva_mi.study.pose_tables import errors_table
-from gva_mi.study.refinement import load_refinement, write_refinement
+from gva_mi.study.figures import where
+from gva_mi.study.refinement import (
+    Evaluation,
+    error_figures,
+    load_refinement,
+    mask_iou,
+    means,
+    measure,
+    pose_tables,
+    write_refinement,
+)
+
+BODY, HANDS = ("body", "absolute"), ("hands", "absolute")
 
 
 @pytest.fixture(scope="module")
@@ -21,39 +31,45 @@ def measured(estimated, body, refined, truth):
     return measure(estimated, body, refined, truth)
 
 
+def value(figures, metric, part=("", "")):
+    (found,) = where(figures, metric=metric, region=part[0], alignment=part[1])
+    return found.value
+
+
 def test_frames_are_measured_one_by_one(measured):
-    frames = measured.frames
-    assert (frames["vertex_mm"][:5] == 0).all() and (
-        frames["aligned_hand_vertex_mm"][:5] == 0
-    ).all()
-    assert frames["vertex_mm"][5] == frames["vertex_mm_stage1"][5] > 0
-    assert (frames["hand_vertex_mm_stage1"] > frames["vertex_mm_stage1"]).all()  # arms are off
-    torch.testing.assert_close(frames["iou"][:5], frames["iou_truth"][:5])
-    assert frames["iou"].mean() > frames["iou_stage1"].mean()
-    means = measured.means
-    assert means["vertex_mm"] == pytest.approx(float(frames["vertex_mm"][5]) / 6)
-    assert means.relative("body") == pytest.approx(-5 / 6, abs=0.02)
-    assert means["points"] == "vertices"
+    before, after = (measured[*BODY, f"{stage} error, mm"] for stage in ("stage 1", "refined"))
+    assert (after[:5] == 0).all() and after[5] == before[5] > 0
+    assert (measured["hands", "pelvis-aligned", "refined error, mm"][:5] == 0).all()
+    assert (measured[*HANDS, "stage 1 error, mm"] > before).all()  # arms are off
+    iou, limit = measured["", "", "refined IoU"], measured["", "", "true IoU"]
+    torch.testing.assert_close(iou[:5], limit[:5])
+    assert iou.mean() > measured["", "", "stage 1 IoU"].mean()
+
+
+def test_figures_are_means_over_frames_and_changes(measured):
+    after = measured[*BODY, "refined error, mm"]
+    figures = means(measured)
+    assert value(figures, "refined error, mm", BODY) == pytest.approx(float(after[5]) / 6)
+    assert value(figures, "change", BODY) == pytest.approx(-5 / 6, abs=0.02)
+    assert value(figures, "IoU - limit") <= 0
+    assert value(means(measured, [0, 1]), "refined error, mm", BODY) == 0
+    assert value(means(measured, [5]), "change", BODY) == 0
 
 
 def test_frames_whose_error_increased_are_counted(estimated, body, refined, truth):
     worse = replace(estimated, pose=refined.pose)  # found at stage 1, and lost again
-    found = measure(worse, body, replace(refined, pose=estimated.pose), truth).means
-    for name in ("frames_worse", "frames_worse_aligned", "frames_worse_hands"):
-        assert found[name] == pytest.approx(5 / 6)
-
-
-def test_figures_of_some_frames_are_those_frames(measured):
-    assert measured.of([0, 1]).means["vertex_mm"] == 0
-    last = measured.of([5]).means
-    assert last["vertex_mm"] == last["vertex_mm_stage1"] > 0
+    found = where(
+        means(measure(worse, body, replace(refined, pose=estimated.pose), truth)),
+        metric="increased",
+    )
+    assert [figure.value for figure in found] == pytest.approx(3 * [5 / 6])
 
 
 def test_stage_1_alone_has_the_same_figures_and_no_refined_ones(measured, estimated, body, truth):
-    alone = measure(estimated, body, None, truth).means
-    before = {key: x for key, x in measured.means.to_json().items() if key.endswith("_stage1")}
-    assert len(before) > 10 and {key: alone[key] for key in before} == before
-    assert alone["vertex_mm"] is None and alone["frames_worse"] is None and alone["iou"] is None
+    alone = measure(estimated, body, None, truth)
+    assert len(alone) == 13 and all("refined" not in metric for *_, metric in alone)
+    for key, values in alone.items():
+        assert torch.equal(values, measured[key])
 
 
 def test_masks_are_compared_with_the_true_ones(estimated, tmp_path):
@@ -72,23 +88,17 @@ def test_masks_are_compared_with_the_true_ones(estimated, tmp_path):
 def test_a_frame_without_a_mask_has_no_iou(estimated, body, refined):
     lacking = replace(estimated, absent={1: "it has no mask"})
     found = measure(lacking, body, refined)
-    assert found.frames["iou"].isnan().tolist() == [False, True] + 4 * [False]
-    assert np.isfinite(found.means["iou"]) and found.means.change("body") is None
+    assert found["", "", "refined IoU"].isnan().tolist() == [False, True] + 4 * [False]
+    assert np.isfinite([figure.value for figure in means(found)]).all()
+    assert {metric for *_, metric in found} == {"stage 1 IoU", "refined IoU"}  # no ground truth
 
 
 def test_the_silhouette_is_measured_through_the_lens_of_the_poses(estimated, body, refined, truth):
     short = [replace(c, fx=0.9 * c.fx, fy=0.9 * c.fy) for c in estimated.cameras]
     misled = replace(estimated, cameras=short)
-    found = measure(misled, body, replace(refined, cameras=truth.cameras), truth).means
-    assert measure(misled, body, refined, truth).means["iou"] < found["iou"]
-
-
-def test_figures_come_back_from_json(measured, estimated, body, refined):
-    for means in (measured.means, measure(estimated, body, refined).means, PoseFigures()):
-        record = json.loads(json.dumps(means.to_json()))
-        assert PoseFigures.from_json(record).to_json() == means.to_json()
-    with pytest.raises(ValueError, match="'iou' is 'high'"):
-        PoseFigures.from_json({"iou": "high"})
+    right = replace(refined, cameras=truth.cameras)
+    worse, better = (means(measure(misled, body, x, truth)) for x in (refined, right))
+    assert value(worse, "refined IoU") < value(better, "refined IoU")
 
 
 def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_path):
@@ -98,23 +108,27 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
     write_refinement(evaluation)
     record = json.loads((tmp_path / "refinement.json").read_text())
-    splits = record["figures_by_split"]
-    assert splits["train"]["vertex_mm"] == 0 < splits["test"]["vertex_mm"]
     assert record["kept"] == {"5": refined.kept[5]} and record["test_frames"] == "held out"
+    assert record["points"] == "vertices"
     assert (tmp_path / "refinement.png").exists() and (tmp_path / "poses_refined.npz").exists()
     figures, seen = load_refinement(tmp_path)
-    assert figures == evaluation.measured.means and not seen
-    assert load_refinement(tmp_path / "none") == (PoseFigures.from_json({}), True)
+    assert where(figures, split="") == evaluation.figures() and not seen
+    of = {split: where(figures, split=split) for split in ("train", "test")}
+    assert value(of["train"], "refined error, mm", BODY) == 0
+    assert value(of["test"], "refined error, mm", BODY) > 0
+    assert load_refinement(tmp_path / "none") == ((), True)
     (tmp_path / "refinement.json").write_text("[]")
     with pytest.raises(InputError, match="refinement.json: .*`gva-mi refine` writes"):
         load_refinement(tmp_path)
 
 
-def test_trained_poses_have_a_column_beside_refined_ones():
-    figures = PoseFigures({"vertex_mm_stage1": 20.0, "vertex_mm": 10.0, "ankle_depth_mm": 4.0,
-                           "ankle_depth_mm_stage1": -5.0})  # fmt: skip
-    table = errors_table(figures, {"body": 12.34, "feet_aligned": 5.0})
-    rows = {row[0]: row[1:] for row in table.rows}
-    assert rows["vertices, absolute, mm"] == ["20.0", "10.0", "-50 %", "12.3", "–"]
-    assert rows["depth of the ankles, mm"] == ["-5.0", "+4.0", "+9.0", "–", "–"]
-    assert rows["feet, pelvis-aligned, mm"] == ["–", "–", "–", "5.0", "–"]
+def test_trained_poses_have_a_column_beside_refined_ones(measured, estimated, body, truth):
+    aside = estimated.pose.transl + torch.tensor([0.01, 0, 0])
+    moved = replace(estimated.pose, transl=aside, rotations=truth.pose.rotations)
+    trained = error_figures(body, (moved, estimated.shape), truth, "trained")
+    found, *_ = pose_tables([*means(measured), *trained])
+    column = found.head.index("trained error, mm")
+    rows = {row[0]: row for row in found.rows}
+    assert rows["body, absolute"][column] == "10.0"
+    assert rows["body, pelvis-aligned"][column] == "0.0"
+    assert rows["body, absolute"][found.head.index("change")] == "-83 %"

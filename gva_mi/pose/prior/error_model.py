@@ -205,7 +205,7 @@ def film_errors(fps: float) -> dict[str, Stage1ErrorModel]:
 
     A constant error does not show in a track, and a smooth one looks like motion: how large they
     are is knowledge about the estimator, and not about this video. The solver errs more while a
-    joint moves. The rows of joints are what ``python -m gva_mi.study.film_errors`` prints, of the
+    joint moves. The rows of joints are what ``python -m tools.film_errors`` prints, of the
     solver of :mod:`gva_mi.pose.film` on nine rendered films with ground truth: five in rooms
     (turns, half a turn, a walk, everyday motion; seeds 120, 123, 125, 130, 131) and four before a
     white wall (seeds 101, 103, 104, 106). All joints have one memory, for the refinement gets worse

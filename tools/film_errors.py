@@ -1,6 +1,6 @@
 """Learn how the film solver errs: the prior of stage 2, from rendered films with ground truth.
 
-    python -m gva_mi.study.film_errors SUBJECT ...
+    python -m tools.film_errors SUBJECT ...
 
 prints the table of :mod:`gva_mi.pose.prior.error_model`.
 

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi.pose.prior.error_model import FILM_FPS, FILM_MEMORY, GROUPS
 from gva_mi.pose.prior.inference import AXES
-from gva_mi.study.film_errors import FilmTrack, learn, table
+from tools.film_errors import FilmTrack, learn, table
 
 SLOW, LAG, BIAS = 0.05, 0.1, 0.04  # LAG in seconds
 

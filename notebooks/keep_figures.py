@@ -8,31 +8,26 @@ import json
 import sys
 from pathlib import Path
 
-KEPT = ("psnr", "psnr in boxes", "pose error, mm", "cost")  # groups of gva_mi.study.tables
+KEPT = ("PSNR, dB", "Gaussians", "seconds")  # metrics
+REGIONS = ("white", "hands", "")
 DIGITS = 3
 
 
 def keep(study):
-    """Return the record of a study (``gva_mi.study.engine``) with the figures that are kept."""
-    results = [
-        {"name": result["name"], "held_out": result["held_out"], "variant": result["variant"]}
-        | {
-            "figures": {
-                name: round(value, DIGITS)
-                for name, value in result["figures"].items()
-                if value is not None and name.rpartition(": ")[0] in KEPT
-            }
-        }
-        for result in study["results"]
+    """Return a study's record (``gva_mi.study.engine``) with the figures that are kept."""
+    kept = [
+        row | {"value": round(row["value"], DIGITS)}
+        for row in study["figures"]
+        if row["metric"] in KEPT and row["region"] in REGIONS and row["split"] != "train"
     ]
-    return {name: study[name] for name in ("kind", "made_with", "versions")} | {"results": results}
+    return {name: study[name] for name in ("kind", "made_with", "versions")} | {"figures": kept}
 
 
 def text_of(record):
-    """Write the record as JSON with a line for each result."""
+    """Write the record as JSON with a line for each figure."""
     *others, _ = (f"{json.dumps(name)}: {json.dumps(x)}" for name, x in record.items())
-    lines = ",\n".join(json.dumps(result) for result in record["results"])
-    return "{" + ",\n".join([*others, f'"results": [\n{lines}\n]']) + "}\n"
+    lines = ",\n".join(json.dumps(row) for row in record["figures"])
+    return "{" + ",\n".join([*others, f'"figures": [\n{lines}\n]']) + "}\n"
 
 
 if __name__ == "__main__":

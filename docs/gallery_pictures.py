@@ -31,7 +31,7 @@ from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
-from gva_mi.splat.principal_axes import with_axes
+from gva_mi.splat.axes import with_axes
 from gva_mi.study.evaluate import SplitView
 from gva_mi.study.pictures import ShownAvatar, turntable
 from gva_mi.study.regions import person_box

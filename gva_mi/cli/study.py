@@ -12,14 +12,13 @@ from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Flat, Switch
-from gva_mi.core.atomic import require_writable
+from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
-from gva_mi.core.lock import folder_lock
 from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
-from gva_mi.core.workers import local_executor
+from gva_mi.core.tasks import local_executor
 from gva_mi.data.importers.world import Axis, axis_of
 from gva_mi.pose.film.prepare_film import FilmOptions
 from gva_mi.pose.stature import PERSON_HEIGHTS

@@ -32,13 +32,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page."""
+    """A part of the page; ``page.html`` holds what it says, by its title."""
 
     title: str
-    text: str
     pictures: Sequence[Picture] = ()
     columns: int = 5  # pictures side by side
     tables: Sequence[Table] = ()
+    text: str = ""  # what it says besides
 
 
 @dataclass(frozen=True)

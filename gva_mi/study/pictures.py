@@ -31,14 +31,11 @@ ZOOMED_PIXELS = 220  # about the side of an enlarged box
 DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
 DOTS_HEIGHT = 560  # pixels of the pictures of dots
 RED_AT = 64  # levels of 255 at which a difference is fully red
-SECTIONS: dict[Split, tuple[str, str]] = {
-    "test": ("Test frames", "Frames that training left out, visible hands, and visible faces."),
-    "held_out_range": ("The held-out range", "A stretch of frames that training left out."),
-    "novel_pose": (
-        "Novel poses",
-        "A motion that is not in the video, visible hands and faces.",
-    ),
-    "novel_view": ("Novel views", "Frames of the video from cameras that never saw it."),
+SECTIONS: dict[Split, str] = {
+    "test": "Test frames",
+    "held_out_range": "The held-out range",
+    "novel_pose": "Novel poses",
+    "novel_view": "Novel views",
 }
 
 
@@ -93,15 +90,15 @@ def picture_sections(
             dots(f"{case} {name}".strip(), shown.avatar.canonical)
             for name, shown in avatars.items()
         ]
-    order = f" From left to right: the picture, {', '.join(names)}"
-    order += ", difference (white 0, red 64 of 255 and more)." if len(names) == 1 else "."
+    order, columns = f"From left to right: the picture, {', '.join(names)}", 1
+    if len(names) == 1:
+        order, columns = f"{order}, difference (white 0, red 64 of 255 and more)", 3
     sections = [
-        Section(title, text + order, pictures[split], columns=3 if len(names) == 1 else 1)
-        for split, (title, text) in SECTIONS.items()
+        Section(title, pictures[split], columns, text=f"{order}.")
+        for split, title in SECTIONS.items()
         if pictures[split]
     ]
-    text = "Every Gaussian as a dot of its own colour, in the rest pose, from two sides."
-    return [*sections, *([Section("The Gaussians", text, at_rest, columns=3)] if at_rest else [])]
+    return [*sections, *([Section("The Gaussians", at_rest, columns=3)] if at_rest else [])]
 
 
 def _of_split(

@@ -35,11 +35,11 @@ from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, aligned, listed
+from gva_mi.core.cpu import one_thread
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.stamp import write_record
-from gva_mi.core.threads import one_thread
-from gva_mi.core.workers import local_executor
+from gva_mi.core.tasks import local_executor
 from gva_mi.data.crop import Box, NoEvidence, points_extent
 from gva_mi.data.folder import REFINED_POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of

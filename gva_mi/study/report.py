@@ -36,12 +36,11 @@ from gva_mi.data.pictures import read_image
 from gva_mi.data.problems import Problem
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
-from gva_mi.fit.photometric import FITTED
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
 from gva_mi.pose.film.prepare_film import FilmRecord
 from gva_mi.study.cases import FULL
 from gva_mi.study.engine import Outcome
-from gva_mi.study.evaluate import ALIGNED, AS_REFINED, REGIONS, SPLITS, Metrics
+from gva_mi.study.evaluate import ALIGNED, REGIONS, SPLITS, Metrics
 from gva_mi.study.figures import METRICS, Table, pivot, table, where
 from gva_mi.study.page import Headline, Picture, Section, animation, picture, plot, write_page
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
@@ -77,37 +76,6 @@ AVATAR_SHOWN = (  # metrics, and regions unless all are
     ("trained error, mm", ()), ("spacing", ()), ("bias, mm", ()), ("stray, mm", ()),
     ("seconds", ()), ("Gaussians", ()),
 )  # fmt: skip
-_SURFACE = (
-    "Spacing is the coefficient of variation of the distance to the nearest Gaussian on the true "
-    "surface: 0 on a lattice, 0.52 for random points. Bias is the 95th percentile of the distance "
-    "from the true surface to the nearest Gaussian, stray the 99th of that from a Gaussian to the "
-    "surface."
-)
-_SCORES = (
-    "The whole picture on white, then on black, the person's box, and the boxes of visible hands "
-    "and faces. LPIPS needs the user's weights; rand_vgg is the same distance in a random network "
-    "of a fixed seed, comparable only with itself. Poses of a test frame follow from the trained "
-    f"ones of the frames around it; ‘{AS_REFINED}’ is without that. ‘{ALIGNED}’: one camera shows "
-    "neither the scale of the world nor where the skeleton is inside the surface, so the ground "
-    f"truth is transformed to the avatar's world, once for all frames. ‘{FITTED}’, if any, have "
-    "seen what they are measured on."
-)
-_MOVES = (
-    "From all around in a pose of the film, and in two motions that the film does not have: "
-    f"{TURNTABLE}.mp4, {', '.join(f'{name}.mp4' for name in DRIVEN)}. What no frame shows is a "
-    "guess."
-)
-_BETTER = "What the film does not show, and how to film it better."
-_GOOD = "The film shows the person from all sides, whole, sharp and alone, before a still camera."
-_REFINE = (
-    "Changes of errors are relative: -50 % is half the error of stage 1. Depths are those after "
-    "refinement, above zero if too far away. ‘Increased’ is the share of frames whose error "
-    "increased. Every error model counts once."
-)
-_AVATAR = (
-    "Mean ± standard deviation over subjects, the worst subject, and in brackets the difference to "
-    "full."
-)
 
 
 def write_report(
@@ -185,20 +153,15 @@ def headlines(metrics: Metrics) -> list[Headline]:
 def _turning(avatar: Avatar, video: Video) -> Section:
     caption = f"{len(avatar.canonical):,} Gaussians, {TURN_FRAMES} views"
     pictures = list(turntable(avatar, video.pose[len(video) // 2], TURN_FRAMES, video.size))
-    text = "Fitted to one video of one camera, seen from all around."
-    return Section("The avatar", text, [animation(caption, pictures)], columns=3)
+    return Section("The avatar", [animation(caption, pictures)], columns=3)
 
 
 def _refinement(metrics: Metrics, overlays: Path) -> Iterator[Section]:
     """Show the refinement's picture and errors, if the subject's folder has the picture."""
     if overlays.exists():
-        text = (
-            "The body over the frames, before the refinement of Eq. 8 (above) and after it "
-            "(below). ‘Trained’ poses were corrected by the pictures along with the avatar."
-        )
         pictures = [picture("stage 1 above, refined below", read_image(overlays, 3))]
         tables = list(pose_tables(metrics.figures))
-        yield Section("Pose refinement", text, pictures, columns=1, tables=tables)
+        yield Section("Pose refinement", pictures, columns=1, tables=tables)
 
 
 def _reinitialisation(run: Path, metrics: Metrics) -> Iterator[Section]:
@@ -211,12 +174,8 @@ def _reinitialisation(run: Path, metrics: Metrics) -> Iterator[Section]:
     shown = ("opaque Gaussians", "spacing", "bias, mm", "stray, mm")
     surface = pivot(where(metrics.figures, metric=shown), ("split",), ("region",))
     if pictures or surface:
-        text = (
-            "Surface-guided re-initialisation: clumps of Gaussians in textured regions spread, and "
-            f"floaters return to the surface. {_SURFACE if surface else ''}"
-        )
         tables = [table(surface, "step")] if surface else []
-        yield Section("Re-initialisation", text, pictures, columns=2, tables=tables)
+        yield Section("Re-initialisation", pictures, columns=2, tables=tables)
 
 
 def _curves(history: Mapping[str, np.ndarray]) -> Section:
@@ -233,8 +192,7 @@ def _curves(history: Mapping[str, np.ndarray]) -> Section:
     left.legend(frameon=False, fontsize=8)
     right.plot(steps, history["gaussians"], color="#2f6f5e")
     right.set(xlabel="step", title="Gaussians")
-    text = "Each term of Eq. 9, and the number of Gaussians."
-    return Section("Training", text, [plot("", fig)], columns=1)
+    return Section("Training", [plot("", fig)], columns=1)
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
@@ -250,7 +208,7 @@ def _scores(metrics: Metrics) -> Section:
     for region in REGIONS:
         if own := where(metrics.figures, region=region, split=SPLITS):
             tables.append(table(pivot(own, ("split", "alignment", "region")), "renders"))
-    return Section("Figures", _SCORES, tables=tables)
+    return Section("Figures", tables=tables)
 
 
 def write_film_report(
@@ -274,7 +232,7 @@ def write_film_report(
     avatar, record = run_folder.load_avatar(run), FilmRecord.load(video.folder)
     films = list(_films(out, avatar, video, progress))
     better = _better(_problems(video.folder / FINDINGS), record.notes)
-    first = [Section("The avatar", _MOVES, films, columns=3), better]
+    first = [Section("The avatar moves", films, columns=3), better]
     subtitle = f"{record.frames} frames at {record.fps:.3g} a second. {_height(record)}"
     where = out / run_folder.REPORT, run
     write_report(*where, avatar, video, title, body, subtitle, first, {"film": vars(record)})
@@ -345,7 +303,7 @@ def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
         tables.append(Table(("what", "measured", "likely cause", "what to do"), rows, words=True))
     if notes:
         tables.append(Table(("notes",), [(note,) for note in notes], words=True))
-    return Section("What to film better", _BETTER if problems else _GOOD, tables=tables)
+    return Section("What to film better" if problems else "A good film", tables=tables)
 
 
 def study_tables(kind: str, outcomes: Sequence[Outcome]) -> dict[str, list[Table]]:
@@ -432,15 +390,15 @@ def write_study_report(
         settings: options and versions.
         pictures: names of some cases, and the avatars of their variants.
     """
-    text, shown = (_REFINE, "change") if kind == "refine" else (_AVATAR, "PSNR, dB")
+    shown = "change" if kind == "refine" else "PSNR, dB"
     sections = [
-        Section(title.capitalize(), text, tables=tables)
+        Section(title.capitalize(), tables=tables)
         for title, tables in study_tables(kind, outcomes).items()
     ]
     own = [f for o in outcomes for f in o.figures if f.metric == shown and f.split != "train"]
     each = table(pivot(own, ("subject", "variant"), ("split", "alignment", "region")), "case")
     sections += picture_sections(pictures, STUDY_SHOWN)
-    sections.append(Section("Each case", f"{shown} of each case.", tables=[each]))
+    sections.append(Section("Each case", tables=[each], text=f"{shown} of each case."))
     purposes = ", ".join(sorted({outcome.case.purpose for outcome in outcomes}))
     subjects = len({outcome.case.take.name for outcome in outcomes})
     variants = ", ".join(dict.fromkeys(outcome.variant for outcome in outcomes))

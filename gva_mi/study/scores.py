@@ -43,9 +43,9 @@ from torch import Tensor
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.core.threads import one_torch_thread
 from gva_mi.data.backdrop import alone
 from gva_mi.data.crop import Box, block_means, bounds
 from gva_mi.data.film import Film

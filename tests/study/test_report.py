@@ -21,9 +21,9 @@ def test_a_page_is_one_file_with_its_pictures(tmp_path):
     image = np.zeros((4, 6, 3), np.uint8)
     section = Section(
         "Section <1>",
-        "A & B",
         [picture("grey", image + 128), animation("moving", [image] * 2)],
         tables=[Table(("name", "value"), [("x < y", "1.2"), ("z", "–")])],
+        text="A & B",
     )
     write_page(
         tmp_path / "page.html",

@@ -1,6 +1,6 @@
 """Ways to break a subject, a run or a motion: dictionaries of ``change(folder)`` by name.
 
-The name says field and kind of fault. QUICK holds one of each kind; the others run nightly.
+The name says field and kind of fault; there is one of each kind.
 """
 
 import os
@@ -85,10 +85,6 @@ def copied(path, to):
     return lambda folder: shutil.copy(folder / path, folder / to)
 
 
-def moved(path, to):
-    return lambda folder: (folder / path).rename(folder / to)
-
-
 def picture(path, size=(48, 48), mode="RGB", value=128):
     def change(folder):
         from PIL import Image
@@ -116,14 +112,6 @@ def each_mask(change):
 
         for path in (folder / "masks").glob("*.png"):
             Image.fromarray(change(np.asarray(Image.open(path)))).save(path)
-
-    return write
-
-
-def normal_map(value):
-    def write(folder):
-        (folder / "normals").mkdir()
-        np.save(folder / "normals/000000.npy", np.full((48, 48, 3), value, np.float32))
 
     return write
 
@@ -159,76 +147,50 @@ def frames(count):
 
 # What the commands accept: plausible numbers that are not the intended ones; `check` warns.
 TAKEN = {
-    "K has skew": cameras(K=at((0, 1), 3.0)),
-    "K looks far aside": cameras(K=at((0, 2), 1e9)),
-    "T is inverted": cameras(T_camera_world=np.linalg.inv),
     "T is of 16 bits": cameras(T_camera_world=lambda T: T.astype(np.float16)),
-    "transl is behind the camera": poses(transl=lambda x: x + [0, 0, 9]),
     "camera is a kilometre away": cameras(T_camera_world=at((2, 3), 1000)),
     "transl is in millimetres": poses(transl=lambda x: 1000 * x + 700),
-    "betas are a table": poses(betas=np.zeros((6, 10))),
-    "frame is grey": picture(FRAME, mode="L"),
-    "frame has alpha": picture(FRAME, mode="RGBA", value=(9, 9, 9, 9)),
     "frame is missing": gone(FRAME),
-    "mask is black": picture(MASK, mode="L", value=0),
     "mask is missing": gone(MASK),
     "masks are inverted": each_mask(lambda x: 255 - x),
-    "masks are all white": each_mask(lambda x: 0 * x + 255),
-    "normals are NaN": normal_map(NAN),
 }
 SUBJECTS = TAKEN | {
     "width is an array": cameras(width=[48, 48]),
-    "width is text": cameras(width="48"),
     "width is NaN": cameras(width=NAN),
     "width is another": cameras(width=47),
     "height is missing": cameras(height=None),
-    "K is of no frame": cameras(K=np.zeros((0, 3, 3))),
     "K is of another count": cameras(K=lambda K: np.repeat(K[None], 4, 0)),
     "K has a focal length of zero": cameras(K=at((0, 0), 0)),
+    "K has a focal length of 1e-30": cameras(K=lambda K: at((1, 1), 1e-30)(at((0, 0), 1e-30)(K))),
     "T is mirrored": cameras(T_camera_world=lambda T: np.diag([-1.0, 1, 1, 1]) @ T),
     "cameras are cut": cut("cameras.npz"),
-    "cameras are a folder": a_folder("cameras.npz"),
     "cameras are a link to themselves": loop("cameras.npz"),
-    "K has a focal length of 1e-30": cameras(K=lambda K: at((1, 1), 1e-30)(at((0, 0), 1e-30)(K))),
     "transl is one number": poses(transl=1.0),
-    "expression is one number": poses(expression=np.float32(0)),
     "betas are of nobody": poses(betas=np.zeros((0, 10))),
+    "betas are huge": poses(betas=np.full(10, 1e6)),
     "body_pose is of fewer frames": poses(body_pose=lambda x: x[:5]),
     "body_pose has a NaN": poses(body_pose=at((2, 5), NAN)),
     "body_pose is of objects": poses(body_pose=np.array([{}] * 6, object)),
-    "betas are huge": poses(betas=np.full(10, 1e6)),
     "poses are of no frame": frames(0),
-    "poses are cut": cut("poses.npz"),
     "poses are missing": gone("poses.npz"),
     "poses_refined.npz is cut": both(
         copied("poses.npz", "poses_refined.npz"), cut("poses_refined.npz")),
-    "splits are a folder": a_folder("splits.json"),
     "splits are no text": text("splits.json", b"\xff\xfe\x00"),
+    "splits name a frame that is not there": text("splits.json", '{"train": [99], "test": []}'),
+    "splits are of words": text("splits.json", '{"train": "all", "test": []}'),
     "no train frame is left": lambda folder: [
         gone(f"masks/{k:06d}.png")(folder) for k in (0, 1, 2, 4, 5)],
-    **{f"splits say {said[:30]}": text("splits.json", said) for said in (
-        "[" * 100_000, '{"train": [NaN], "test": []}', '{"train": [], "test": [1]}',
-        '{"train": [99], "test": []}', '{"train": [0, 1], "test": [1]}',
-        '{"train": "all", "test": []}', "null")},
     "frame is cut": cut(FRAME),
-    "frame is a folder": a_folder(FRAME),
     "frame is of another size": picture(FRAME, (50, 48)),
     "frame claims 100,000 pixels a side": text(FRAME, claims(100_000, 100_000)),
-    "frame is named otherwise": moved(FRAME, "frames/frame2.png"),
-    "frames are missing": gone("frames"),
     "film is text": both(gone("frames"), text("video.mp4", "x")),
     "mask is of another size": picture(MASK, (47, 48), "L"),
     "mask is a .npy of NaN": mask_as_npy(lambda x: x * NAN),
-    "mask is a .npy of objects": mask_as_npy(lambda x: np.array([{}], object)),
     "masks are missing": gone("masks"),
-    "masks are all black": each_mask(lambda x: 0 * x),
     "normals are cut": both(picture("normals/000000.png"), cut("normals/000000.png")),
-    **{f"normals.json says {said[:50]}": both(
-        picture("normals/000000.png"), text("normals.json", said)) for said in (
-        "{", "[]", '{"convention": "mine"}', '{"convention": "icon", "boxes": []}',
-        '{"convention": "icon", "boxes": [[0, 0, NaN, 48]]}')},
-    **{f"prepare.json says {said[:24]}": text("prepare.json", said) for said in (
-        "{", "[]", '{"body": {"vertices": "x"}}')},
+    "normals.json is of no convention": both(
+        picture("normals/000000.png"), text("normals.json", '{"convention": "mine"}')),
+    "prepare.json is cut": text("prepare.json", "["),
 }  # fmt: skip
 
 
@@ -240,32 +202,24 @@ RUNS = {  # what of a run is broken, by the part that the commands of COMMANDS r
     "avatar": {
         "avatar is missing": gone("avatar.npz"),
         "avatar is cut": cut("avatar.npz"),
-        "avatar is a folder": a_folder("avatar.npz"),
         "rest_faces are beyond the vertices": avatar(rest_faces=lambda x: x + 10**6),
-        **{f"{name} is {how}": avatar(**{name: change})
-           for name in ("canonical.means", "canonical.weights", "rest_weights", "rest_joints",
-                        "rest_vertices", "light")
-           for how, change in (("NaN", not_a_number), ("shorter", lambda x: x[:-1]),
-                               ("missing", None), ("text", lambda x: x.astype(str)))},
+        "canonical.means is NaN": avatar(**{"canonical.means": not_a_number}),
+        "rest_joints is shorter": avatar(rest_joints=lambda x: x[:-1]),
+        "light is missing": avatar(light=None),
+        "rest_weights is text": avatar(rest_weights=lambda x: x.astype(str)),
         "an array is unknown": avatar(more=np.zeros(3)),
         "log_scales are huge": avatar(**{"canonical.log_scales": lambda x: 0 * x + 50}),
-        "rest_expression_joints are whole": avatar(
-            rest_expression_joints=lambda x: x.astype(int)),
-        **{f"description is {said[:20]}": avatar(description=said)
-           for said in ("", "{", "[]", "null", "{}", '{"options": "many"}', "[" * 9999)},
+        "description is []": avatar(description="[]"),
+        "description is nested": avatar(description="[" * 9999),
     },
     "poses": {
         "poses are cut": cut("poses.npz"),
         "poses have a NaN": poses(body_pose=not_a_number),
-        "poses are of no frame": poses(transl=np.zeros((0, 3))),
     },
     "records": {
-        "options.json is a folder": a_folder("options.json"),
         "options.json is cut": cut("options.json"),
-        **{f"{name} says {said[:20]}": text(name, said)
-           for name in ("options.json", "metrics.json")
-           for said in ("", "[]", "null", '{"options": 3}', '{"options": {}, "video": 3}',
-                        '{"rows": "x"}', "[" * 100_000, "\ufeff{}", "NaN")},
+        "options.json is null": text("options.json", "null"),
+        "metrics.json is a list": text("metrics.json", "[]"),
     },
     "state": {
         "history is of text": with_arrays("history.npz", loss=np.array(["a"])),
@@ -298,23 +252,3 @@ MOTIONS = {
     "the rate is negative": motion("mocap_framerate", -1),
     "betas are NaN": motion("betas", np.full(10, NAN)),
 }
-QUICK = {
-    "camera is a kilometre away", "T is of 16 bits", "K has a focal length of 1e-30",
-    "transl is one number", "expression is one number", "betas are of nobody",
-    "an array is unknown", "log_scales are huge", "rest_expression_joints are whole",
-    "transl is in millimetres", "frame is missing", "mask is missing", "masks are inverted",
-    "width is an array", "width is NaN", "width is another", "height is missing",
-    "K is of another count", "K has a focal length of zero", "T is mirrored", "cameras are cut",
-    "cameras are a link to themselves", "body_pose is of fewer frames", "body_pose has a NaN",
-    "body_pose is of objects", "betas are huge", "poses are missing",
-    "poses_refined.npz is cut", "splits are no text", "no train frame is left",
-    'splits say {"train": [99], "test": []}', 'splits say {"train": "all", "test": []}',
-    "frame is cut", "frame is of another size", "frame claims 100,000 pixels a side",
-    "frame is named otherwise", "film is text", "mask is of another size", "mask is a .npy of NaN",
-    "masks are missing", "normals are cut", 'normals.json says {"convention": "mine"}',
-    "prepare.json says [", "avatar is missing", "avatar is cut", "canonical.means is NaN",
-    "rest_joints is shorter", "light is missing", "rest_faces are beyond the vertices",
-    "description is []", "poses are cut", "poses have a NaN", "options.json is cut",
-    "options.json says null", "metrics.json says []", "history is of text", "checkpoint is cut",
-    "snapshot is text",
-}  # fmt: skip

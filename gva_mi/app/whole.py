@@ -23,7 +23,7 @@ from typing import Any, Literal
 from gva_mi.app.steps import evaluate, fit, prepare, refine
 from gva_mi.body.smplx import load_body
 from gva_mi.core.atomic import folder_lock, holds_something, require_ours, require_writable
-from gva_mi.core.console import bar, numbered, say
+from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import make_room, read_json, write_json
 from gva_mi.core.options import PictureSide, Seed, options_of
@@ -210,8 +210,7 @@ class StepFolder:
             self._steps[step.name] = {"stamp": made_of, "finished": False}
             self._write()
             begin = time.perf_counter()
-            with numbered(number_of):
-                step.run(same and not finished)
+            step.run(same and not finished)
             say(f"{number_of} {step.name}: {time.perf_counter() - begin:.0f} s")
             self._steps[step.name]["finished"] = True
             self._write()

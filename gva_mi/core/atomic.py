@@ -32,7 +32,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     path = link_target(path)
     unfinished = part_of(path)
     try:
-        with _with_filename(path):
+        with with_filename(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             yield unfinished
             unfinished.replace(path)
@@ -66,7 +66,7 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
     main = Path(main)
     unfinished = main.with_name(f".{main.name}.gva-mi-part")
     try:
-        with _with_filename(main, keep=True):
+        with with_filename(main, keep=True):
             if unfinished.exists():  # left by a killed process
                 shutil.rmtree(unfinished)
             unfinished.mkdir(parents=True)
@@ -81,7 +81,7 @@ def atomic_files(main: Path, *about: str) -> Iterator[Path]:
 
 
 @contextmanager
-def _with_filename(path: Path, keep: bool = False) -> Iterator[None]:
+def with_filename(path: Path, keep: bool = False) -> Iterator[None]:
     """Add a file name to any OSError raised within, and replace or ``keep`` the one it has."""
     try:
         yield
@@ -114,7 +114,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
                 raise InputError(f"{out}: already there; expected a new or an empty folder")
             require_ours(out, replaced)
         try:
-            with _with_filename(out, keep=True):
+            with with_filename(out, keep=True):
                 unfinished.mkdir()
                 yield unfinished
                 if holds_something(out):

@@ -7,24 +7,14 @@ import select
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
 from typing import Protocol, TextIO
 
 
-def complete_streams() -> None:
-    """Make the streams of this process take any text, and open those that are closed.
-
-    A process that was started with ``>&-`` has no ``sys.stdout``, and the first file that it opens
-    gets that number: what a library prints would be written into that file.
-    """
-    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
-        pass
-    os.close(number)
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 (as long as the process)
+def take_any_text() -> None:
+    """Make the streams of this process take any text, also names that are no text in UTF-8."""
+    for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, AttributeError):  # a notebook's stream, or one that began elsewhere
-            getattr(sys, name).reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="backslashreplace")
 
 
 def reader_is_gone(stream: TextIO) -> bool:
@@ -55,31 +45,16 @@ _FORM = (
 )
 
 
-_number: ContextVar[str] = ContextVar("number", default="")
-
-
-@contextmanager
-def numbered(number: str) -> Iterator[None]:
-    """Let bars show which step of a command they belong to, such as 2/6."""
-    token = _number.set(f"{number} ")
-    try:
-        yield
-    finally:
-        _number.reset(token)
-
-
 @contextmanager
 def bar(step: str) -> Iterator[Progress]:
     """Show a progress bar: the step, its share, the time left, and its latest figures."""
     from tqdm import tqdm
 
-    with tqdm(
-        desc=_number.get() + step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5
-    ) as shown:
+    with tqdm(desc=step, bar_format=_FORM, dynamic_ncols=True, mininterval=0.5) as shown:
 
         def progress(done: int, total: int, **figures: float) -> None:
             shown.total = total
-            shown.set_postfix({k: _short(v) for k, v in figures.items()}, refresh=False)
+            shown.set_postfix(figures, refresh=False)
             shown.update(done - shown.n)
 
         yield progress
@@ -90,10 +65,6 @@ def say(line: str) -> None:
     from tqdm import tqdm
 
     tqdm.write(line)
-
-
-def _short(value: float) -> str:
-    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
 
 
 def part_of_progress(

@@ -44,17 +44,11 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     try:
         return _load(path)
     except Refused as error:
-        raise InputError(
-            f"{path}: holds {error}, which is not read because it may run code or is no plain "
-            f"array; expected {expected}"
-        ) from None
+        fault = f"holds {error}, which is not read because it may run code or is no plain array"
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
-        if kind := known_container(path):
-            raise InputError(f"{path}: {kind}; expected {expected}") from None
-        reason = reason_of_read(error)
-        raise InputError(
-            f"{path}: damaged, cut short, or of another kind ({reason}); expected {expected}"
-        ) from None
+        fault = f"damaged, cut short, or of another kind ({reason_of_read(error)})"
+        fault = known_container(path) or fault
+    raise InputError(f"{path}: {fault}; expected {expected}")
 
 
 def _load(path: Path) -> Any:  # noqa: ANN401

@@ -6,13 +6,14 @@ vanishes with the process however that ends.
 
 from __future__ import annotations
 
-import io
 import os
 import pickle
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
+
+from gva_mi.core.atomic import with_filename
 
 KEPT = 1 << 28  # bytes of values that stay in memory
 
@@ -22,7 +23,7 @@ T = TypeVar("T")
 class _OnDisk(NamedTuple):
     """The place of a pickled value."""
 
-    file: io.FileIO
+    file: BinaryIO
     start: int
     size: int
 
@@ -41,7 +42,7 @@ class SpillCache(Mapping[int, T], Generic[T]):
     def __init__(self, folder: Path, kept: int = KEPT) -> None:
         self._folder, self._room = folder, kept
         self._entries: dict[int, T | _OnDisk] = {}
-        self._file: io.FileIO | None = None
+        self._file: BinaryIO | None = None
 
     def __setitem__(self, number: int, value: T) -> None:
         """Add or replace a value; a full disk raises OSError with the folder's name."""
@@ -50,14 +51,11 @@ class SpillCache(Mapping[int, T], Generic[T]):
             self._room -= len(stored)
             self._entries[number] = value
             return
-        try:
-            self._file = self._file or tempfile.TemporaryFile(dir=self._folder, buffering=0)
+        with with_filename(self._folder):
+            self._file = self._file or tempfile.TemporaryFile(dir=self._folder)
             start = self._file.seek(0, os.SEEK_END)
-            left = memoryview(stored)
-            while left:
-                left = left[self._file.write(left) :]
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(self._folder)) from None
+            self._file.write(stored)
+            self._file.flush()
         self._entries[number] = _OnDisk(self._file, start, len(stored))
 
     def __getitem__(self, number: int) -> T:

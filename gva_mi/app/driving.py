@@ -27,7 +27,7 @@ from gva_mi.data.cameras import load_cameras
 from gva_mi.data.film import SEE_THROUGH, require_alpha_codec, write_film
 from gva_mi.data.folder import VIDEO, frame_name
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.pictures import read_background, read_image, write_image
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba

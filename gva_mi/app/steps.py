@@ -22,7 +22,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_room
 from gva_mi.data.fingerprint import PREPARED, prepared_body, require_same_body
 from gva_mi.data.folder import POSES, REFINED_POSES
-from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.importers.own_masks import MaskOptions
 from gva_mi.data.silhouettes import sanity_check
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder

@@ -33,7 +33,7 @@ from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
 from gva_mi.data.importers.footage import files_of
-from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.importers.own_masks import MaskOptions
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.data.problems import CheckReport
 from gva_mi.data.splits import Splits

@@ -11,7 +11,7 @@ from gva_mi import app
 from gva_mi.app import AvatarEffort, DemoOptions
 from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.core.options import Within
-from gva_mi.data.importers.prepare_options import MaskOptions
+from gva_mi.data.importers.own_masks import MaskOptions
 from gva_mi.pose.film.prepare_film import FilmOptions
 
 

@@ -13,7 +13,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, FilmSource, motion_of_film
 
 FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")

@@ -14,12 +14,11 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import FILM, PREPARED
 from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
-from gva_mi.data.importers.prepare import prepare_folder
-from gva_mi.data.importers.prepare_options import PrepareOptions
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
 
-OF_FILMS = ("body", "person", "lens", "masks", "sam_checkpoint")  # of PrepareOptions
+OF_FILMS = ("body", "person", "lens", "masks")  # of PrepareOptions
 _HELP = (
     f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
     f"data set: {', '.join(DATASETS)}; "

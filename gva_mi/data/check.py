@@ -19,7 +19,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.folder import CAMERAS, FRAMES, MASKS, POSES, VIDEO
 from gva_mi.data.ground_truth import read_views
-from gva_mi.data.importers.one_lens import ONE_LENS, seen_alike, usual_lens
+from gva_mi.data.importers.track import ONE_LENS, seen_alike, usual_lens
 from gva_mi.data.pictures import write_image
 from gva_mi.data.problems import CheckReport, Faults, Problem, doubt, error
 from gva_mi.data.silhouettes import LEAST_OVERLAP, compare, draw_sheet

@@ -79,7 +79,9 @@ def read_film(
     chosen, rate, more = _evenly(times, fps or MOST, start, end)
     if not len(chosen):
         last = times[-1] if len(times) else 0.0
-        raise InputError(f"{path}: lasts {last:.3g} s; --start and --end leave no picture of it")
+        raise InputError(
+            f"{path}: lasts {last:.3g} s, and has no picture from {start:g} to {end} s"
+        )
     pictures = _Chosen(source, chosen, side)
     scale = min(1.0, side / min(sizes[0])) if side else 1.0
     recorded, numbers = recorded_35mm(path), tuple(chosen.tolist())

@@ -4,7 +4,7 @@ The person is cropped from every frame (:mod:`gva_mi.pose.evidence`). Stage 1 ge
 and its swapped limbs are fixed (:mod:`gva_mi.pose.swaps`).
 
 Some estimators see a person through another lens in each frame. Such poses jump by metres from
-frame to frame while the person stands still (:mod:`gva_mi.data.importers.one_lens`), and the prior
+frame to frame while the person stands still (:mod:`gva_mi.data.importers.track`), and the prior
 would take that for errors and for motion. So the person is placed before the median lens, where the
 pictures show the same (:func:`before_one_lens`), refined there, and placed back
 (:func:`as_filmed`). The lenses differ by some percent: nothing else in the pictures changes
@@ -28,7 +28,7 @@ from gva_mi.core.cpu import one_thread
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.data.crop import gather
 from gva_mi.data.fingerprint import FILM
-from gva_mi.data.importers.one_lens import is_one_lens, seen_alike
+from gva_mi.data.importers.track import is_one_lens, seen_alike
 from gva_mi.data.video import Outline, Video
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.surface import CoarseBody

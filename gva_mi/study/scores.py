@@ -49,8 +49,7 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.backdrop import alone
 from gva_mi.data.crop import Box, block_means, bounds
 from gva_mi.data.film import Film
-from gva_mi.data.importers.footage import files_of, masks
-from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.importers.footage import files_of, masks, number_in
 from gva_mi.data.pictures import in_8_bits, read_image
 from gva_mi.data.video import Video
 from gva_mi.fit.perceptual import (

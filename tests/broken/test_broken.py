@@ -11,7 +11,7 @@ from samples import broken_cases as cases
 from gva_mi.body.pose import save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.fit import run_folder
 
 NOT_IN_THE_MASKS = {

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import save_poses
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.formats.ply import load_ply
@@ -73,24 +72,10 @@ def test_own_poses_are_neither_turned_nor_resampled(run, turning, cli):
             assert len(file["poses"]) == 6
 
 
-def test_hands_of_pca_components_need_their_body(run, turning, cli):
-    pose, _ = turning(4)
-    names = {"global_orient": pose.rotations[:, 0].numpy(), "transl": pose.transl.numpy(),
-             "body_pose": pose.rotations[:, 1:22].flatten(1).numpy(), "betas": np.zeros(10),
-             "left_hand_pose": np.ones((4, 6)), "right_hand_pose": np.ones((4, 6)),
-             "fps": 30}  # fmt: skip
-    np.savez(run.parent / "pca.npz", **names)
-    given = ("render", run, "--poses", run.parent / "pca.npz", *SMALL, "--out", run.parent / "out")
-    assert "--body with the SMPL-X file whose hands_components they weigh" in cli.fails(*given)
-    with np.load(BUILT_IN_BODY) as file:
-        np.savez(run.parent / "body.npz", **file)
-    assert "and the body's is added" in cli.works(*given, "--body", run.parent / "body.npz")
-
-
 BAD = (
     ({"poses": np.zeros((3, 72))}, "--source-fps of gva-mi motion"),
-    ({"a": np.zeros(3), "fps": 30}, "holds no poses; expected one of poses, pose"),
-    ({"mhr_model_params": np.zeros((3, 204))}, "parameters of MHR"),
+    ({"a": np.zeros(3), "fps": 30}, "holds no poses of one person; expected one of poses, pose"),
+    ({"mhr_model_params": np.zeros((3, 204))}, "found: mhr_model_params"),
 )
 
 

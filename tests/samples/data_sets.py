@@ -4,8 +4,6 @@
 MOVE take to the camera.
 """
 
-import json
-
 import numpy as np
 
 from gva_mi.body.rotations import to_matrices, to_rotvecs
@@ -57,52 +55,4 @@ def zju(folder, thetas, pelvises, *, stem="{:06d}", first=0, cameras=(1,), D=0, 
         "T": [1000 * of[c][2][:, None] for c in cameras],
     }  # fmt: skip
     np.save(folder / "annots.npy", {"cams": cams, "ims": ims})
-    return folder
-
-
-def yaml(path, **matrices_):
-    text = '%YAML:1.0\r\n---\r\nnames:\r\n  - "2"\r\n  - "1"\r\n'
-    for name, x in matrices_.items():
-        x = np.atleast_2d(x)
-        text += f"{name}: !!opencv-matrix\r\n  rows: {x.shape[0]}\r\n  cols: {x.shape[1]}\r\n"
-        text += f"  dt: d\r\n  data: [{', '.join(f'{v:.9f}' for v in x.ravel())}]\r\n"
-    path.write_text(text)
-
-
-def easymocap(folder, people, *, under="smpl", wrap=lambda person: [person], cameras=(1,)):
-    """EasyMocap: equal cameras, and a file of one person a frame; ``people``: Rh, Th and poses."""
-    for k, (shot, (Rh, Th, poses)) in enumerate(
-        zip(shots(), zip(*people, strict=True), strict=True)
-    ):
-        for c in cameras:
-            write_image(folder / f"images/{c}/{k:06d}.jpg", shot)
-            write_image(folder / f"mask/{c}/{k:06d}.png", MASK)
-        person = {"id": 4, "Rh": [Rh.tolist()], "Th": [Th.tolist()], "shapes": [[0.0] * 10],
-                  "poses": [poses.tolist()]}  # fmt: skip
-        (folder / under).mkdir(parents=True, exist_ok=True)
-        (folder / under / f"{k:06d}.json").write_text(json.dumps(wrap(person)))
-    inner, outer = {"K": K - HALF, "dist": np.zeros(5)}, {"Rot": matrices(TURN), "T": MOVE[:, None]}
-    for name, found in (("intri", inner), ("extri", outer)):
-        of_all = {f"{key}_{c}": x for c in cameras for key, x in found.items()}
-        yaml(folder / f"{name}.yml", **of_all)
-    return folder
-
-
-def avatarrex(folder, rotations, roots, pelvises, *, cameras=("22010708",), lost=()):
-    """AvatarReX: equal cameras; ``rotations`` (T, 55, 3) with ``roots`` (T, 3) in the world."""
-    for c in cameras:
-        for k, shot in enumerate(shots()):
-            if k not in lost:
-                write_image(folder / f"{c}/{k:08d}.jpg", shot)
-                write_image(folder / f"{c}/mask/pha/{k:08d}.jpg", MASK)
-    camera = {"K": (K - HALF).ravel().tolist(), "T": MOVE.tolist(),
-              "R": matrices(TURN).ravel().tolist(), "imgSize": [64, 48]}  # fmt: skip
-    (folder / "calibration_full.json").write_text(json.dumps(dict.fromkeys(cameras, camera)))
-    flat = lambda part: rotations[:, part].reshape(FRAMES, -1)
-    np.savez(
-        folder / "smpl_params.npz", betas=np.zeros((1, 10)), global_orient=roots,
-        transl=pelvises - SMPLX, body_pose=flat(slice(1, 22)), jaw_pose=flat(slice(22, 23)),
-        left_hand_pose=flat(slice(25, 40)), right_hand_pose=flat(slice(40, 55)),
-        expression=np.zeros((FRAMES, 10)),
-    )  # fmt: skip
     return folder

@@ -5,12 +5,9 @@ import pickle
 from functools import partial
 
 import numpy as np
-import pytest
 import torch
 
 from gva_mi.body.body_file import BUILT_IN_BODY
-from gva_mi.core.errors import InputError
-from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from samples.data_sets import FRAMES, HEIGHT, SMPL, SMPLX, WIDTH
 from samples.rotations import matrices
 
@@ -18,7 +15,6 @@ CENTRED = lambda f: np.array([[f, 0, WIDTH / 2], [0, f, HEIGHT / 2], [0, 0, 1]])
 LENSES = np.array([  # another one a frame, as of networks that look at a box
     [[300.0 + 10 * k, 0, 30 + k], [0, 310 + 10 * k, 25 - k], [0, 0, 1]] for k in range(FRAMES)
 ])  # fmt: skip
-VIDEO = VideoInfo((WIDTH, HEIGHT))
 
 
 def tensor(x):
@@ -78,33 +74,6 @@ def gvhmr(folder, rotations, transl):
     return folder / "hmr4d_results.pt", "gvhmr, SMPL-X", CENTRED(70), SMPLX + transl
 
 
-def prompthmr(folder, rotations, transl):
-    """Hands and face are at rest, whatever they did."""
-    R = matrices(rotations)
-    R[:, 22:] = np.eye(3)
-    person = {"rotmat": tensor(R), "pose": tensor(flat(rotations, slice(0, 25))),
-              "shape": torch.zeros(FRAMES, 10), "trans": tensor(transl)}  # fmt: skip
-    frames = {"track_id": 3, "frames": np.arange(FRAMES), "bboxes": np.ones((FRAMES, 4))}
-    camera = {"pred_cam_R": R[:, 0], "pred_cam_T": transl, "img_focal": np.float32(70),
-              "img_center": CENTRED(70)[:2, 2]}  # fmt: skip
-    found = {"camera": camera, "people": {3: frames | {"smplx_cam": person}}, "has_tracks": True}
-    source = dumped(folder / "results.pkl", found)
-    return source, "prompthmr, SMPL-X", CENTRED(70), SMPLX + transl
-
-
-def vibe(folder, rotations, transl):
-    """PARE's names, too. A point x is drawn sx (x + tx) half widths from the middle."""
-    K = CENTRED(5000 / 224 * WIDTH)
-    sx = 2 * 5000 / 224 / transl[:, 2]
-    cam = np.stack([sx, sx * WIDTH / HEIGHT, transl[:, 0], transl[:, 1]], axis=1)
-    drawn = (cam[:, :2] * cam[:, 2:] + 1) * [WIDTH / 2, HEIGHT / 2]
-    assert np.allclose(drawn, (K @ transl[..., None])[:, :2, 0] / transl[:, 2:])
-    person = {"pred_cam": np.ones((FRAMES, 3)), "orig_cam": cam, "betas": np.zeros((FRAMES, 10)),
-              "pose": flat(of_smpl(rotations), slice(0, 24)), "bboxes": np.ones((FRAMES, 4)),
-              "verts": np.zeros((FRAMES, 9, 3)), "frame_ids": np.arange(FRAMES)}  # fmt: skip
-    return dumped(folder / "vibe_output.pkl", {1: person}), "vibe, SMPL", K, SMPL + transl
-
-
 def four_d_humans(folder, rotations, transl):
     R, found = matrices(rotations), {}
     for k in range(FRAMES):
@@ -116,26 +85,6 @@ def four_d_humans(folder, rotations, transl):
         }  # fmt: skip
     source = dumped(folder / "PHALP.pkl", found)
     return source, "4dhumans, SMPL", CENTRED(5000 / 256 * WIDTH), SMPL + transl
-
-
-def pymafx(folder, rotations, transl):
-    R = matrices(rotations)
-    body = np.concatenate([R[:, :22], np.eye(3) + np.zeros((FRAMES, 2, 3, 3))], axis=1)
-    batch = lambda rows: {
-        "shape": torch.zeros(len(rows), 10), "body_pose": tensor(body[rows]),
-        "left_hand_pose": tensor(R[rows, 25:40]), "right_hand_pose": tensor(R[rows, 40:]),
-        "jaw_pose": tensor(R[rows, 22:23]), "leye_pose": tensor(R[rows, 23:24]),
-        "reye_pose": tensor(R[rows, 24:25]), "expression": torch.zeros(len(rows), 10),
-    }  # fmt: skip
-    output = {
-        "orig_cam": np.ones((FRAMES, 4)), "orig_cam_t": transl, "frame_ids": np.arange(FRAMES),
-        "person_ids": ["p0"] * FRAMES, "smplx_params": [batch([0, 1, 2]), batch([3, 4])],
-    }  # fmt: skip
-    short = dumped(folder / "short.pkl", output | {"smplx_params": output["smplx_params"][:1]})
-    with pytest.raises(InputError, match="'body_pose' has 3 rows for 5 frame_ids"):
-        read_estimator("pymafx", short, VIDEO)
-    source = dumped(folder / "output.pkl", output)
-    return source, "pymafx, SMPL-X", CENTRED(5000), SMPLX + transl, rotations, 55
 
 
 def hybrik(folder, rotations, transl, joints=24):
@@ -152,22 +101,6 @@ def hybrik(folder, rotations, transl, joints=24):
     form, joints = ("SMPL", 22) if joints == 24 else ("SMPL-X", 55)
     source = dumped(folder / "res.pk", res)
     return source, f"hybrik, {form}, 5 frames", K, transl, rotations, joints
-
-
-def tram(folder, rotations, transl):
-    track = {
-        "pred_cam": torch.zeros(FRAMES, 3), "pred_pose": torch.zeros(FRAMES, 144),
-        "pred_shape": torch.zeros(FRAMES, 10), "frame": torch.arange(FRAMES),
-        "pred_rotmat": tensor(matrices(of_smpl(rotations))), "pred_trans": tensor(transl[:, None]),
-    }  # fmt: skip
-    (folder / "run/hps").mkdir(parents=True)
-    np.save(folder / "run/hps/hps_track_0.npy", track)
-    with pytest.raises(InputError, match="camera.npy: no such file; expected img_focal"):
-        read_estimator("auto", folder / "run", VIDEO)
-    camera = {"pred_cam_R": np.eye(3), "img_focal": 70.0, "img_center": np.array([30.0, 25.0])}
-    np.save(folder / "run/camera.npy", camera)
-    K = np.array([[70, 0, 30], [0, 70, 25], [0, 0, 1.0]])
-    return folder / "run", "tram, SMPL", K, SMPL + transl
 
 
 def romp(folder, rotations, transl, form):
@@ -195,51 +128,6 @@ def romp(folder, rotations, transl, form):
     return folder / "out", "romp, SMPL", K, SMPL + transl, rotations, 22, "--person", person
 
 
-def multihmr(folder, rotations, places):
-    order = [*range(22), *range(25, 55), 22]
-    for k in range(FRAMES):
-        person = {
-            "scores": torch.tensor(0.9), "transl": torch.zeros(3), "shape": torch.zeros(10),
-            "transl_pelvis": tensor(places[k][None]), "rotvec": tensor(rotations[k, order]),
-        }  # fmt: skip
-        far = person | {"transl_pelvis": tensor(places[k][None] + 3), "rotvec": torch.zeros(53, 3)}
-        dumped(folder / f"out/frame_{k}.pkl", [person] if k == 0 else [far, person])
-    rotations = rotations.copy()
-    rotations[:, 23:25] = 0  # it has no eyes
-    K = CENTRED(WIDTH / 2 / np.tan(np.pi / 6))
-    return folder / "out", "multihmr, SMPL-X", K, places, rotations, 55, "--person", "0"
-
-
-def smplifyx(folder, rotations, transl, components=0, body=None):
-    """Fingers are axis-angle, or so many components of the PCA of a body's file."""
-    random = np.random.default_rng(0)
-    hands = [random.normal(0, 0.3, (FRAMES, components or 45)) for _ in "lr"]
-    for k in range(FRAMES):
-        row = lambda part, k=k: rotations[k, part].reshape(1, -1).astype("f4")
-        result = {
-            "camera_rotation": np.eye(3)[None], "camera_translation": transl[k : k + 1],
-            "betas": np.zeros((1, 10), "f4"), "global_orient": row(slice(0, 1)),
-            "body_pose": row(slice(1, 22)) if body is None else body,
-            "left_hand_pose": hands[0][k : k + 1], "right_hand_pose": hands[1][k : k + 1],
-            "jaw_pose": row(slice(22, 23)), "leye_pose": row(slice(23, 24)),
-            "reye_pose": row(slice(24, 25)), "expression": np.zeros((1, 10), "f4"),
-        }  # fmt: skip
-        dumped(folder / f"out/results/img_{k:04d}/000.pkl", result)
-    if not components:
-        return folder / "out", "", CENTRED(90), SMPLX + transl, rotations, 22, "--focal", 90
-    with pytest.raises(InputError, match=r"must be \(T, 45\).*--body with the SMPL-X file.*\(5, "):
-        read_estimator("auto", folder / "out", VIDEO)
-    with np.load(BUILT_IN_BODY) as file:
-        arrays = dict(file)
-    np.savez(folder / "body.npz", **arrays)
-    fingers = [c @ arrays[f"hands_components{s}"][:components] + arrays[f"hands_mean{s}"]
-               for c, s in zip(hands, "lr", strict=True)]  # fmt: skip
-    rotations = rotations.copy()
-    rotations[:, 25:] = np.concatenate(fingers, axis=1).reshape(FRAMES, 30, 3)
-    given = (rotations, 55, "--body", folder / "body.npz")
-    return folder / "out", "smplifyx, SMPL-X", CENTRED(5000), SMPLX + transl, *given
-
-
 def smplerx(folder, rotations, transl):
     (folder / "run/smplx").mkdir(parents=True)
     for k in range(FRAMES):
@@ -256,56 +144,15 @@ def smplerx(folder, rotations, transl):
     return folder / "run", "smplerx, SMPL-X", CENTRED(80), *expected
 
 
-def frame_of_osx(rotations, transl, fork=False):
-    flat = lambda part: rotations[part].ravel().tolist()
-    left, right = ("left_hand_pose", "right_hand_pose") if fork else ("lhand_pose", "rhand_pose")
-    return {
-        "root_pose": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)), left: flat(slice(25, 40)),
-        right: flat(slice(40, 55)), "jaw_pose": flat(slice(22, 23)),
-        "betas" if fork else "shape": [0.0] * 10, "expression" if fork else "expr": [0.0] * 10,
-        "translation" if fork else "trans": np.asarray(transl).tolist(),
-    }  # fmt: skip
-
-
-def without_hands(kind, folder, K, roots, transl, betas=(0.0,) * 10):
-    """A person of SMPLer-X or OSX whose root (n, 3) turns alone, before lenses (n, 3, 3)."""
+def without_hands(folder, K, roots, transl, betas=(0.0,) * 10):
+    """A person of SMPLer-X whose root (n, 3) turns alone, before lenses (n, 3, 3)."""
     for k, (lens, root, place) in enumerate(zip(K, roots, transl, strict=True), 1):
         about = {"focal": lens[[0, 1], [0, 1]].tolist(), "princpt": lens[:2, 2].tolist()}
-        if kind == "osx":
-            person = {"root_pose": root.tolist(), "body_pose": [0.0] * 63, "shape": list(betas),
-                      "trans": place.tolist()}  # fmt: skip
-            written(folder / f"{k}_0.json", {"smplx_param": person, "cam_param": about})
-            continue
         written(folder / f"meta/{k:05d}_0.json", about)
         (folder / "smplx").mkdir(exist_ok=True)
         np.savez(folder / f"smplx/{k:05d}_0.npz", global_orient=root[None], transl=place[None],
                  body_pose=np.zeros((21, 3)), betas=np.array(betas)[None])  # fmt: skip
     return folder
-
-
-def osx(folder, rotations, transl):
-    """In every second frame somebody else comes first, who is farther away and aside."""
-    for k, K in enumerate(LENSES):
-        cam = {"focal": [K[0, 0], K[1, 1]], "princpt": [K[0, 2], K[1, 2]]}
-        people = [frame_of_osx(rotations[k], transl[k])]
-        if k % 2:
-            people.insert(0, frame_of_osx(rotations[k], transl[k] + (2.0, 0.0, 3.0)))
-        for i, person in enumerate(people):
-            written(folder / f"o/{k}_{i}.json", {"smplx_param": person, "cam_param": cam})
-    expected = SMPLX + transl, with_mean_hands(rotations), 55
-    return folder / "o", "osx, SMPL-X, 5 frames of 64x48", LENSES, *expected
-
-
-def fork_of_smplest_x(folder, rotations, transl):
-    """A run a picture, named by it, and a folder a person."""
-    for k, K in enumerate(LENSES):
-        run = folder / f"o/inference_output_20250604_20374{k}_frame{k}/person_0"
-        person = frame_of_osx(rotations[k], transl[k], fork=True)
-        written(run / "smplx_params_person_0.json", person | {"mesh": [[0.0, 0.0, 0.0]]})
-        written(run / "smplx_shapes_person_0.json", {"bbox_id": 0})
-        camera = {"focal_length": [K[0, 0], K[1, 1]], "principal_point": [K[0, 2], K[1, 2]]}
-        written(run / "camera_metadata.json", camera | {"camera_translation": [0, 0, 0]})
-    return folder / "o", "osx, SMPL-X", LENSES, SMPLX + transl, with_mean_hands(rotations), 55
 
 
 def named(rotations, transl, **more):
@@ -321,7 +168,7 @@ def parameters(folder, rotations, transl):
              "right_hand_pose": flat(rotations, slice(40, 55)),
              "jaw_pose": flat(rotations, slice(22, 23))}  # fmt: skip
     np.savez(folder / "p.npz", **named(rotations, transl, **hands))
-    given = (rotations, 23, "--focal", 70)
+    given = (rotations, 23, "--lens", 70)
     return folder / "p.npz", "parameters, SMPL-X", CENTRED(70), SMPLX + transl, *given
 
 
@@ -357,11 +204,9 @@ def scaled(folder, rotations, transl, name, key):
 
 
 WRITTEN = {f.__name__: f for f in (
-    wham, gvhmr, prompthmr, vibe, four_d_humans, pymafx, hybrik, tram, multihmr, smplifyx, smplerx,
-    osx, fork_of_smplest_x, parameters, parameters_a_frame, parameters_of_smpl,
+    wham, gvhmr, four_d_humans, hybrik, smplerx, parameters, parameters_a_frame, parameters_of_smpl,
 )} | {f"romp {form}": partial(romp, form=form) for form in ("frames", "video", "bev")} | {
     "hybrik of SMPL-X": partial(hybrik, joints=55),
-    "smplifyx with PCA": partial(smplifyx, components=12),
     "body_scale": partial(scaled, name="transl", key="body_scale"),
     "scale": partial(scaled, name="translation", key="scale"),
 }  # fmt: skip

@@ -9,9 +9,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
-from gva_mi.data.importers.prepare import prepare_folder
-from gva_mi.data.importers.prepare_options import PrepareOptions
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
 from samples import data_sets as filmed
 from samples.estimates import WRITTEN
@@ -50,15 +49,9 @@ def importers():
         network = NormalNetwork(folder / "a.onnx", NormalsSpec("icon", (16, 16)))
         network.see(np.full((24, 32, 3), 99, np.uint8), mask, np.array([8.0, 4, 24, 20]))
 
-    people = (*filmed.about_origin(thetas, places), thetas)
     return {
-        **{name: estimated(name) for name in ("wham", "gvhmr", "smplerx", "tram", "osx")},
+        **{name: estimated(name) for name in ("wham", "gvhmr", "smplerx")},
         "romp": estimated("romp frames"),
         "zju": prepared("zju", lambda f: filmed.zju(f, thetas, places, cameras=(1, 2), D=0.01)),
-        "easymocap": prepared(
-            "easymocap", lambda f: filmed.easymocap(f, people, cameras=(1, 2))),
-        "avatarrex": prepared(
-            "avatarrex", lambda f: filmed.avatarrex(
-                f, rotations, rotations[:, 0], places, cameras=("1", "2"))),
         "onnx": (lambda folder: onnx_file(folder / "a.onnx", (16, 16)), read_onnx),
     }  # fmt: skip

@@ -20,7 +20,7 @@ from gva_mi.body.smplx import load_body
 from gva_mi.data.film import write_film
 from gva_mi.data.fingerprint import fingerprint, require_same_body
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.splat.formats.ply import load_ply, save_ply

@@ -1,12 +1,14 @@
-"""Convert the files of pose estimators to tracks: one record for each estimator.
+"""Pose estimators: :data:`KINDS` says where each program's files keep which array, and its meaning.
 
-``docs/sources.md`` lists their files. Root rotation and translation are in the camera's axes. The
-focal length that an estimator assumed is kept, because its translations hold with that one only.
+Another estimator is another record. ``docs/sources.md`` lists the files. Root rotation and
+translation are in the camera's axes. The focal length that an estimator assumed is kept, because
+its translations hold with that one only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,17 +16,35 @@ from typing import Any
 import numpy as np
 
 from gva_mi.body.pose import SMPLX_FIELDS
+from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.data.importers import estimator_files as files
-from gva_mi.data.importers import frame_files as frames
-from gva_mi.data.importers import people_files as people
-from gva_mi.data.importers.estimator_files import SeenPerson, any_holds, holds
-from gva_mi.data.importers.lens import centred, rescaled
-from gva_mi.data.importers.spellings import OTHERS, is_numbers, named_rows
-from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.tracks import Track, make_track
+from gva_mi.core.files import read_json
+from gva_mi.core.pickles import read_objects
+from gva_mi.data.importers.body_arrays import (
+    OTHERS,
+    NamedArrays,
+    holds_pose,
+    is_numbers,
+    one_object,
+    unnested,
+)
+from gva_mi.data.importers.footage import frame_numbers, frames_named
+from gva_mi.data.importers.lens import CAMERA, centred, pinhole_K, rescaled
+from gva_mi.data.importers.people import Arrays, Row, SeenPerson, followed, stacked
+from gva_mi.data.importers.track import (
+    PELVIS,
+    TargetBody,
+    Track,
+    listed_names,
+    make_track,
+)
 
-FAR_FOCAL = 5000.0  # pixels, of estimators that assume that a person stands far away
+_PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
+_OF_BEV = re.compile(r"__\d+_[\d.]+$")  # what BEV adds to a picture's name
+_OF_SMPLERX = re.compile(r"(\d+)_(\d+)\.npz")  # frame and person
+_OF_SMPLX = (*SMPLX_FIELDS, "transl", "betas", "expression")
+# From the pelvis to the middle of the hips at rest, metres: BEV's translations are of the latter.
+_TO_HIPS = np.array([0.0, -0.09, -0.01])
 
 
 @dataclass(frozen=True)
@@ -36,10 +56,7 @@ class VideoInfo:
     body: TargetBody | None = None  # that poses are converted to
 
 
-Arrays = Mapping[str, Any]  # (n, ...) each
-Lens = Callable[[str, Arrays, VideoInfo], np.ndarray]  # where, arrays → K (3, 3) or (n, 3, 3)
-# Our name: the file's name, or that name and a slice of joints. "betas?" may be missing.
-Names = Mapping[str, "str | tuple[str, slice]"]
+People = Iterable[SeenPerson]
 
 
 @dataclass(frozen=True)
@@ -48,13 +65,13 @@ class Estimator:
 
     expects: str  # for messages
     recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
-    people: Callable[[str, Any], Iterable[SeenPerson]]
-    lens: Lens = lambda where, arrays, info: arrays["K"]  # noqa: E731 (by default, the file's own)
-    names: Names = field(default_factory=dict)  # none: the names of fields.py
+    people: Callable[[str, Any], People]  # where, what a file holds
+    # Our name: the file's name; "betas?" may be missing. Empty: any names of body_arrays.
+    arrays: Mapping[str, str] = field(default_factory=dict)
+    # Where, arrays of a person: K (3, 3) or (n, 3, 3). By default it is the file's own.
+    lens: Callable[[str, Arrays, VideoInfo], np.ndarray] = lambda where, arrays, info: arrays["K"]  # noqa: E731
     of_pelvis: bool = False  # its translation is the pelvis's position
     mean_hand: bool = False  # fingers are relative to the mean hand
-    # Tracks of the camera in the world of its path; None where the file says no path.
-    along_path: Callable[[Any, list[Track]], list[Track] | None] | None = None
     needs_video: bool = False  # places follow from an assumed lens: it is no motion on its own
     up: str | None = "-y"  # the axis of its people that is up; None: any
     # The number that it gives the first frame; None: that of the picture, by its name.
@@ -66,56 +83,257 @@ class Estimator:
         for person in self.people(where, found):
             at = f"{where}: person {person.name}"
             K = np.asarray(self.lens(at, person.arrays, info), np.float64)
-            given = self._named(person.arrays)
+            given, notes = self._named(person.arrays)
             track = make_track(at, person.name, person.frames, given, K, info.body, self.of_pelvis)
-            mean = track.from_mean_hand or (self.mean_hand and track.has_hands)
-            notes = (*track.notes, *self._left_out(person.arrays))
-            track = replace(track, from_mean_hand=mean, notes=notes)
+            mean = self.mean_hand and track.has_hands
+            track = replace(track, from_mean_hand=mean, notes=(*track.notes, *notes))
             tracks.append(track.where(np.unique(track.frames, return_index=True)[1]))
         return tracks
 
-    def _named(self, arrays: Arrays) -> Arrays:
-        """Return the arrays under the names of fields.py."""
-        given = {} if self.names else dict(arrays)
-        for ours, theirs in self.names.items():
-            theirs, joints = theirs if isinstance(theirs, tuple) else (theirs, slice(None))
-            key = theirs.removesuffix("?")
-            if key in arrays or not theirs.endswith("?"):
-                given[ours] = arrays[key] if joints == slice(None) else arrays[key][:, joints]
-        return given
-
-    def _left_out(self, arrays: Arrays) -> list[str]:
-        """Return a note on arrays of numbers that :attr:`names` do not name."""
-        named = {(x[0] if isinstance(x, tuple) else x).rstrip("?") for x in self.names.values()}
-        rest = [k for k, x in arrays.items() if k not in OTHERS | named and is_numbers(x)]
-        rest = rest if self.names else []
-        return [f"not used of the source: {', '.join(sorted(rest))}"] if rest else []
+    def _named(self, found: Arrays) -> tuple[Arrays, list[str]]:
+        """Return the arrays under our names, and a note on numbers that are not used."""
+        if not self.arrays:
+            return found, []
+        names = {ours: theirs.rstrip("?") for ours, theirs in self.arrays.items()}
+        optional = {ours for ours, theirs in self.arrays.items() if theirs.endswith("?")}
+        rest = [k for k, x in found.items() if k not in {*OTHERS, *names.values()}]
+        rest = sorted(k for k in rest if is_numbers(found[k]))
+        notes = [f"not used of the source: {listed_names(rest)}"] if rest else []
+        given = names.items()
+        return {k: found[x] for k, x in given if x in found or k not in optional}, notes
 
 
-def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
+    """Read the people in an estimator's file or folder, and return them with its kind.
+
+    ``kind`` is one of :data:`KINDS`, or "auto". Nothing in the file is executed.
+    """
+    found = read_source(source)
+    kind = kind_of(found) or "" if kind == "auto" else kind
+    if not kind:
+        known = "; ".join(f"{name}: {record.expects}" for name, record in KINDS.items())
+        raise InputError(f"{source}: of no known kind, holds {_contents(found)}; expected {known}")
+    record = KINDS[kind]
+    if not record.recognises(found):
+        raise InputError(
+            f"{source}: not of the kind {kind}, holds {_contents(found)}; expected {record.expects}"
+        )
+    with expecting(f"{source} (of the kind {kind})", record.expects):
+        return kind, record.tracks(str(source), found, info)
+
+
+def kind_of(found: Any) -> str | None:  # noqa: ANN401
+    """Return which of :data:`KINDS` wrote a file (its content) or folder (its path), or None."""
+    return next((name for name, record in KINDS.items() if record.recognises(found)), None)
+
+
+def read_source(source: Path, expected: str = "what a pose estimator wrote") -> Any:  # noqa: ANN401
+    """Read a file's content; for a folder, return its path."""
+    return source if source.is_dir() else one_object(read_objects(source, expected))
+
+
+def read_named(path: Path, expected: str) -> dict:
+    """Read a file's content as a dictionary."""
+    found = read_source(path, expected)
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: holds {_contents(found)}, and no names; expected {expected}")
+    return found
+
+
+def files_in(found: Any, pattern: str = "*") -> list[Path]:  # noqa: ANN401
+    """Return a folder's files of a pattern, sorted by name."""
+    paths = found.glob(pattern) if isinstance(found, Path) else ()
+    return sorted(path for path in paths if path.suffix in _PICKLED)
+
+
+def first_of(found: Any) -> Any:  # noqa: ANN401
+    """Return the content of a folder's first file, or of a file that is already read."""
+    if not isinstance(found, Path):
+        return found
+    files = files_in(found)
+    try:
+        return read_source(files[0]) if files else None
+    except InputError:
+        return None
+
+
+def holds(found: Any, *names: str) -> bool:  # noqa: ANN401
+    """Whether a file's content has all these names; "a|b" is either of two."""
+    return isinstance(found, Mapping) and all(
+        any(name in found for name in either.split("|")) for either in names
+    )
+
+
+def _contents(found: Any) -> str:  # noqa: ANN401
+    """Describe in a few words what a file or a folder holds."""
+    if isinstance(found, Path):
+        return f"files such as {listed_names(sorted(path.name for path in found.iterdir())[:4])}"
+    if isinstance(found, Mapping):
+        return listed_names([f"{name!s:.40}" for name in found]) or "nothing"
+    shape = f" {found.shape}" if isinstance(found, np.ndarray) else ""
+    return f"one {type(found).__name__}{shape} without names"
+
+
+# The layouts of files: what they hold becomes people.
+
+
+def _person_in(name: str) -> Callable[[str, dict], People]:
+    """Return a reader of one person, whose arrays lie under ``name``; with GVHMR's lens."""
+    return lambda where, found: [
+        SeenPerson("0", None, {**found[name], "K": found.get("K_fullimg")})
+    ]
+
+
+def _by_person(pose: str) -> Callable[[str, dict], People]:
+    """Return a reader of a dictionary by people, of those who have a ``pose``."""
+
+    def people(where: str, found: dict) -> People:
+        for name, person in found.items():
+            if holds(person, pose) and person[pose] is not None:
+                ids = person.get("frame_ids", person.get("frame_id"))
+                numbers = np.arange(len(person[pose])) if ids is None else frame_numbers(ids)
+                yield SeenPerson(str(name), numbers, person)
+
+    return people
+
+
+def _has_one(found: Any, *names: str) -> bool:  # noqa: ANN401
+    """Whether one of a file's people, or frames, has all these names, the first not as None."""
+    whole = isinstance(found, Mapping)
+    return whole and any(holds(x, *names) and x[names[0]] is not None for x in found.values())
+
+
+def _by_picture(where: str, found: dict) -> People:
+    """Read HybrIK's person, whose frames are known by the pictures' names."""
+    yield SeenPerson("0", frames_named(np.ravel(found["img_path"])), found)
+
+
+def _phalp(where: str, found: dict) -> People:
+    """Read PHALP's dictionary by frames, with lists of people; those that it tracks count."""
+    rows: list[Row] = []
+    for k, name in enumerate(sorted(found)):
+        frame = found[name]
+        number, tracked = int(frame.get("time", k)), frame.get("tracked_ids", frame["tid"])
+        tracked = {int(i) for i in tracked}
+        for person, smpl, camera in zip(frame["tid"], frame["smpl"], frame["camera"], strict=False):
+            if int(person) in tracked:
+                some = {key: smpl[key] for key in ("global_orient", "body_pose", "betas")}
+                rows.append((str(int(person)), number, some | {"camera": camera}))
+    return stacked(where, rows)
+
+
+def _romp(where: str, found: Any) -> People:  # noqa: ANN401
+    """Read ROMP's and BEV's people by track id; without ids, track the nearest person."""
+    frames = [(number, r) for number, r in _romp_frames(found) if len(r["smpl_thetas"])]
+    named = all("track_ids" in r for _, r in frames)
+    rows = (
+        (
+            str(np.ravel(r["track_ids"])[k]) if named else None,
+            number,
+            {key: r[key][k] for key in ("smpl_thetas", "smpl_betas", "cam_trans")},
+        )
+        for number, r in frames
+        for k in range(len(r["smpl_thetas"]))
+    )
+    people = stacked(where, rows) if named else followed(where, rows, "cam_trans")
+    for person in people:
+        x = person.arrays
+        if x["smpl_betas"].shape[1] == 11:  # BEV, whose place is that of the hips
+            R = to_matrices(x["smpl_thetas"][:, :3])
+            x["cam_trans"] = x["cam_trans"] - R @ _TO_HIPS - np.array(PELVIS["SMPL"])
+        x["smpl_betas"] = x["smpl_betas"][:, :10]
+    return people
+
+
+def _romp_frames(found: Any) -> list[tuple[int, dict]]:  # noqa: ANN401
+    """Return number and result of each frame: of a video's file, or of a file a frame."""
+    if isinstance(found, Path) and (found / "video_results.npz").is_file():
+        found = read_named(found / "video_results.npz", "ROMP's results of a video")
+    if isinstance(found, Path):
+        read = lambda path: one_object(read_named(path, "ROMP's results of a frame")["results"])
+        named = {path.stem: read(path) for path in files_in(found)}
+    else:
+        results = one_object(found["results"])
+        if "smpl_thetas" in results:
+            return [(0, results)]
+        named = {Path(str(name)).stem: result for name, result in results.items()}
+    numbers = frames_named([_OF_BEV.sub("", name) for name in named]).tolist()
+    return sorted(zip(numbers, named.values(), strict=True), key=lambda frame: frame[0])
+
+
+def _is_romp(found: Any) -> bool:  # noqa: ANN401
+    first = first_of(found)
+    return holds(first, "results") and isinstance(one_object(first["results"]), dict)
+
+
+def _smplerx_files(found: Any) -> list[tuple[str, int, Path]]:  # noqa: ANN401
+    """Return person, frame and file of each ``smplx/00001_0.npz``."""
+    inner = isinstance(found, Path) and (found / "smplx").is_dir()
+    files = files_in(found / "smplx" if inner else found, "*.npz")
+    matches = ((path, _OF_SMPLERX.fullmatch(path.name)) for path in files)
+    return sorted((match[2], int(match[1]), path) for path, match in matches if match)
+
+
+def _smplerx(where: str, found: Path) -> People:
+    """Read SMPLer-X's files: one per frame and person, the lens under that name in ``meta/``.
+
+    It numbers the people of each frame anew, in the order of its detector.
+    """
+    rows: list[Row] = []
+    for _, frame, path in _smplerx_files(found):
+        arrays = read_named(path, "SMPL-X's parameters of one frame")
+        about = path.parent.parent / "meta" / path.with_suffix(".json").name
+        with expecting(about, CAMERA):
+            lens = read_json(about, CAMERA)
+            K = pinhole_K(np.reshape(lens["focal"], 2), np.reshape(lens["princpt"], 2))
+        arrays = {name: x for name, x in arrays.items() if name in _OF_SMPLX}
+        rows.append((None, frame, arrays | {"K": K}))
+    return followed(where, rows, "transl")
+
+
+def _parameters(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
+    """Read one person from a file, or from one file per frame, by :mod:`.body_arrays`."""
+    if isinstance(found, dict):
+        found = unnested(found)
+        if NamedArrays(where, found).find("transl") is None:
+            raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
+        yield SeenPerson("0", None, found)
+        return
+    files = files_in(found)
+    each = [unnested(read_named(path, "a body's parameters by name")) for path in files]
+    numbers = [k for k, x in each[0].items() if np.asarray(x).dtype.kind in "fiu"]
+    rows = [{k: frame[k] for k in numbers if k in frame} for frame in each]
+    frames = frames_named(files).tolist()
+    yield from stacked(found, (("0", k, row) for k, row in zip(frames, rows, strict=True)))
+
+
+# The lenses that estimators assume.
+
+
+def _no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     return np.eye(3)
 
 
-def focal_of(rule: Callable[[VideoInfo], float]) -> Lens:
-    """Return the centred lens that an estimator assumed; its focal length depends on the video."""
-    return lambda where, arrays, info: centred(rule(info), info.size)
-
-
-def lens_of_wham(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+def _lens_of_wham(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     return centred(np.ravel(arrays.get("focal_length", np.hypot(*info.size)))[0], info.size)
 
 
-def lens_of_hybrik(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+def _lens_of_phalp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+    return centred(5000 / 256 * max(info.size), info.size)
+
+
+def _lens_of_hybrik(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     """Return HybrIK's lens for each person's box, rescaled from its picture size to the video's."""
-    box, sizes = arrays["bbox"], zip(arrays["width"], arrays["height"], strict=True)
+    box = np.reshape(arrays["bbox"], (-1, 4))
+    sizes = (np.broadcast_to(np.ravel(arrays[name]), len(box)) for name in ("width", "height"))
     widths = 1000 / 256 * (box[:, 2] - box[:, 0])
     return np.stack([
         rescaled(where, centred(f, of), of, info.size)
-        for f, of in zip(widths, sizes, strict=True)
+        for f, *of in zip(widths, *sizes, strict=True)
     ])  # fmt: skip
 
 
-def lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
+def _lens_of_romp(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     """Return ROMP's lens: it pads pictures to a square, whose centre is rounded to whole pixels."""
     side = max(info.size)
     K = centred(443.4 / 512 * side, info.size)
@@ -134,135 +352,83 @@ def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     names = ("focal", "focal_length", "focal_l")
     focal = next((x for name in names if (x := arrays.get(name)) is not None), info.focal)
     if focal is None:
-        raise InputError(f"{where}: says no camera (K, or focal); give --focal, in pixels")
+        raise InputError(f"{where}: says no camera (K, or focal); give --lens, such as 26mm")
     focal = np.ravel(np.asarray(focal, np.float64))
     if not focal.size or not (focal > 0).all():
         raise InputError(f"{where}: 'focal' must be one number above 0, or (T,); got {focal}")
     return np.stack([centred(f, info.size) for f in focal])
 
 
-def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
-    """Read a file or folder of ``kind`` (or "auto"); return the kind and a track per person."""
-    found = files.read_source(source, "what a pose estimator wrote, a .pkl, .pt, .npy or .npz, or "
-                              "its folder")  # fmt: skip
-    if isinstance(found, np.ndarray) and not found.dtype.hasobject:
-        found = named_rows(source, found)
-    files.refuse_mhr(source, files.first_of(found))
-    kind = kind_of(found) or "" if kind == "auto" else kind
-    if not kind:
-        known = "; ".join(f"{name}: {record.expects}" for name, record in KINDS.items())
-        raise InputError(f"{source}: of no kind that is known; looked for {known}")
-    record = KINDS[kind]
-    if not record.recognises(found):
-        raise InputError(f"{source}: not of the kind {kind}; expected {record.expects}")
-    with expecting(f"{source} (of the kind {kind})", record.expects):
-        return kind, record.tracks(str(source), found, info)
-
-
-def kind_of(found: Any) -> str | None:  # noqa: ANN401
-    """Return which of :data:`KINDS` wrote a file (its content) or folder (its path), or None."""
-    return next((name for name, record in KINDS.items() if record.recognises(found)), None)
-
-
-_MULTI_HMR_ANGLE = np.radians(60.0 / 2)  # half of what the longer side is seen under
-_PYMAFX = {  # the root stands before the body, and SMPL's mittens after it
-    "global_orient": ("body_pose", slice(0, 1)), "body_pose": ("body_pose", slice(1, 22)),
-    "left_hand_pose": "left_hand_pose", "right_hand_pose": "right_hand_pose",
-    "jaw_pose": "jaw_pose", "leye_pose": "leye_pose", "reye_pose": "reye_pose",
-    "betas": "shape", "expression": "expression?", "transl": "orig_cam_t",
-}  # fmt: skip
-_MULTIHMR = {  # joints: the root, 21 of the body, both hands relative to the flat ones, the jaw
-    "global_orient": ("rotvec", slice(0, 1)), "body_pose": ("rotvec", slice(1, 22)),
-    "left_hand_pose": ("rotvec", slice(22, 37)), "right_hand_pose": ("rotvec", slice(37, 52)),
-    "jaw_pose": ("rotvec", slice(52, 53)), "betas": "shape", "expression": "expression?",
-    "transl": "transl_pelvis",
-}  # fmt: skip
-_SMPLIFYX = {name: f"{name}?" for name in (*SMPLX_FIELDS, "betas", "expression")}
-
 KINDS: dict[str, Estimator] = {
     "wham": Estimator(
         "people with pose, trans and frame_ids",
-        lambda x: any(any_holds(x, "pose", "trans", key) for key in ("frame_ids", "frame_id")),
-        people.wham, lens_of_wham, {"pose": "pose", "transl": "trans", "betas": "betas?"},
-    ),
-    "prompthmr": Estimator(
-        "people with smplx_cam, and a camera",
-        lambda x: people.of_prompthmr(x, "smplx_cam"), people.prompthmr("smplx_cam"),
-    ),
-    "vibe": Estimator(
-        "people with pose, orig_cam and frame_ids",
-        lambda x: any_holds(x, "pose", "orig_cam", "frame_ids"), people.vibe,
-        focal_of(lambda info: people.FAR_SHARE * info.size[0]),
-        {"pose": "pose", "transl": "place", "betas": "betas?"}, needs_video=True,
+        lambda x: _has_one(x, "pose", "trans", "frame_ids|frame_id"),
+        _by_person("pose"),
+        {"poses": "pose", "transl": "trans", "betas": "betas?"},
+        _lens_of_wham,
     ),
     "gvhmr": Estimator(
         "smpl_params_incam and K_fullimg",
-        lambda x: holds(x, "smpl_params_incam", "K_fullimg"), people.gvhmr("smpl_params_incam"),
+        lambda x: holds(x, "smpl_params_incam", "K_fullimg"),
+        _person_in("smpl_params_incam"),
     ),
     "4dhumans": Estimator(
         "frames with tid, smpl and camera",
-        lambda x: any_holds(x, "tid", "smpl", "camera"), people.phalp,
-        focal_of(lambda info: 5000 / 256 * max(info.size)),
+        lambda x: _has_one(x, "tid", "smpl", "camera"),
+        _phalp,
         {"global_orient": "global_orient", "body_pose": "body_pose", "betas": "betas",
          "transl": "camera"},
+        _lens_of_phalp,
         needs_video=True,
-    ),
-    "pymafx": Estimator(
-        "smplx_params, orig_cam_t and frame_ids",
-        lambda x: holds(x, "smplx_params", "orig_cam_t", "frame_ids"), people.pymafx,
-        focal_of(lambda info: FAR_FOCAL), _PYMAFX, needs_video=True,
     ),
     "hybrik": Estimator(
         "pred_thetas, pred_cam_root and bbox",
-        lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"), people.hybrik, lens_of_hybrik,
-        {"pose": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"}, of_pelvis=True,
-        needs_video=True, first=1,
-    ),
-    "tram": Estimator(
-        "a folder with hps/hps_track_0.npy and camera.npy",
-        lambda x: bool(people.tram_files(x)), people.tram,
-        names={"pose": "pred_rotmat", "transl": "pred_trans", "betas": "pred_shape"},
-        along_path=people.along_path, up=None,
+        lambda x: holds(x, "pred_thetas", "pred_cam_root", "bbox"),
+        _by_picture,
+        {"poses": "pred_thetas", "transl": "pred_cam_root", "betas": "pred_betas"},
+        _lens_of_hybrik,
+        of_pelvis=True,
+        needs_video=True,
+        first=1,
     ),
     "romp": Estimator(
-        "results with smpl_thetas and cam_trans", frames.is_romp, frames.romp, lens_of_romp,
-        {"pose": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"}, first=None,
-    ),
-    "multihmr": Estimator(
-        "a folder with people of rotvec and transl_pelvis, a file a frame",
-        frames.is_multihmr, frames.multihmr,
-        focal_of(lambda info: info.focal or max(info.size) / 2 / np.tan(_MULTI_HMR_ANGLE)),
-        _MULTIHMR, of_pelvis=True, first=None,
-    ),
-    "smplifyx": Estimator(
-        "a folder with results/000/000.pkl with camera_translation",
-        frames.is_smplifyx, frames.smplifyx, focal_of(lambda info: info.focal or FAR_FOCAL),
-        _SMPLIFYX | {"transl": "camera_translation"}, mean_hand=True, needs_video=True, first=None,
+        "results with smpl_thetas and cam_trans",
+        _is_romp,
+        _romp,
+        {"poses": "smpl_thetas", "transl": "cam_trans", "betas": "smpl_betas"},
+        _lens_of_romp,
+        first=None,
     ),
     "smplerx": Estimator(
         "a folder with smplx/00001_0.npz and meta/00001_0.json",
-        lambda x: bool(frames.smplerx_files(x)), frames.smplerx, mean_hand=True, first=1,
-    ),
-    "osx": Estimator(
-        "a folder with 12_0.json of smplx_param and cam_param",
-        frames.is_osx, frames.osx, mean_hand=True, first=None,
+        lambda x: bool(_smplerx_files(x)),
+        _smplerx,
+        mean_hand=True,
+        first=1,
     ),
     "parameters": Estimator(
         "global_orient, body_pose and transl by name, in a file or one a frame",
-        frames.is_parameters, frames.parameters, lens_by_name, up=None, first=None,
+        lambda x: holds_pose(unnested(first_of(x))),
+        _parameters,
+        lens=lens_by_name,
+        up=None,
+        first=None,
     ),
 }  # fmt: skip
 WORLDS = {  # of people in the estimator's own world
     "wham": Estimator(
-        "people with pose_world", people.is_wham_world, people.wham_world, no_lens,
-        {"pose": "pose_world", "transl": "trans_world?", "betas": "betas?"}, up="y",
-    ),
-    "prompthmr": Estimator(
-        "people with smplx_world", lambda x: people.of_prompthmr(x, "smplx_world"),
-        people.prompthmr("smplx_world"), no_lens, up="y",
+        "people with pose_world",
+        lambda x: _has_one(x, "pose_world"),
+        _by_person("pose_world"),
+        {"poses": "pose_world", "transl": "trans_world?", "betas": "betas?"},
+        _no_lens,
+        up="y",
     ),
     "gvhmr": Estimator(
-        "smpl_params_global", lambda x: holds(x, "smpl_params_global"),
-        people.gvhmr("smpl_params_global"), no_lens, up="y",
+        "smpl_params_global",
+        lambda x: holds(x, "smpl_params_global"),
+        _person_in("smpl_params_global"),
+        lens=_no_lens,
+        up="y",
     ),
-}  # fmt: skip
+}

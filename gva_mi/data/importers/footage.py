@@ -1,16 +1,17 @@
-"""Read pictures and masks from a film, a folder in any numbering, or an array."""
+"""Read pictures and masks from a film, a folder or an array; and the numbers of their frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
 from gva_mi.data.film import decoded, open_film, pixels_of, steps_of
-from gva_mi.data.importers.numbering import by_number
 from gva_mi.data.masks import MaskMeaning, meaning_of
 from gva_mi.data.pictures import matte_of_pixels, read_image
 
@@ -53,7 +54,7 @@ def files_of(source: Pictures) -> list[Path] | None:
     files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
     if not files:
         raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
-    return sorted(files, key=by_number)
+    return sorted(files, key=_by_number)
 
 
 def folder_of(source: Pictures) -> Path:
@@ -80,7 +81,7 @@ def mask_meaning(source: Pictures) -> MaskMeaning:
 def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a name for errors and the values (H, W) of each mask."""
     whole = isinstance(source, Path)
-    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=by_number)):
+    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_by_number)):
         for path in files:
             yield str(path), _stack(path, read_array(path)[None])[0]
     elif whole and source.suffix == ".npy" and source.is_file():
@@ -137,3 +138,82 @@ def varying(steps: np.ndarray, tick: float) -> str | None:
         return None
     least, most = 1000 * steps.min(), 1000 * steps.max()
     return f"the film's rate varies: its pictures are {least:.3g} to {most:.3g} ms apart"
+
+
+def _numbers_in(name: object) -> list[int]:
+    """Return the numbers in a file's name, without its suffix, from the last to the first."""
+    return [int(x) for x in re.findall(r"\d+", Path(str(name)).stem)[::-1]]
+
+
+def number_in(name: object) -> int:
+    """Return the last number in a file's name, usually the frame number.
+
+    Raises:
+        ValueError: there is none.
+    """
+    for number in _numbers_in(name):
+        return number
+    raise ValueError(f"no number in the name '{name}'")
+
+
+def frames_named(names: Sequence[object]) -> np.ndarray:
+    """Return the frame numbers (n,) in the names of n files.
+
+    It is the last number that differs between all of them, so that ``walk_2_000001_v3`` is 1.
+
+    Raises:
+        ValueError: a name has no number.
+    """
+    last = [number_in(name) for name in names]
+    columns = zip(*map(_numbers_in, names), strict=False)
+    different = (x for x in columns if len(set(x)) == len(set(map(str, names))))
+    return np.array(next(different, last))
+
+
+def first_number(
+    frames: np.ndarray, count: int, usual: int | None, pictures: Sequence[object] | None
+) -> int:
+    """Return the number that a source gave the first of ``count`` frames.
+
+    Args:
+        frames: (n,) the source's numbers.
+        count: of the video.
+        usual: the number that the program begins with; None: that of the pictures it was given.
+        pictures: their names in order; None for a film.
+    """
+    fits = range(int(frames.max()) - count + 1, int(frames.min()) + 1)
+    if usual is None and pictures is not None:
+        try:
+            named = frames_named(pictures)
+            usual = int(named[0]) if np.isin(frames, named).all() else None
+        except ValueError:
+            usual = None
+    guesses = (usual or 0, 0, 1, *(fits if len(fits) == 1 else ()))
+    return next((x for x in guesses if x in fits and x >= 0), 0)
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    """Return a sort key: frame_2 before frame_10, names without a number first."""
+    return (*_numbers_in(path)[:1], -1)[0], path.name
+
+
+def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
+    """Convert an array in a file to frame numbers (n,).
+
+    Raises:
+        ValueError: they are not whole numbers.
+    """
+    numbers = np.ravel(value).astype(np.float64)
+    if not (np.isfinite(numbers) & (numbers == np.floor(numbers))).all():
+        raise ValueError("frames must be numbered by whole numbers")
+    return numbers.astype(int)
+
+
+def counted_from_0(names: Sequence[object], first: int = 0) -> list[int]:
+    """Return the numbers in names of frames, counted from 0.
+
+    They count from 0 or 1 if the least of them is that, and else from ``first``.
+    """
+    numbers = [number_in(name) for name in names]
+    start = min(numbers, default=0)
+    return [number - (start if start in (0, 1) else first) for number in numbers]

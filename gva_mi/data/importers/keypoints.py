@@ -26,7 +26,7 @@ import numpy as np
 from gva_mi.body.pose import SIDES
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
-from gva_mi.data.importers.numbering import counted_from_0
+from gva_mi.data.importers.footage import counted_from_0
 from gva_mi.data.landmarks import Landmarks, hand_names
 
 _EXPECTED = "keypoints of OpenPose, MMPose or AlphaPose (.json)"

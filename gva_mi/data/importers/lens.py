@@ -8,27 +8,30 @@ Photographs (EXIF) and films of some phones (a QuickTime key) record the equival
 Sensors are 4:3 or 3:2. Wider pictures, such as 16:9, are cut from one of 4:3 whose longer side they
 show whole: its diagonal counts, 5/4 of that side. What stabilisation cuts off is not recorded: a
 phone's film has a focal length up to a fifth longer than eq. 1.
+
+FFmpeg reads the keys of a QuickTime film, but not those of its tracks, where phones record the
+lens. A film is boxes in boxes, each its size, four letters, and contents. ``moov``, and each
+``trak`` in it, may hold a ``meta`` with two lists: ``keys`` has names, ``ilst`` values, each under
+the number of its name (Apple, *QuickTime File Format*, "Metadata").
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import mmap
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from gva_mi.body.rotations import shortest
 from gva_mi.core.errors import MALFORMED, InputError
-from gva_mi.core.files import read_json
 from gva_mi.core.options import Within
 from gva_mi.data.importers.footage import Pictures, files_of
-from gva_mi.data.importers.one_lens import is_one_lens, seen_alike
-from gva_mi.data.importers.quicktime import numbers
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.track import Track, is_one_lens, seen_alike
 from gva_mi.data.pictures import opened
 
 RECORDED = "recorded"  # in the place of a focal length: what the file says
@@ -42,26 +45,15 @@ _DIAGONAL = 43.27  # mm of 36 x 24
 _WIDEST = 1.6  # longer over shorter side of a whole sensor's picture
 _QUICKTIME = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 _EXIF, _IN_35MM = 0x8769, 41989  # the photograph's tags among the file's, and the one
+# Types of QuickTime's whole numbers, of any number of bytes: signed, unsigned.
+_SIGNED, _UNSIGNED = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
+_TEXT, _FLOATS = 1, {23: ">f", 24: ">d"}
 
 
 def pinhole_K(focal: object, centre: object) -> np.ndarray:
     """Return K (3, 3) of a focal length, or two (fx, fy), and a principal point, pixels."""
     (fx, fy), (cx, cy) = np.broadcast_to(np.ravel(focal), 2), np.ravel(centre)
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-
-
-def lens_of(path: Path) -> np.ndarray:
-    """Read K (3, 3) from a JSON file."""
-    return lens_in(path, read_json(path, CAMERA))
-
-
-def lens_in(where: object, about: Mapping[str, Any]) -> np.ndarray:
-    """Return K (3, 3) of ``focal`` and ``princpt``, or of the names in a fork of SMPLest-X."""
-    try:
-        named = (("focal", "focal_length"), ("princpt", "principal_point"))
-        return pinhole_K(*(np.reshape(about.get(a, about.get(b)), 2) for a, b in named))
-    except (TypeError, ValueError, AttributeError):
-        raise InputError(f"{where}: expected {CAMERA}") from None
 
 
 def centred(focal: float, size: tuple[int, int]) -> np.ndarray:
@@ -104,6 +96,8 @@ def filmed_with(
             f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
         ]
     focal = asked_for(given, known, size)
+    if is_one_lens(track.K) and focal == assumed:
+        return track, []
     moved = f"people stand {focal / assumed:.3g} times as far away"
     K = centred(focal, size)
     if is_one_lens(track.K):  # else the axes are those of crops
@@ -116,7 +110,7 @@ def filmed_with(
 def through_lens(track: Track, K: np.ndarray) -> Track:
     """Adapt a track to the lens K (3, 3) if the estimator assumed another one, or one a frame.
 
-    The person keeps place and size in the picture (:mod:`.one_lens`), and turns with the ray on
+    The person keeps place and size in the picture (:mod:`.track`), and turns with the ray on
     which the pelvis is seen, so that the camera sees the same side (as CLIFF, Li et al. 2022,
     separates the turn of a crop from that of the person).
     """
@@ -143,7 +137,7 @@ def recorded_35mm(source: Pictures) -> float | None:
     """Return the 35 mm focal length (mm) that the film or first picture records, if it does."""
     files, found = files_of(source), 0.0
     if files is None:
-        found = numbers(source).get(_QUICKTIME, 0)
+        found = quicktime_numbers(source).get(_QUICKTIME, 0)
     else:
         with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):
             found = float(image.getexif().get_ifd(_EXIF).get(_IN_35MM, 0))  # or readable without
@@ -208,3 +202,62 @@ def undistort(
         return found.reshape(image.shape)
 
     return undistorted
+
+
+def quicktime_numbers(path: Path) -> dict[str, float]:
+    """Return the keys whose values are numbers; none for a file that is no QuickTime film.
+
+    The film's own keys win over those of its tracks, and the first track's over the others'.
+    """
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+            with memoryview(held) as view:
+                moov = next((bytes(box) for kind, box in _boxes(view) if kind == b"moov"), b"")
+        tracks = [box for kind, box in _boxes(moov) if kind == b"trak"]
+        metas = [dict(_boxes(holder)).get(b"meta", b"") for holder in (moov, *tracks)]
+        found = [_numbers(bytes(meta)) for meta in metas]
+    except (OSError, ValueError, struct.error):
+        return {}
+    return {key: value for one in reversed(found) for key, value in one.items()}
+
+
+def _boxes(held: bytes | memoryview) -> Iterator[tuple[bytes, bytes | memoryview]]:
+    """Yield letters and contents of the boxes in a box, up to the first damaged one."""
+    at = 0
+    while at + 8 <= len(held):
+        size, kind = struct.unpack_from(">I4s", held, at)
+        head = 8
+        if size == 1 and at + 16 <= len(held):  # a long box: its size comes after the letters
+            size, head = struct.unpack_from(">Q", held, at + 8)[0], 16
+        if size < head or at + size > len(held):
+            return
+        yield kind, held[at + head : at + size]
+        at += size
+
+
+def _numbers(meta: bytes) -> dict[str, float]:
+    """Return the numbers of one ``meta`` box by their keys."""
+    if meta[4:8] != b"hdlr":  # as in MPEG-4, where four bytes come before
+        meta = meta[4:]
+    lists = dict(_boxes(meta))
+    names = [name.decode("utf-8", "replace") for _, name in _boxes(lists.get(b"keys", b"")[8:])]
+    found = {}
+    for place, item in _boxes(lists.get(b"ilst", b"")):
+        number = struct.unpack(">I", place)[0]
+        value = _value(dict(_boxes(item)).get(b"data", b""))
+        if value is not None and 1 <= number <= len(names):
+            found[names[number - 1]] = value
+    return found
+
+
+def _value(data: bytes) -> float | None:
+    """Return the number in a ``data`` box, after type and language; None without one."""
+    kind, value = int.from_bytes(data[:4], "big"), data[8:]
+    if kind in _SIGNED or kind in _UNSIGNED:
+        return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))
+    try:
+        if kind in _FLOATS:
+            return struct.unpack(_FLOATS[kind], value)[0]
+        return float(value) if kind == _TEXT else None
+    except (ValueError, struct.error):
+        return None

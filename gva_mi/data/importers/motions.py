@@ -5,13 +5,14 @@ Facts about the files are from the public descriptions of AMASS (nghorbani/amass
 metres, or in centimetres with ``smpl_scaling``; a frame rate under several names; NaN where markers
 were lost; angles of more than half a turn; and any axis may be up.
 
-An estimator's motion is in world axes if the estimator gives them or the camera's path; else in
-camera axes, and then the camera is assumed to stand still. A lens of its own in each frame becomes
+An estimator's motion is in world axes if the estimator gives them; else in camera axes, and then
+the camera is assumed to stand still. A lens of its own in each frame becomes
 one usual lens: :mod:`.one_lens`. Estimators whose file does not say the lens are refused.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,9 +24,10 @@ from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import SIDES, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.data.folder import POSES, REFINED_POSES
-from gva_mi.data.importers.estimator_files import first_of, holds, read_source, refuse_mhr
+from gva_mi.data.importers.body_arrays import plain_name, unnested
+from gva_mi.data.importers.bvh import read_bvh
 from gva_mi.data.importers.estimators import (
     KINDS,
     WORLDS,
@@ -33,26 +35,39 @@ from gva_mi.data.importers.estimators import (
     VideoInfo,
     kind_of,
     lens_by_name,
+    read_source,
 )
-from gva_mi.data.importers.frame_rate import FPS, rate_of
-from gva_mi.data.importers.hand_merge import merge_hands
-from gva_mi.data.importers.joint_fit import joints_track
-from gva_mi.data.importers.joint_motion import RATE, joints_in
+from gva_mi.data.importers.joints import RATE, joints_in, joints_track
 from gva_mi.data.importers.lens import through_lens
-from gva_mi.data.importers.mosh import from_mosh
-from gva_mi.data.importers.one_lens import is_one_lens, usual_lens
 from gva_mi.data.importers.people import choose
 from gva_mi.data.importers.retarget import bvh_track
-from gva_mi.data.importers.spellings import named_rows, unnested
-from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.tracks import Track, interpolate, make_track, median_betas
-from gva_mi.data.importers.world import LEANS, UP, Upward, upright
+from gva_mi.data.importers.track import (
+    TargetBody,
+    Track,
+    interpolate,
+    is_one_lens,
+    make_track,
+    median_betas,
+    usual_lens,
+)
+from gva_mi.data.importers.world import LEANS, UP, Axis, Upward, upright
 
-HANDS = ("relaxed", "flat")
 EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
 MOST_FRAMES = 1_000_000  # of one motion, after resampling
+LONGEST_GAP = 1.0  # seconds in a row without numbers that are still interpolated
+FPS = Within(0.001, 10_000)  # frames a second
 FrameRate = Annotated[float, FPS]
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
+AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
 _SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
+_MOSH = {  # of MoSh++ (SOMA), or of MoSh before: AMASS's names
+    "fullpose": "poses", "trans": "trans", "betas": "betas", "expression": "expression",
+    "pose_est_fullposes": "poses", "pose_est_trans": "trans", "shape_est_betas": "betas",
+    "pose_est_exprs": "expression",
+}  # fmt: skip
+_MOSH_DETAILS = "stageii_debug_details"  # of MoSh++: frame rate and settings
+_MOSH_BETAS = 10  # of a body of which the settings say nothing
+_ROWS = {(72,), (156,), (165,), (24, 3), (52, 3), (55, 3)}  # of a .npy, or matrices by joint
 
 
 @options_of("motion")
@@ -62,22 +77,10 @@ class MotionOptions:
     fps: FrameRate = 25.0  # frames a second of the poses; gva-mi render plays 25
     # Frames a second of the source; without it, what its file says.
     source_fps: FrameRate | None = None
-    up: Literal["auto", "x", "-x", "y", "-y", "z", "-z"] = "auto"  # the source's axis that is up
-    # Where the source has none, relaxed or flat; or a file or folder of a hand estimator, such as
-    # HaMeR or WiLoR.
-    hands: str = "relaxed"
-    place: Literal["start", "source"] = "start"  # the pelvis in the first frame: at rest's place
-    # Seconds in a row without numbers that are still interpolated.
-    gap: Annotated[float, Within(0, 3600, "low")] = 1.0
+    up: Literal["auto"] | Axis = "auto"  # the source's axis that is up
+    hands: PythonOnly[Literal["relaxed", "flat"]] = "relaxed"  # where the source has none
     # The estimator's name of one of several people; without it, the person seen longest.
     person: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.hands not in HANDS and not Path(self.hands).exists():
-            raise InputError(
-                f"motion: --hands must be {' or '.join(HANDS)}, or hands found by another "
-                f"program; got {self.hands}, which is no file"
-            )
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,6 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     """Read a motion; turn it upright, fill its gaps, resample it.
 
     ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
-    Components of a PCA weigh the hands of ``body``.
     """
     body = body.for_source(path)
     return _resampled(str(path), *_read(path, body, options), body, options)
@@ -103,8 +105,6 @@ def motion_of_poses(
     where: str, pose: Pose, shape: Shape, fps: float, body: TargetBody, options: MotionOptions
 ) -> Motion:
     """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
-    if options.hands not in HANDS:
-        raise InputError(f"{where}: --hands of a file are for motions of files; films have hands")
     body = replace(body, of_source=True)
     named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
     named["betas"] = shape.betas.double().numpy()
@@ -117,15 +117,10 @@ def _resampled(
     options: MotionOptions,
 ) -> Motion:  # fmt: skip
     """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its form's own axis."""
-    if options.hands not in HANDS:
-        start = int(track.frames.min() == 1)  # of SMPLer-X
-        counted = replace(track, frames=track.frames - start)
-        track, more = merge_hands(counted, Path(options.hands), body.mean_hands)
-        track = replace(track, notes=(*track.notes, *more))
     rotations, others, known = _timeline(where, track.with_flat_hands(body.mean_hands))
     notes = list(track.notes)
     if not known.all():
-        _check_gaps(where, known, rate, options)
+        _check_gaps(where, known, rate)
         notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
     if track.from_mean_hand:
         notes.append("fingers are relative to the mean hand, and the body's is added")
@@ -157,27 +152,25 @@ def _resampled(
     betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
     expression, of_face = body.expression(track.form, expression)
     notes = [*notes, *varied, *of_face]
-    own = betas if body.keeps_betas(track.form) else betas * 0
-    pelvis = places[0] if options.place == "start" else body.pelvises(body.form, own)
     notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
                     f"now {count} at {options.fps:g}, y up")  # fmt: skip
     shape = Shape(torch.from_numpy(betas.astype(np.float32)))
-    return Motion(Pose.of_arrays(rotations, places - pelvis, expression), shape, tuple(notes))
+    return Motion(Pose.of_arrays(rotations, places - places[0], expression), shape, tuple(notes))
 
 
 def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:
     """Read one person's track, frames per second, and the form's own up axis."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
-        track, fps = bvh_track(path, body)
-        return track, rate_of(where, {"fps": fps}, options.source_fps), None
-    found = from_mosh(read_source(path, EXPECTED))
+        clip = read_bvh(path)
+        rate = rate_of(where, {"fps": 1 / clip.frame_time}, options.source_fps)
+        return bvh_track(path, clip, body), rate, None
+    found = _from_mosh(read_source(path, EXPECTED))
     if (places := joints_in(path, found, options.person)) is not None:
         rate = options.source_fps or RATE
         return joints_track(places, rate, body.joints), rate, None
-    refuse_mhr(where, first_of(found))
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
-        found = named_rows(path, found)
+        found = _named_rows(path, found)
     if not isinstance(found, dict | Path) or not found:
         raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
     world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
@@ -191,12 +184,7 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
         hint = f"; its motion is {path / poses[0]}" if poses else ""
         raise InputError(
             f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "
-            "AIST++'s .pkl, or the folder of TRAM, ROMP, BEV, Multi-HMR, SMPLer-X or OSX" + hint
-        )
-    if holds(found, "pred_rotmat", "pred_trans"):
-        raise InputError(
-            f"{path}: one person of TRAM without its camera; give the folder with hps/ and "
-            "camera.npy"
+            "AIST++'s .pkl, or the folder of ROMP, BEV or SMPLer-X" + hint
         )
     found = unnested(found)
     K = lens_by_name(where, found, VideoInfo((1000, 1000), 1.0))
@@ -204,6 +192,63 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
     track = _before_one_lens(make_track(where, "0", None, found, K, body))
     own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
     return track, rate_of(where, found, options.source_fps), own
+
+
+def _from_mosh(found: Any) -> Any:  # noqa: ANN401
+    """Return the arrays of MoSh's second stage, ``*_stageii.pkl``, under AMASS's names.
+
+    Its settings say how many of the coefficients were used. Anything else is returned as it is.
+    """
+    if not isinstance(found, Mapping) or not {_MOSH_DETAILS, "pose_est_fullposes"} & set(found):
+        return found
+    details = found.get(_MOSH_DETAILS, found)
+    settings = details.get("cfg", details.get("ps"))
+    model = settings.get("surface_model", settings) if isinstance(settings, Mapping) else {}
+    renamed = {ours: found[name] for name, ours in _MOSH.items() if name in found}
+    rate = details.get("mocap_frame_rate", details.get("mocap_framerate"))
+    renamed |= {} if rate is None else {"mocap_frame_rate": rate}
+    counts = {"betas": model.get("num_betas", _MOSH_BETAS)}
+    counts["expression"] = model.get("num_expressions")
+    for name, count in counts.items():
+        if name in renamed and isinstance(count, int):
+            renamed[name] = renamed[name][..., :count]
+    return renamed
+
+
+def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return an array without names as poses, where its shape says that it holds them."""
+    shape = rows.shape[1:]
+    if shape not in _ROWS and not (shape[1:] == (3, 3) and shape[0] in (22, 24, 52, 55)):
+        raise InputError(
+            f"{where}: an array {rows.shape} without names, which could be any parameters in any "
+            "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
+        )
+    return {"poses": rows}
+
+
+def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
+    """Return a motion's frames per second: the ``given`` ones, or what its arrays say.
+
+    120.00004 becomes 120.
+    """
+    if given is not None:
+        return given
+    found = {plain_name(name): x for name, x in found.items()}
+    name = next((name for name in RATES if name in found), None)
+    if name is None and "scaling" in found:
+        return AIST_RATE
+    if name is None:
+        raise InputError(
+            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps of "
+            "gva-mi motion"
+        )
+    try:
+        rate = float(np.ravel(found[name])[0])
+    except (ValueError, TypeError, IndexError):
+        rate = np.nan
+    if rate not in FPS:
+        raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
 
 
 def _estimated(
@@ -219,12 +264,8 @@ def _estimated(
     with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
         # Of the size of its pictures nothing is known, nor of a lens that follows from it.
         tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, body))
-        axes = "in the axes of its world"
-        if record is not WORLDS.get(kind):
-            placed = record.along_path(found, tracks) if record.along_path else None
-            standing = "in the axes of the camera, which is taken to stand still"
-            axes = standing if placed is None else "in the world of its camera's path"
-            tracks = tracks if placed is None else placed
+        axes = "in the axes of the camera, which is taken to stand still"
+        axes = "in the axes of its world" if record is WORLDS.get(kind) else axes
         track, chosen = choose(str(path), tracks, person, None)
     return _before_one_lens(track, f"{kind}, {axes}", *chosen)
 
@@ -258,13 +299,13 @@ def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndar
     return rotations, others, np.isfinite(rotations).all((1, 2)) & np.isfinite(others).all(1)
 
 
-def _check_gaps(where: str, known: np.ndarray, rate: float, options: MotionOptions) -> None:
+def _check_gaps(where: str, known: np.ndarray, rate: float) -> None:
     if not known.any():
         raise InputError(f"{where}: every frame holds a number that is not finite")
     edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
     gap = (edges[1::2] - edges[::2]).max(initial=0) / rate
-    if gap > options.gap:
+    if gap > LONGEST_GAP:
         raise InputError(
             f"{where}: {gap:.3g} s in a row without numbers, in frames "
-            f"{listed(np.flatnonzero(~known))}; --gap {options.gap:g} of gva-mi motion allows less"
+            f"{listed(np.flatnonzero(~known))}; expected at most {LONGEST_GAP:g} s"
         )

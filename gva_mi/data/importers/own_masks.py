@@ -1,22 +1,42 @@
-"""Masks of a film that its user brings: in the place of those found here, or beside them."""
+"""Masks that a user brings: of another program, or by Segment Anything.
+
+They take the place of those that are found here, or stand beside them (:class:`WithMasks`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.console import Progress
+from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
+from gva_mi.core.options import options_of
 from gva_mi.data.folder import frame_name
 from gva_mi.data.importers import footage
 from gva_mi.data.masks import BARELY, require_person
+from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 
 CERTAIN = 0.95  # probability of certainty: no witness is believed beyond it
-HELD = 0.5  # share of such pixels that lie in the masks, at least, in most frames
+HELD = 0.5  # share of certain pixels, or of the person's points, that a mask holds at least
 SHAPE = 0.01  # largest relative difference of a mask's width by height from the film's
+
+
+@options_of("prepare")
+class MaskOptions:
+    """Masks that come from another program."""
+
+    # Masks of the person: a film, a folder of pictures, or a .npy (T, H, W), one for each frame.
+    # Or a folder of Segment Anything or SAM 2 as transformers saves it, which makes the masks. A
+    # film and a data set have masks without it.
+    masks: Path | None = None
+
+    def mask_network(self) -> SegmentAnything | None:
+        """Return the network that makes the masks, read before any work is done."""
+        named = self.masks is not None and (self.masks / "config.json").is_file()
+        return SegmentAnything.load(self.masks) if named else None
 
 
 def write_own_masks(
@@ -76,6 +96,43 @@ def _in_size(where: str, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     if (width, height) == size:
         return mask
     return np.asarray(Image.fromarray(mask).resize(size, Image.Resampling.BOX))
+
+
+def write_masks(
+    folder: Path,
+    network: SegmentAnything,
+    picture: Callable[[int], np.ndarray],
+    prompts: Sequence[Prompt | None],
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write masks into a folder, each guided by the mask before; return notes.
+
+    ``picture`` gives a frame (H, W, 3) 8-bit. A frame without a prompt gets no mask.
+    """
+    before: MaskGuess | None = None
+    none, doubtful = [], []
+    for k, prompt in enumerate(prompts):
+        if prompt is not None:
+            before = network.find(picture(k), prompt, before)
+        if prompt is None or not before.mask.any():
+            before = None
+            none.append(k)
+        else:
+            write_image(folder / frame_name(k), before.mask * np.uint8(255))
+            x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
+            if before.mask[y, x].mean() < HELD:
+                doubtful.append(k)
+        if progress:
+            progress(k + 1, len(prompts))
+    if len(none) == len(prompts):
+        raise InputError(
+            f"{folder}: Segment Anything found nobody in any frame; are the poses of this video, "
+            "and the weights those of Segment Anything?"
+        )
+    notes = [f"frames where the network found nobody: {listed(none)}"] if none else []
+    if doubtful:
+        notes.append(f"masks that hold less than half of the person's points: {listed(doubtful)}")
+    return notes
 
 
 class WithMasks(Sequence[np.ndarray]):

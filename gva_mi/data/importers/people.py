@@ -7,22 +7,52 @@ against, and does not win by number of frames.
 A joint of a track is seen at ``K (p + place of the joint relative to the pelvis)``, with p the
 pelvis's place. Places relative to the pelvis are those of any body in the track's rotations: limbs
 are wider than the error that this makes.
+
+A file's single frames are joined to people by name, or because each continues as the nearest.
+
+Joints also tell a segmentation network where the person is, by a box and points: :func:`prompt_at`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from gva_mi.body.pose import BODY
+from gva_mi.body.pose import BODY, JOINTS
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.track import Track, seen_alike, usual_lens
 from gva_mi.data.masks import BARELY
+from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.silhouettes import count_in_mask, joints_in_world
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
 MOSTLY = 0.5  # of the joints: clothes and an estimate that errs leave most in the person's mask
+ROOM = 0.05  # of the longer side of the joints' box, round it
+HEAD = 1.3  # from the head's joint to its top, in lengths from neck to head
+NEAR = 0.12  # of that side: others' points nearer than this to a joint are left out
+_NECK, _HEAD = JOINTS.index("neck"), JOINTS.index("head")
+_PAIRS = [  # points are in the middle of these joints
+    (JOINTS.index(a), JOINTS.index(b))
+    for a, b in (
+        ("pelvis", "pelvis"), ("spine2", "spine2"), ("neck", "head"), ("head", "head"),
+        ("left_hip", "left_knee"), ("right_hip", "right_knee"),
+    )
+]  # fmt: skip
+
+Arrays = Mapping[str, Any]  # (n, ...) each, under the file's own names
+Row = tuple[str | None, int, Arrays]  # person, frame, arrays of one frame
+
+
+@dataclass(frozen=True)
+class SeenPerson:
+    """One person's arrays in a file, under the file's own names."""
+
+    name: str  # the estimator's name of them
+    frames: np.ndarray | None  # (n,) frame numbers; None: 0 to n − 1
+    arrays: Arrays  # (n, ...) each
 
 
 def choose(
@@ -122,6 +152,51 @@ def pixels_by_frame(
     return dict(zip(track.frames.tolist(), pixels, strict=True))
 
 
+def stacked(where: object, rows: Iterable[Row]) -> list[SeenPerson]:
+    """Stack single frames to people; an array of one frame may have a leading axis of 1."""
+    people: dict[str, list[tuple[int, Arrays]]] = {}
+    for person, frame, arrays in rows:
+        people.setdefault(person, []).append((frame, arrays))
+    found = []
+    for person, seen in people.items():
+        names = dict.fromkeys(name for _, arrays in seen for name in arrays)
+        arrays = {name: [_of_frame(x[name]) for _, x in seen if name in x] for name in names}
+        for name, values in arrays.items():
+            if len(values) < len(seen) or len({x.shape for x in values}) > 1:
+                raise InputError(f"{where}: '{name}' is not of one shape in all frames")
+        frames = np.array([frame for frame, _ in seen])
+        found.append(SeenPerson(person, frames, {k: np.stack(x) for k, x in arrays.items()}))
+    return found
+
+
+def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
+    array = np.asarray(value)
+    return array[0] if array.ndim > 1 and len(array) == 1 else array
+
+
+def followed(where: object, rows: Iterable[Row], place: str) -> list[SeenPerson]:
+    """Track people without ids: each continues as the nearest, by ``place``, in the next frame.
+
+    People with a lens of their own, K, are compared before one.
+    """
+    by_frame: dict[int, list[Arrays]] = {}
+    for _, number, person in rows:
+        by_frame.setdefault(number, []).append(person)
+    frames = sorted(by_frame.items())
+    everyone = [person for _, people in frames for person in people]
+    places = np.array([np.ravel(person[place]) for person in everyone]).reshape(-1, 3)
+    if everyone and "K" in everyone[0]:
+        K = np.stack([person["K"] for person in everyone])
+        places = seen_alike(places, K, usual_lens(K))
+    ends = np.cumsum([len(people) for _, people in frames])[:-1]
+    names = follow(np.split(places, ends))
+    return stacked(where, (
+        (name, number, person)
+        for (number, people), row in zip(frames, names, strict=True)
+        for name, person in zip(row, people, strict=True)
+    ))  # fmt: skip
+
+
 def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
     """Track people without ids: each continues the nearest person of earlier frames.
 
@@ -144,3 +219,50 @@ def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
             last[chosen[i]] = place
         names.append([str(chosen[i]) for i in range(len(found))])
     return names
+
+
+def prompts_of(
+    track: Track, others: Sequence[Track], joints: np.ndarray, size: tuple[int, int]
+) -> list[Prompt | None]:
+    """Return a prompt for each frame of a track; None if the person is outside the picture.
+
+    Frames are the video's; ``joints`` are (55, 3) of a body at rest, metres; ``size`` is (W, H).
+    """
+    theirs = [pixels_by_frame(other, joints, 55) for other in others]
+    return [
+        prompt_at(pixels, [seen[frame] for seen in theirs if frame in seen], size)
+        for frame, pixels in pixels_by_frame(track, joints, 55).items()
+    ]
+
+
+def prompt_at(
+    pixels: np.ndarray, others: Sequence[np.ndarray], size: tuple[int, int]
+) -> Prompt | None:
+    """Return a prompt by the joints (55, 2) of the person and of others; picture size (W, H).
+
+    None if the person is outside the picture.
+    """
+    with np.errstate(invalid="ignore"):  # behind the camera
+        top = pixels[_HEAD] + HEAD * (pixels[_HEAD] - pixels[_NECK])
+    known = np.concatenate([pixels, top[None]])
+    known = known[np.isfinite(known).all(1)]
+    if not len(known):
+        return None
+    low, high = known.min(0), known.max(0)
+    side = float((high - low).max())
+    low, high = np.maximum(low - ROOM * side, 0), np.minimum(high + ROOM * side, size)
+    own = _points(pixels, size)
+    if not len(own) or (high - low < 1).any():
+        return None
+    known = np.concatenate([known, own])
+    far = lambda place: np.linalg.norm(known - place, axis=1).min() > NEAR * side
+    their = [place for other in others for place in _points(other, size) if far(place)]
+    labels = np.array([1] * len(own) + [0] * len(their))
+    return Prompt(np.concatenate([low, high]), np.array([*own, *their]), labels)
+
+
+def _points(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the prompt points (n, 2) of a person's joints (55, 2) that are in the picture."""
+    with np.errstate(invalid="ignore"):
+        places = np.stack([(pixels[a] + pixels[b]) / 2 for a, b in _PAIRS])
+        return places[((places >= 0) & (places < size)).all(1)]

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -23,26 +24,29 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
+from gva_mi.core.options import options_of
 from gva_mi.core.stamp import write_record
 from gva_mi.data.fingerprint import PREPARED, fingerprint
 from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.importers import footage
-from gva_mi.data.importers.by_networks import write_masks, write_normals
-from gva_mi.data.importers.capture import Capture
-from gva_mi.data.importers.datasets import DATASETS, dataset_of, read_dataset
+from gva_mi.data.importers.datasets import (
+    DATASETS,
+    Capture,
+    dataset_of,
+    known_names,
+    read_dataset,
+    write_views,
+)
 from gva_mi.data.importers.estimators import KINDS, VideoInfo, read_estimator
-from gva_mi.data.importers.hand_merge import merge_hands
-from gva_mi.data.importers.lens import filmed_with, undistort
-from gva_mi.data.importers.normal_maps import maps_of, write_maps
-from gva_mi.data.importers.numbering import first_number
-from gva_mi.data.importers.other_views import known_names, write_views
-from gva_mi.data.importers.people import choose, joints_in_masks, label_under
-from gva_mi.data.importers.prepare_options import PrepareOptions
-from gva_mi.data.importers.prompts import prompts_of
-from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.tracks import Track, every_frame, median_betas
+from gva_mi.data.importers.lens import asked_for, filmed_with, recorded, undistort
+from gva_mi.data.importers.own_masks import MaskOptions, write_masks
+from gva_mi.data.importers.own_normals import maps_of, write_maps, write_normals
+from gva_mi.data.importers.people import choose, joints_in_masks, label_under, prompts_of
+from gva_mi.data.importers.track import TargetBody, Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
+from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
+from gva_mi.data.normals import Convention
 from gva_mi.data.pictures import read_image, require_sides
 from gva_mi.data.silhouettes import COMPARED, doubt_of
 from gva_mi.data.splits import spread
@@ -50,6 +54,45 @@ from gva_mi.splat import Camera
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@options_of("prepare")
+class PrepareOptions(MaskOptions):
+    """Options of ``prepare`` beside the source."""
+
+    # The body of the poses and of all later steps, in SMPL-X's format; or the word puppet for the
+    # built-in one, which keeps rotations and no shape, and is a film's default.
+    body: Path | None = None
+    frames: Path | None = None  # a film, or a folder of pictures; a data set has its own
+    # The estimator's name of the person; without it, chosen by the masks. In a film the number from
+    # the left; without it, the largest.
+    person: str | None = None
+    # True focal length: in pixels; of 35 mm film, such as 26mm; or recorded, the value in the
+    # video's file. If the estimator assumed another, the person moves so that the picture stays the
+    # same.
+    lens: str | None = None
+    camera: str | None = None  # the name of a data set's camera; without it, the first
+    # Names of a data set's other cameras, whose pictures are held out as novel views for evaluate;
+    # or all.
+    views: tuple[str, ...] = ()
+    # A folder of maps, one per frame by the last number in its name; or a network, .onnx, that
+    # takes pictures (1, 3, h, w), and perhaps normals of the posed body, as ICON's does.
+    normals: Path | None = None
+    # Axes and view of the maps, or of the network's output; icon: a square crop.
+    normals_convention: Convention | None = None
+
+    def __post_init__(self) -> None:
+        if self.normals is not None and self.normals_convention is None:
+            raise InputError(
+                "prepare: --normals needs --normals-convention, what its normals mean: "
+                f"{', '.join(get_args(Convention))}"
+            )
+
+    def normal_network(self) -> NormalNetwork | None:
+        """Return the network that makes the normals, read before any work is done."""
+        if self.normals is None or self.normals.is_dir():
+            return None
+        return NormalNetwork(self.normals, NormalsSpec(self.normals_convention))
 
 
 def prepare_folder(
@@ -68,8 +111,8 @@ def prepare_folder(
     where = str(source)
     mask_network, normal_network = options.mask_network(), options.normal_network()
     body = body.for_source(source)
-    kind, capture, size = _capture(kind, source, options, body)
-    capture, first, of_numbers = _numbered(kind, capture, options.first)
+    kind, capture, size = _capture(kind, source, options, mask_network is not None, body)
+    capture, of_numbers = _numbered(kind, capture)
     capture, track, notes = _chosen(where, capture, options.person, body)
     views, notes = known_names(where, capture, options.views), [*notes, *of_numbers]
     others = [t for t in capture.tracks if t is not track]
@@ -82,14 +125,6 @@ def prepare_folder(
     if capture.loose and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
-    if options.hands is not None:
-        track, of_hands = merge_hands(
-            track, options.hands, body.mean_hands, wrists=options.wrists == "hands",
-            from_mean=options.hands_zero == "mean", first=first, body=body.joints,
-        )  # fmt: skip
-        notes += of_hands
-    if capture.splits is not None:
-        writer.splits(capture.splits.to_json())
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
         (out / MASKS / frame_name(k)).unlink(missing_ok=True)
@@ -107,8 +142,8 @@ def prepare_folder(
         maps = maps_of(options.normals, capture.frames, count, capture.loose)
         more += write_maps(out, maps, options.normals_convention, cameras, straight)
     if views:
-        asked = (views, np.flatnonzero(inside).tolist(), options.view_frames)
-        more += write_views(out, where, capture, *asked, _T_CAMERA_WORLD)
+        seen = np.flatnonzero(inside).tolist()
+        more += write_views(out, where, capture, views, seen, _T_CAMERA_WORLD)
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
     writer.poses(pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
@@ -124,9 +159,12 @@ def prepare_folder(
 
 
 def _capture(
-    kind: str, source: Path, options: PrepareOptions, body: TargetBody
+    kind: str, source: Path, options: PrepareOptions, makes_masks: bool, body: TargetBody
 ) -> tuple[str, Capture, tuple[int, int]]:
-    """Return the kind of a source, its people and pictures, and the pictures' size."""
+    """Return the kind of a source, its people and pictures, and the pictures' size.
+
+    ``makes_masks`` says that a network makes the masks.
+    """
     if kind == "auto" and source.is_dir():
         kind = dataset_of(source) or kind
     if kind in DATASETS and options.lens is not None:
@@ -135,36 +173,35 @@ def _capture(
         capture = read_dataset(kind, source, options.camera, body)
     else:
         capture = Capture([], options.frames, None)
-    masks = None if options.sam_checkpoint else options.masks or capture.masks
-    capture = replace(capture, frames=options.frames or capture.frames, masks=masks)
-    for name, given in (("frames", capture.frames), ("masks", masks or options.sam_checkpoint)):
+    frames, masks = options.frames or capture.frames, options.masks or capture.masks
+    for name, given in (("frames", frames), ("masks", masks)):
         if given is None:
             raise InputError(f"{source}: brings no {name} of its own; give --{name}")
-    image = next(footage.pictures(capture.frames, 3), None)
+    capture = replace(capture, frames=frames, masks=None if makes_masks else masks)
+    image = next(footage.pictures(frames, 3), None)
     if image is None:
         raise InputError(f"{source}: no picture of it is there")
     size = image.shape[1::-1]
     if kind not in DATASETS:
-        kind, tracks = read_estimator(kind, source, VideoInfo(size, options.focal, body))
+        lens = options.lens
+        focal = None if lens is None else asked_for(lens, recorded(frames, size), size)
+        kind, tracks = read_estimator(kind, source, VideoInfo(size, focal, body))
         capture = replace(capture, tracks=tracks)
     if capture.masks is not None and capture.meaning is None:  # decided once for all
         capture = replace(capture, meaning=footage.mask_meaning(capture.masks))
     return kind, capture, size
 
 
-def _numbered(kind: str, capture: Capture, first: int | None) -> tuple[Capture, int, list[str]]:
-    """Return the capture with its people's frames numbered from 0, the first number, and notes."""
-    notes = []
-    if first is None and (kind in DATASETS or not capture.tracks):
-        first = 0
-    elif first is None:
-        names = footage.files_of(capture.frames)
-        frames = np.concatenate([track.frames for track in capture.tracks])
-        first = first_number(frames, footage.count_of(capture.frames), KINDS[kind].first, names)
-        if first:
-            notes = [f"frames are numbered from {first}; --first takes another number"]
+def _numbered(kind: str, capture: Capture) -> tuple[Capture, list[str]]:
+    """Return the capture with its people's frames numbered from 0, and notes."""
+    if kind in DATASETS or not capture.tracks:
+        return capture, []
+    names = footage.files_of(capture.frames)
+    frames = np.concatenate([track.frames for track in capture.tracks])
+    count = footage.count_of(capture.frames)
+    first = footage.first_number(frames, count, KINDS[kind].first, names)
     moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
-    return replace(capture, tracks=moved), first, notes
+    return replace(capture, tracks=moved), [f"frames are numbered from {first}"] if first else []
 
 
 def _chosen(

@@ -27,10 +27,8 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.bvh import BvhClip, read_bvh
-from gva_mi.data.importers.humanoid import FINGERS, Humanoid, find_humanoid
-from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.bvh import FINGERS, BvhClip, Humanoid, find_humanoid
+from gva_mi.data.importers.track import TargetBody, Track
 from gva_mi.data.importers.world import unit
 
 _STRAIGHT, _MANY = 1.5, 40  # times the least doubt, of as many reference poses
@@ -47,9 +45,9 @@ _LIMBS = {
 Places = dict[str, np.ndarray]  # joint → (..., 3), or (..., 3, 3) rotations
 
 
-def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float]:
-    """Return the track of a BVH's person on ``body``, and its frames a second."""
-    clip, notes = read_bvh(path), []
+def bvh_track(path: Path, clip: BvhClip, body: TargetBody) -> Track:
+    """Return the track of a BVH's person on ``body``."""
+    notes = []
     if clip.announced != str(len(clip)):
         notes.append(f"says that it has {clip.announced} frames, and has {len(clip)}")
     # Programs put the pose by which they calibrate before the motion.
@@ -84,7 +82,7 @@ def bvh_track(path: Path, body: TargetBody) -> tuple[Track, float]:
     scale = leg_length(own) / leg_length(ref)
     notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
     track = on_body("BVH", np.arange(len(clip)), A, at, own, scale, notes)
-    return replace(track, has_hands=human.has_hands), 1 / clip.frame_time
+    return replace(track, has_hands=human.has_hands)
 
 
 def on_body(

@@ -4,11 +4,12 @@
 input                  what it is given
 =====================  ==========================================================================
 (1, 3, h, w)           the person cut out, (rgb/255 − mean) / std; its name is free
-an integer             patches of 14 by 14 pixels in the picture: the ``num_tokens`` of MoGe-2
+an integer             patches of 14 by 14 pixels: the ``num_tokens`` of MoGe-2, which is given
+                       rgb/255
 =====================  ==========================================================================
 
-Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. A network with
-several outputs needs the name of one.
+Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. Of several outputs,
+the one named ``normal`` is taken, as of MoGe-2.
 
 With the convention ``icon`` the background becomes the mean first, as PIFuHD is trained. With the
 other conventions it stays.
@@ -27,6 +28,7 @@ from gva_mi.data.crop import CropBox
 from gva_mi.data.normals import LONGEST, SHORTEST, Convention
 
 MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
+OUTPUT = "normal"  # the one of several outputs that is taken
 PATCH = 14  # pixels
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -43,9 +45,11 @@ class NormalsSpec:
 
     convention: Convention  # axes, and the kind of view: gva_mi.data.normals
     size: tuple[int, int] = (512, 512)  # (w, h) pixels, where an ONNX file does not say it itself
-    mean: tuple[float, float, float] = (0.5, 0.5, 0.5)  # of red, green, blue in [0, 1]
-    std: tuple[float, float, float] = (0.5, 0.5, 0.5)  # likewise; so that all lies in [−1, 1]
-    output: str | None = None  # its name, if the network has several
+    # Of red, green, blue in [0, 1]; None: 0.5 each, so that all lies in [−1, 1], or 0 and 1 of a
+    # network that counts patches.
+    mean: tuple[float, float, float] | None = None
+    std: tuple[float, float, float] | None = None
+    output: str | None = None  # its name; None: the only one, or OUTPUT
 
 
 class NormalNetwork:
@@ -65,14 +69,15 @@ class NormalNetwork:
             found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
             raise InputError(f"{path}: takes {found}; expected {_ASKED}")
         names, self._picture = [x.name for x in self._session.get_outputs()], pictures[0]
-        self._output = names[0] if spec.output is None and len(names) == 1 else spec.output
+        usual = names[0] if len(names) == 1 else OUTPUT
+        self._output = spec.output or usual
         if self._output not in names:
-            several = (
-                "has several outputs" if spec.output is None else f"has no output {spec.output}"
-            )
             raise InputError(
-                f"{path}: {several}; expected --normals-output with one of {', '.join(names)}"
+                f"{path}: has the outputs {', '.join(names)}; expected one output, or one with the "
+                f"name {self._output}"
             )
+        mean, std = (0.0, 1.0) if numbers else (0.5, 0.5)
+        spec = replace(spec, mean=spec.mean or (mean,) * 3, std=spec.std or (std,) * 3)
         fixed = self._picture.shape[:1:-1]  # (w, h), where the file says them
         sides = all(isinstance(side, int) for side in fixed)
         self.spec = replace(spec, size=tuple(fixed) if sides else spec.size)

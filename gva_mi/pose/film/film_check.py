@@ -204,7 +204,7 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
             "person not found",
             f"{len(video.absent)} of {len(video)} frames",
             "the person left the picture, or crouched or lay in a way the network does not know",
-            "stay in the picture; --start and --end cut a video, seconds",
+            "stay in the picture; ffmpeg -ss 3 -to 9 -i VIDEO PART cuts a video, seconds",
             video.absent,
         )
     if len(video) < FEWEST or len(video) / fps < SHORTEST:

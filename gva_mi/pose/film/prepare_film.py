@@ -22,19 +22,17 @@ from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_array, read_json
-from gva_mi.core.options import Within, from_json, options_of
+from gva_mi.core.options import PythonOnly, Within, from_json, options_of
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.data.film_pictures import FilmPictures, read_film
 from gva_mi.data.fingerprint import FILM, PREPARED, fingerprint
 from gva_mi.data.folder import FRAMES, MASKS, StoredPictures, SubjectWriter
-from gva_mi.data.importers.by_networks import write_masks
 from gva_mi.data.importers.footage import mask_meaning
 from gva_mi.data.importers.keypoints import with_keypoints
 from gva_mi.data.importers.lens import asked_for, in_pixels
-from gva_mi.data.importers.own_masks import WithMasks, write_own_masks
-from gva_mi.data.importers.prepare_options import MaskOptions
-from gva_mi.data.importers.prompts import prompt_at
+from gva_mi.data.importers.own_masks import MaskOptions, WithMasks, write_masks, write_own_masks
+from gva_mi.data.importers.people import prompt_at
 from gva_mi.data.matting.film import film_masks
 from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.networks.watch import WatchedFilm, watch_film
@@ -66,23 +64,22 @@ class FilmSource:
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
     camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None
-    # The shorter side of the pictures, to which larger ones are scaled down.
-    side: Annotated[int, Within(64, 4320, unit="pixels")] = 1080
-    # Where the used part of the film starts.
-    start: Annotated[float, Within(0, 86_400, unit="seconds")] = 0.0
-    # Where it ends; without it, with the film.
-    end: Annotated[float, Within(0, 86_400, "low", "seconds")] | None = None
-    # Keypoints of OpenPose, MMPose or AlphaPose, a file or folder, of all frames of the film. They
-    # take the place of the network's landmarks in the pictures.
-    keypoints: Path | None = None
-    # Folder of the networks' files; without it GVA_MI_WEIGHTS or the cache, which pip fills.
-    weights: Path | None = None
+    # Where the used part of the film starts, and where it ends; None: with the film.
+    start: PythonOnly[Annotated[float, Within(0, 86_400, unit="seconds")]] = 0.0
+    end: PythonOnly[Annotated[float, Within(0, 86_400, "low", "seconds")] | None] = None
+    # Folder of the networks' files; None: GVA_MI_WEIGHTS or the cache, which pip fills.
+    weights: PythonOnly[Path | None] = None
 
 
 @options_of("film")
 class FilmOptions(FilmSource):
     """Options of a film."""
 
+    # The shorter side of the pictures, to which larger ones are scaled down.
+    side: Annotated[int, Within(64, 4320, unit="pixels")] = 1080
+    # Keypoints of OpenPose, MMPose or AlphaPose, a file or folder, of all frames of the film. They
+    # take the place of the network's landmarks in the pictures.
+    keypoints: Path | None = None
     # Frames a second that are used, as near as every n-th one comes; about 30 without it. Of a
     # folder of pictures, their rate.
     fps: Annotated[float, Within(1, 240)] | None = None

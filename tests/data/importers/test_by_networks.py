@@ -10,8 +10,8 @@ from samples.networks import onnx_file
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.importers.lens import centred
-from gva_mi.data.importers.prompts import prompts_of
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.people import prompts_of
+from gva_mi.data.importers.track import Track
 from gva_mi.data.networks.segment_anything import MaskGuess, SegmentAnything
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
@@ -94,20 +94,20 @@ def test_masks_by_segment_anything(tmp_path, cli, monkeypatch, people, joints, w
     monkeypatch.setattr(SegmentAnything, "load", staticmethod(lambda path: Bright()))
     drawn = draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     out = tmp_path / "subject"
+    (tmp_path / "sam").mkdir()
+    (tmp_path / "sam/config.json").write_text("{}")
     given = ["--body", "puppet", "--frames", tmp_path / "shots", "--person", "0"]
-    said = cli.works(
-        "prepare", "auto", wham_file, out, *given, "--masks", "sam", "--sam-checkpoint", tmp_path
-    )
+    said = cli.works("prepare", "auto", wham_file, out, *given, "--masks", tmp_path / "sam")
     assert "frames where the network found nobody: 4" in said
     video = load_video(out)
     assert set(video.absent) == {4}
     for frame, inside in zip(video.frames(range(4)), drawn, strict=False):
         assert np.array_equal(frame.mask > 0.5, inside)
     about = json.loads((out / "prepare.json").read_text())["source"]
-    assert about["sam_checkpoint"] == str(tmp_path) and about["masks"] == "sam"
+    assert about["masks"] == str(tmp_path / "sam")
 
 
-def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham_file):
+def test_masks_of_a_folder_that_is_no_network_or_damaged(tmp_path, cli, people, joints, wham_file):
     draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
     given = [wham_file, tmp_path / "s", "--body", "puppet", "--frames", tmp_path / "shots"]
 
@@ -116,9 +116,10 @@ def test_segment_anything_needs_a_checkpoint(tmp_path, cli, people, joints, wham
         assert words in err and err.count("\n") <= 2, err
         assert not (tmp_path / "s").exists()
 
-    refused("--masks sam needs --sam-checkpoint; expected a folder", "--masks", "sam")
-    refused("no such checkpoint", "--masks", "sam", "--sam-checkpoint", tmp_path / "x.pth")
-    refused("it needs --masks sam", "--sam-checkpoint", tmp_path / "x.pth")
+    refused("x.pth: no such film or folder of pictures", "--masks", tmp_path / "x.pth")
+    (tmp_path / "sam").mkdir()
+    (tmp_path / "sam/config.json").write_text("{}")
+    refused("expected a folder as transformers saves it", "--masks", tmp_path / "sam")
 
 
 def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
@@ -128,7 +129,7 @@ def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
     onnx_file(tmp_path / "normals.onnx")
     given = [
         "--body", "puppet", "--frames", tmp_path / "shots", "--masks", tmp_path / "masks.npy",
-        "--person", "0", "--normals", tmp_path / "normals.onnx", "--normals-size", "96", "128",
+        "--person", "0", "--normals", tmp_path / "normals.onnx",
     ]  # fmt: skip
     out = tmp_path / "subject"
     err = cli.fails("prepare", "wham", wham_file, out, *given)

@@ -4,7 +4,6 @@ import zlib
 
 import numpy as np
 import pytest
-import torch
 from samples.data_sets import SMPL
 from samples.estimates import dumped, of_smpl
 from samples.joblib_files import joblib_dump
@@ -13,7 +12,7 @@ from samples.rotations import matrices, same
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 
 
 def turned(R, rotations):
@@ -63,49 +62,6 @@ def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk):
         assert len(read_motion(tmp_path / name, TargetBody.read(None), options).pose) == 3
 
 
-def test_prompthmr_in_its_world(tmp_path, walk):
-    rotations, transl = walk(6)
-    world = {"pose": torch.from_numpy(rotations.reshape(6, 165)), "shape": torch.zeros(6, 10),
-             "trans": torch.from_numpy(transl)}  # fmt: skip
-    person = {"track_id": 1, "frames": np.arange(6), "smplx_cam": {}, "smplx_world": world}
-    found = {"camera": {"img_focal": 900.0, "img_center": [450.0, 450.0]}, "people": {1: person}}
-    torch.save(found, tmp_path / "results.pkl")
-    motion = read_motion(tmp_path / "results.pkl", TargetBody.read(None), OF_ESTIMATORS)
-    assert same(motion.pose.rotations[:, :22], rotations[:, :22])
-    moves_alike(motion, rotations, transl)
-    assert "prompthmr, in the axes of its world" in motion.notes
-
-
-def test_tram_follows_its_cameras_path(tmp_path, before_camera):
-    """A camera that turns and walks: the person's path is that of the world all the same."""
-    rotations, places, _, _ = before_camera
-    angles = np.stack([np.zeros(6), 0.1 * np.arange(6), np.zeros(6)], axis=1)
-    R = DOWN @ matrices(angles)  # from the camera to its first axes, x_w = R x + T
-    T = np.linspace([0, 0, 0], [0.5, 0.1, 1.0], 6)
-    seen = turned(R.swapaxes(1, 2), rotations)
-    pelvis = np.einsum("tji,tj->ti", R, places - T)
-    track = {
-        "pred_rotmat": torch.as_tensor(matrices(of_smpl(seen)), dtype=torch.float32),
-        "pred_trans": torch.as_tensor(pelvis - SMPL, dtype=torch.float32)[:, None],
-        "pred_shape": torch.zeros(6, 10), "frame": torch.arange(6),
-    }  # fmt: skip
-    (tmp_path / "run/hps").mkdir(parents=True)
-    np.save(tmp_path / "run/hps/hps_track_0.npy", track)
-    camera = {"pred_cam_R": R, "pred_cam_T": T, "img_focal": 70.0, "img_center": np.ones(2)}
-    np.save(tmp_path / "run/camera.npy", camera)
-    motion = read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
-    moves_alike(motion, rotations, places)
-    assert "tram, in the world of its camera's path" in motion.notes
-    with pytest.raises(InputError, match="one person of TRAM without its camera; give the folder"):
-        read_motion(tmp_path / "run/hps/hps_track_0.npy", TargetBody.read(None), OF_ESTIMATORS)
-    np.save(tmp_path / "run/camera.npy", {k: camera[k] for k in ("img_focal", "img_center")})
-    motion = read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
-    assert "tram, in the axes of the camera, which is taken to stand still" in motion.notes
-    np.save(tmp_path / "run/camera.npy", camera | {"pred_cam_R": R[:2]})
-    with pytest.raises(InputError, match=r"\(of the kind tram\): of another form"):
-        read_motion(tmp_path / "run", TargetBody.read(None), OF_ESTIMATORS)
-
-
 def romp(rotations, places):
     thetas, transl = of_smpl(rotations).reshape(6, 72), places - SMPL
     results = {
@@ -138,11 +94,9 @@ def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
 
 
 def test_places_by_an_assumed_lens_are_refused(tmp_path):
-    dumped(tmp_path / "out/results/0/000.pkl", {"camera_translation": np.zeros((1, 3))})
     phalp = dumped(tmp_path / "p.pkl", {"0.jpg": {"tid": [2], "smpl": [], "camera": []}})
-    for kind, source in (("smplifyx", tmp_path / "out"), ("4dhumans", phalp)):
-        with pytest.raises(InputError, match=f"written by {kind}, whose places follow from a lens"):
-            read_motion(source, TargetBody.read(None), OF_ESTIMATORS)
+    with pytest.raises(InputError, match="written by 4dhumans, whose places follow from a lens"):
+        read_motion(phalp, TargetBody.read(None), OF_ESTIMATORS)
 
 
 def test_an_unknown_folder_is_described(tmp_path):
@@ -165,11 +119,3 @@ def test_frames_that_lie_far_apart_are_refused(tmp_path):
               "frame_ids": np.array([0, 10**12])}  # fmt: skip
     with pytest.raises(InputError, match="frames 0 to 1000000000000, expected at most 1,000,000"):
         read_motion(dumped(tmp_path / "w.pkl", {0: person}), TargetBody.read(None), OF_ESTIMATORS)
-
-
-def test_parameters_of_mhr_are_refused_by_name(tmp_path):
-    mhr = {"mhr_model_params": np.zeros(204), "shape_params": np.zeros(45)}
-    with pytest.raises(InputError, match="parameters of MHR, as SAM 3D Body writes"):
-        read_motion(
-            dumped(tmp_path / "a.pkl", {"a": {0: mhr}}), TargetBody.read(None), OF_ESTIMATORS
-        )

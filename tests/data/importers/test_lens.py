@@ -11,9 +11,15 @@ from PIL import Image
 
 from gva_mi import InputError
 from gva_mi.body.smplx import load_body
-from gva_mi.data.importers.lens import asked_for, centred, in_pixels, recorded, through_lens
-from gva_mi.data.importers.quicktime import numbers
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.lens import (
+    asked_for,
+    centred,
+    in_pixels,
+    quicktime_numbers,
+    recorded,
+    through_lens,
+)
+from gva_mi.data.importers.track import Track
 from gva_mi.data.video import load_video
 
 KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -66,10 +72,10 @@ def test_the_lens_is_read_from_the_film_or_its_track(tmp_path, kind):
     said = meta(*TYPES[kind], mpeg4=kind in ("text", "short"))
     for place in ("of_film", "of_track"):
         path = film(tmp_path / "a.mov", **{place: said})
-        assert numbers(path) == {KEY: 27}
+        assert quicktime_numbers(path) == {KEY: 27}
         assert recorded(path, SIZE) == pytest.approx(27 / 43.27 * 80)
     both = film(tmp_path / "b.mov", of_film=said, of_track=meta(1, b"50"))
-    assert numbers(both)[KEY] == 27
+    assert quicktime_numbers(both)[KEY] == 27
 
 
 def test_other_films_record_no_lens(tmp_path):

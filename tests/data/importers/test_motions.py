@@ -9,12 +9,11 @@ import roma
 import torch
 from samples.rotations import matrices, same
 
-from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import Shape, load_poses
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
+from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.silhouettes import joints_in_world
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
@@ -142,35 +141,10 @@ def test_short_gaps_are_filled_and_listed(read, walk):
     assert "frames without numbers, interpolated: 3, 10-11" in found.notes
     assert np.abs(matrices(found.pose.rotations) - matrices(rotations)).max() < 5e-3
     holes[2:39] = np.nan
-    with pytest.raises(InputError, match=r"1.23 s in a row without numbers, in frames 2-38; --gap"):
+    with pytest.raises(InputError, match="1.23 s in a row without numbers, in frames 2-38;"):
         read(poses=holes, trans=transl, fps=30)
     with pytest.raises(InputError, match="every frame holds a number that is not finite"):
         read(poses=holes * np.nan, trans=transl, fps=30)
-
-
-def test_hands_as_pca_are_of_the_given_body(tmp_path, walk, cli):
-    rotations, transl = walk(5)
-    random = np.random.default_rng(0)
-    c = [random.normal(0, 0.3, (5, 12)) for _ in "lr"]
-    given = {"global_orient": rotations[:, 0], "body_pose": rotations[:, 1:22].reshape(5, 63),
-             "left_hand_pose": c[0], "right_hand_pose": c[1], "transl": transl, "fps": 25,
-             "betas": np.ones((1, 10))}  # fmt: skip
-    np.savez(tmp_path / "pca.npz", **given)
-    with np.load(BUILT_IN_BODY) as file:
-        arrays = dict(file)
-    np.savez(tmp_path / "body.npz", **arrays)  # a body's file of its own
-    few = {k: x[:9] if "components" in k else x for k, x in arrays.items()}
-    np.savez(tmp_path / "few.npz", **few)
-    motion = ("motion", tmp_path / "pca.npz", tmp_path / "out.npz")
-    assert "--body with the SMPL-X file whose hands_components they weigh" in cli.fails(*motion)
-    err = cli.fails(*motion, "--body", tmp_path / "few.npz")
-    assert "components of a PCA need the body" in err and "(5, 12)" in err
-    assert "and the body's is added" in cli.works(*motion, "--body", tmp_path / "body.npz")
-    fingers = [x @ arrays[f"hands_components{s}"][:12] + arrays[f"hands_mean{s}"]
-               for x, s in zip(c, "lr", strict=True)]  # fmt: skip
-    pose, shape = load_poses(tmp_path / "out.npz")
-    wanted = np.concatenate(fingers, axis=1).reshape(5, 30, 3)
-    assert same(pose.rotations[:, 25:], wanted) and shape.betas.tolist() == [1] * 10
 
 
 def test_varying_betas_become_their_median(read, walk):
@@ -187,7 +161,7 @@ def test_varying_betas_become_their_median(read, walk):
 
 POSES = {"poses": np.zeros((2, 72)), "fps": 30}
 BAD = {
-    "no poses": ({"a": np.ones(3), "fps": 30}, "holds no poses; expected one of poses,.*found: a"),
+    "no poses": ({"a": np.ones(3), "fps": 30}, "holds no poses of one person;.*found: a"),
     "no rate": ({"poses": np.zeros((2, 72))}, "says no frame rate.*give --source-fps"),
     "a rate of 0": (POSES | {"fps": 0}, "'fps' must be frames a second, got 0"),
     "no scaling": (
@@ -195,13 +169,14 @@ BAD = {
         "'smpl_scaling' must be one number above 0",
     ),
     "a width of no body": (POSES | {"poses": np.zeros((2, 75))}, "'poses' has 75 numbers"),
-    "no frame": (POSES | {"poses": np.zeros((0, 72))}, "'poses' must be numbers"),
+    "no frame": (POSES | {"poses": np.zeros((0, 72))}, "'poses' has 0 numbers a frame"),
     "other count": (
         POSES | {"trans": np.zeros((3, 3))}, r"'trans' must be \(2, 3\), got \(3, 3\)",
     ),
-    "VPoser": (
-        {"global_orient": np.zeros((1, 3)), "body_pose": np.zeros((1, 32))},
-        "a latent code of VPoser.*63 numbers",
+    "components of a PCA": (
+        {"global_orient": np.zeros((2, 3)), "body_pose": np.zeros((2, 63)),
+         "left_hand_pose": np.zeros((2, 12))},
+        r"'left_hand_pose' must be \(2, 45\), axis-angle and no components of a PCA",
     ),
     "no rotations": (
         {"global_orient": np.zeros((1, 3)), "body_pose": np.zeros((1, 21, 3, 3))},

@@ -8,11 +8,9 @@ from samples.rotations import matrices
 
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.core.errors import InputError
-from gva_mi.data.importers.estimator_files import read_source
-from gva_mi.data.importers.fields import find_body
+from gva_mi.data.importers.body_arrays import find_body
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.target import TargetBody
-from gva_mi.data.importers.tracks import make_track
+from gva_mi.data.importers.track import TargetBody, make_track
 
 T = 6
 
@@ -48,9 +46,9 @@ SPELLED = {
 def test_parts_under_other_names_are_the_same_joints(name, motion):
     rotations, named = motion
     found = find_body("x", renamed(named, **SPELLED[name]))
-    assert found.joints.form == "SMPL-X" and found.joints.has_hands and not found.unused
+    assert found.form == "SMPL-X" and found.has_hands and not found.unused
     for joints in (slice(0, 23), slice(25, 55)):
-        assert np.array_equal(found.joints.rotations[:, joints], rotations[:, joints])
+        assert np.array_equal(found.rotations[:, joints], rotations[:, joints])
 
 
 def test_the_root_may_lie_in_the_bodys_pose_in_any_form(motion):
@@ -60,14 +58,11 @@ def test_the_root_may_lie_in_the_bodys_pose_in_any_form(motion):
     for body in (smpl.reshape(T, 72), smpl, matrices(smpl), matrices(smpl).reshape(T, 216),
                  rotations[:, :22].reshape(T, 66)):  # fmt: skip
         found = find_body("x", {"body_pose": body, "beta": np.ones((1, 10))})
-        assert (
-            np.abs(matrices(found.joints.rotations[:, :22]) - matrices(rotations[:, :22])).max()
-            < 1e-9
-        )
-        assert found.joints.form == "SMPL" and found.betas.shape == (10,)
+        assert np.abs(matrices(found.rotations[:, :22]) - matrices(rotations[:, :22])).max() < 1e-9
+        assert found.form == "SMPL" and found.betas.shape == (10,)
     for whole, root in (("poses", smpl[:, 1:].reshape(T, 69)), ("pose", rotations[:, 1:22])):
         found = find_body("x", {whole: root, "global_orient": rotations[:, 0]})
-        assert np.array_equal(found.joints.rotations[:, :22], rotations[:, :22])
+        assert np.array_equal(found.rotations[:, :22], rotations[:, :22])
     with pytest.raises(InputError, match="'body_pose' has 63 numbers a frame; expected axis"):
         find_body("x", {"body_pose": rotations[:, 1:22].reshape(T, 63)})
 
@@ -78,9 +73,9 @@ def test_hands_and_jaw_may_lie_beside_a_whole_pose(joints, form, motion):
     whole = np.concatenate([rotations[:, :22], np.ones((T, joints - 22, 3))], axis=1)
     parts = {name: named[name] for name in ("jaw_pose", "left_hand_pose", "right_hand_pose")}
     found = find_body("x", {"bodyPose": whole, **parts})
-    assert found.joints.form == form and found.joints.has_hands and not found.unused
+    assert found.form == form and found.has_hands and not found.unused
     for part in (slice(0, 23), slice(25, 55)):
-        assert np.array_equal(found.joints.rotations[:, part], rotations[:, part])
+        assert np.array_equal(found.rotations[:, part], rotations[:, part])
 
 
 def test_parts_that_a_whole_pose_repeats_are_not_called_unused(motion):
@@ -88,15 +83,15 @@ def test_parts_that_a_whole_pose_repeats_are_not_called_unused(motion):
     rotations, named = motion
     whole = {"fullpose": rotations.reshape(T, 165), **named, "right_hand_pose": np.ones((T, 24))}
     found = find_body("x", whole)
-    assert np.array_equal(found.joints.rotations, rotations) and not found.unused
+    assert np.array_equal(found.rotations, rotations) and not found.unused
 
 
 @pytest.mark.parametrize("change, words", [
     (lambda x: {**x, "transl": np.zeros((3, T))}, r"'transl' must be \(6, 3\), got \(3, 6\)"),
     (lambda x: {**x, "body_pose": x["body_pose"].T}, r"'body_pose' must be \(6, 63\)"),
     (lambda x: {name: np.degrees(3 * part) for name, part in x.items()}, "rotations in degrees"),
-    (lambda x: {"poses": np.zeros((T, 22, 6))}, "132 numbers a frame, such as two columns"),
-    (lambda x: {"poses": np.zeros((T, 24, 4))}, "96 numbers a frame, such as quaternions"),
+    (lambda x: {"poses": np.zeros((T, 22, 6))}, "132 numbers a frame; expected axis-angle"),
+    (lambda x: {"poses": np.zeros((T, 24, 4))}, "96 numbers a frame; .* no quaternions"),
 ])  # fmt: skip
 def test_rows_for_columns_and_other_rotations_are_refused(change, words, motion):
     with pytest.raises(InputError, match=words):
@@ -109,7 +104,7 @@ def test_axes_of_length_1_do_not_count(motion):
     smpl = np.concatenate([rotations[:, :22], np.zeros((T, 2, 3))], axis=1).reshape(T, 72)
     for pose in (smpl[None], smpl[:, None], matrices(smpl.reshape(T, 1, 24, 3))):
         found = find_body("x", {"pose": pose, "trans": np.ones((T, 1, 3))})
-        assert np.allclose(matrices(found.joints.rotations[:, :22]), matrices(rotations[:, :22]))
+        assert np.allclose(matrices(found.rotations[:, :22]), matrices(rotations[:, :22]))
 
 
 def test_a_single_frame_may_lack_its_axis(motion):
@@ -117,8 +112,8 @@ def test_a_single_frame_may_lack_its_axis(motion):
     frame = {"global_orient": rotations[0, 0], "body_pose": rotations[0, 1:22],
              "left_hand_pose": rotations[0, 25:40]}  # fmt: skip
     found = find_body("x", frame)
-    assert np.array_equal(found.joints.rotations[0, :22], rotations[0, :22])
-    assert np.array_equal(found.joints.rotations[0, 25:40], rotations[0, 25:40])
+    assert np.array_equal(found.rotations[0, :22], rotations[0, :22])
+    assert np.array_equal(found.rotations[0, 25:40], rotations[0, 25:40])
 
 
 def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
@@ -129,38 +124,9 @@ def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
         {"params": named, "gender": "neutral"}, {"smplx": packed, "fps": 30},
         {"result": {"smpl_params": named}, "joints": np.zeros((T, 144, 2))},
     ):  # fmt: skip
-        assert np.array_equal(find_body("x", found).joints.rotations[:, :22], rotations[:, :22])
-    two = {"first": named, "second": named}
-    with pytest.raises(InputError, match="holds poses in several dictionaries, first, second"):
-        find_body("x", two)
-
-
-def test_a_list_of_frames_is_a_motion(tmp_path, motion):
-    rotations, named = motion
-    frames = [{name: x[k : k + 1] for name, x in named.items()} for k in range(T)]
-    options = MotionOptions(fps=30, source_fps=30, hands="flat")
-    for found in (frames, [{"params": frame, "gender": "male"} for frame in frames]):
-        (tmp_path / "m.pkl").write_bytes(pickle.dumps(found))
-        read = read_motion(tmp_path / "m.pkl", TargetBody.read(None), options)
-        assert (
-            np.abs(matrices(read.pose.rotations[:, :22]) - matrices(rotations[:, :22])).max() < 1e-5
-        )
-
-
-def test_a_dictionary_by_pictures_is_a_motion_and_one_by_people_is_not(tmp_path, motion):
-    rotations, named = motion
-    options = MotionOptions(fps=30, source_fps=30, hands="flat")
-    order = [3, 1, 0, 2, 5, 4]
-    for name in ("{:06d}.png", "{}"):
-        frames = {name.format(k): {n: x[k : k + 1] for n, x in named.items()} for k in order}
-        (tmp_path / "m.pkl").write_bytes(pickle.dumps(frames))
-        read = lambda: read_motion(tmp_path / "m.pkl", TargetBody.read(None), options)
-        if name == "{}":
-            with pytest.raises(InputError, match="holds poses in several dictionaries"):
-                read()
-        else:
-            found = read().pose.rotations[:, :22]
-            assert np.abs(matrices(found) - matrices(rotations[:, :22])).max() < 1e-5
+        assert np.array_equal(find_body("x", found).rotations[:, :22], rotations[:, :22])
+    with pytest.raises(InputError, match="holds no poses of one person.*found: first, second"):
+        find_body("x", {"first": named, "second": named})
 
 
 def test_a_place_in_other_units_is_doubted(tmp_path, motion):
@@ -230,22 +196,10 @@ def test_the_face_is_kept_for_smplx_and_named_for_other_bodies(name, tmp_path, m
                for n in other.notes)  # fmt: skip
 
 
-def test_betas_of_a_man_are_not_kept_for_another_model_without_a_word(tmp_path, motion):
-    betas = {"betas": np.ones(10)}
-    for file, gender, notes in (
-        ("SMPLX_NEUTRAL", np.array("male"), 1), ("SMPLX_FEMALE", np.array(b"male"), 1),
-        ("SMPLX_MALE", "male", 0), ("SMPLX_NEUTRAL", "neutral", 0),
-    ):  # fmt: skip
-        body = TargetBody.read(body_of_smplx(tmp_path / f"{file}.npz"))
-        track = make_track("x", "0", None, motion[1] | betas | {"gender": gender}, np.eye(3), body)
-        assert sum("betas are of a male body, and not of" in n for n in track.notes) == notes
-
-
 ROWS = {
     (72,): None, (165,): None, (156,): None, (24, 3): None, (52, 3): None, (55, 3): None,
-    (24, 3, 3): None, (265,): "TalkSHOW's parameters",
-    (322,): "Motion-X's parameters: root", (22, 3): "legs change their lengths or differ",
-    (100,): "any parameters in any order",
+    (24, 3, 3): None, (322,): "any parameters in any order",
+    (22, 3): "legs change their lengths or differ",
 }  # fmt: skip
 
 
@@ -263,14 +217,6 @@ def test_arrays_without_names_are_poses_or_named_by_their_shape(shape, tmp_path)
     else:
         with pytest.raises(InputError, match=f"a.npy: .*{ROWS[shape]}"):
             read()
-
-
-def test_vposers_code_is_refused_before_anything_else_is_asked(motion):
-    """SMPLify-X as it comes writes it beside hands as PCA, for which --body would be asked."""
-    _, named = motion
-    latent = named | {"body_pose": np.zeros((T, 32)), "left_hand_pose": np.zeros((T, 12))}
-    with pytest.raises(InputError, match="a latent code of VPoser"):
-        find_body("x", latent)
 
 
 OTHERS = {
@@ -308,8 +254,3 @@ def test_arrays_of_a_subclass_are_plain_arrays(tmp_path, walk):
         (tmp_path / "m.pkl").write_bytes(data)
         read = read_motion(tmp_path / "m.pkl", TargetBody.read(None), MotionOptions(fps=30))
         assert np.allclose(read.pose.transl, transl, atol=1e-6)
-
-
-def test_an_empty_dictionary_is_no_list_of_pictures(tmp_path):
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps({}))
-    assert read_source(tmp_path / "a.pkl") == {}

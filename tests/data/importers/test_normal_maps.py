@@ -135,9 +135,7 @@ def test_bad_maps_are_refused_in_one_sentence(what, maps, given, cli, tmp_path):
     assert not (tmp_path / "s").exists()
 
 
-def test_options_of_networks_are_refused_for_a_folder(maps, given, cli, tmp_path):
+def test_a_convention_is_asked_for(maps, given, cli, tmp_path):
     folder = maps(lambda k: f"{k + 8}.png")
     assert "--normals needs --normals-convention" in cli.fails(*given, "--normals", folder)
-    more = ("--normals-convention", "icon", "--normals-size", 96, 96)
-    assert "--normals-size is for a network, and" in cli.fails(*given, "--normals", folder, *more)
     assert not (tmp_path / "s").exists()

@@ -1,13 +1,9 @@
 """Data sets that one camera filmed: the person stands where it saw them; distorted lenses."""
 
-import json
-
 import numpy as np
 import pytest
 from samples import data_sets as filmed
 
-from gva_mi.body.body_file import BUILT_IN_BODY
-from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 from gva_mi.data.importers.datasets import dataset_of
 from gva_mi.data.importers.lens import undistort
@@ -43,72 +39,6 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
     assert ("5 poses, but 4 pictures with masks" in said) == (form == "parts")
     video = stands(folder, *(x[:count] for x in seen), filmed.K)
     assert np.array_equal(video[1].mask > 0.5, filmed.MASK > 0)
-
-
-def lens_of(k):
-    return np.array([[300.0 + 10 * k, 0, 30 + k], [0, 310 + 10 * k, 25 - k], [0, 0, 1]])
-
-
-@pytest.fixture
-def exavatar(tmp_path, seen):
-    """Of frames 3, 4, 6, 7 and 9 of a video; 12 is not fitted."""
-    folder = tmp_path / "subject_1"
-    rotations, transl = seen
-
-    def written(name, value):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(json.dumps(value))
-
-    for k, (number, image) in enumerate(zip((3, 4, 6, 7, 9), filmed.shots(), strict=True)):
-        flat = lambda part, k=k: rotations[k, part].ravel().tolist()
-        write_image(folder / f"frames/{number}.png", image)
-        write_image(
-            folder / f"masks/{number}.png", filmed.MASK * (np.arange(HEIGHT) > 9 + k)[:, None]
-        )
-        written(f"smplx_optimized/smplx_params_smoothed/{number}.json", {
-            "root_pose": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)),
-            "lhand_pose": flat(slice(25, 40)), "rhand_pose": flat(slice(40, 55)),
-            "jaw_pose": flat(slice(22, 23)), "expr": [0.0] * 10, "trans": transl[k].tolist(),
-        })  # fmt: skip
-        K = lens_of(k)
-        camera = {"R": np.eye(3).tolist(), "t": [0.0, 0.0, 0.5], "focal": [K[0, 0], K[1, 1]],
-                  "princpt": [K[0, 2], K[1, 2]]}  # fmt: skip
-        written(f"cam_params/{number}.json", camera)
-    write_image(folder / "frames/12.png", image)
-    written("smplx_optimized/shape_param.json", np.linspace(-1, 1, 100).tolist())
-    (folder / "frame_list_train.txt").write_text("3\n4\n6\n")
-    (folder / "frame_list_test.txt").write_text("9\n12\n")
-    return folder
-
-
-def test_exavatar(exavatar, tmp_path, prepared, seen, stands):
-    rotations, transl = seen
-    folder, said = prepared(exavatar)
-    assert "exavatar, SMPL-X, 5 frames of 64x48" in said and "are ExAvatar's own" in said
-    with np.load(BUILT_IN_BODY) as body:
-        mean = np.concatenate([body["hands_meanl"], body["hands_meanr"]]).reshape(30, 3)
-    rotations = np.concatenate(
-        [rotations[:, :23], 0 * rotations[:, 23:25], rotations[:, 25:] + mean], 1
-    )
-    K, there = np.stack([lens_of(k) for k in range(FRAMES)]), (0.0, 0.0, 0.5)
-    video = stands(folder, rotations, np.array([0.0031, -0.3514, 0.0120]) + transl + there, K, 55)
-    assert video[3].mask[:13].max() == 0 and video[3].mask[13, 25] == 1
-    assert (video.splits.train, video.splits.test) == ([0, 1, 2], [4])
-    seen_there = read_image(exavatar / "frames/7.png", 3)
-    assert np.array_equal(read_image(folder / "frames/000003.png", 3), seen_there)
-
-
-def test_betas_beyond_the_body_s_are_dropped(exavatar, tmp_path, cli):
-    """ExAvatar's shape has a hundred numbers, a file of SMPL-X's first version ten."""
-    path = tmp_path / "SMPLX_NEUTRAL.npz"
-    with np.load(BUILT_IN_BODY) as arrays:  # with SMPL-X's pelvis
-        moved = arrays["v_template"] + np.array([0.0031, -0.3514, 0.0120])
-        np.savez(path, **{**arrays, "v_template": moved})
-    said = cli.works("prepare", "auto", exavatar, tmp_path / "s", "--body", path)
-    kept = load_body(path).num_betas
-    assert f"the first {kept} betas are kept, which this body's file has" in said
-    found = load_video(tmp_path / "s").shape.betas.numpy()
-    assert np.allclose(found, np.linspace(-1, 1, 100)[:kept].astype(np.float32))
 
 
 def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):

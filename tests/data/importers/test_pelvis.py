@@ -7,7 +7,6 @@ import pytest
 import roma
 import torch
 from PIL import Image
-from samples import data_sets as filmed
 from samples.data_sets import SMPLX as MEAN
 from samples.estimates import without_hands
 
@@ -67,14 +66,10 @@ def gvhmr(folder):
 
 
 def smplerx(folder):
-    return "smplerx", without_hands("smplerx", folder, K[None], ROOT[None], MOVE[None], BETAS)
+    return "smplerx", without_hands(folder, K[None], ROOT[None], MOVE[None], BETAS)
 
 
-def osx(folder):
-    return "osx", without_hands("osx", folder, K[None], ROOT[None], MOVE[None], BETAS)
-
-
-@pytest.mark.parametrize("write", [parameters, gvhmr, smplerx, osx])
+@pytest.mark.parametrize("write", [parameters, gvhmr, smplerx])
 @pytest.mark.parametrize("lens", [None, 160])
 def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     """x = R (b − p(β)) + p(β) + t; before a lens twice as long the pelvis is twice as far away."""
@@ -99,24 +94,6 @@ def test_estimators(write, lens, tmp_path, cli, smplx, shot):
     assert np.abs(camera(posed.joints)[0] - place).max() < 1e-5
 
 
-def test_a_data_set_whose_body_turns_about_the_origin(tmp_path, cli, smplx):
-    """EasyMocap's x = R(Rh) b + Th: all of it, also at betas that move the pelvis."""
-    T = filmed.FRAMES
-    people = np.tile(ROOT, (T, 1)), np.tile(MOVE, (T, 1)), np.zeros((T, 165))
-    wrap = lambda person: [{**person, "shapes": [BETAS.tolist()]}]
-    source = filmed.easymocap(tmp_path / "scene", people, wrap=wrap)
-    cli.works("prepare", "easymocap", source, tmp_path / "s", "--body", smplx)
-    arrays = np.load(smplx)
-    points = arrays["v_template"] + 2 * arrays["shapedirs"][..., 0]
-    R = filmed.matrices(filmed.TURN)
-    wanted = turned(points, 0, MOVE) @ R.T + filmed.MOVE
-    video = load_video(tmp_path / "s")
-    with torch.no_grad():
-        posed = load_body(smplx)(video.pose[:1], video.shape).vertices[0].double().numpy()
-    E = video.cameras[0].T_camera_world
-    assert np.abs(posed @ E[:3, :3].T + E[:3, 3] - wanted).max() < 1e-5
-
-
 def test_another_body_is_told_that_the_pelvis_is_the_mean_persons(tmp_path, cli, shot):
     kind, source = parameters(tmp_path)
     said = cli.works("prepare", kind, source, tmp_path / "s", "--body", "puppet", *shot)
@@ -133,7 +110,7 @@ def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
     pose = Pose(torch.zeros(1, 55, 3), torch.tensor([[0.0, 0, 3]]), face[None])
     save_poses(folder / "poses.npz", pose, Shape(face.flip(0)), stage=1)
     given = ("prepare", "parameters", folder / "poses.npz", tmp_path / "s", "--body", "puppet",
-             *shot, "--focal", 80)  # fmt: skip
+             *shot, "--lens", 80)  # fmt: skip
     for about, kept in ((None, False), ({"body": fingerprint(load_body())}, True)):
         if about:
             (folder / "synth.json").write_text(json.dumps(about))
@@ -151,7 +128,7 @@ def test_poses_that_are_not_where_the_masks_are_raise_a_doubt(tmp_path, cli):
     for name in "fm":
         (tmp_path / name).mkdir()
         Image.fromarray(mask).convert("RGB" if name == "f" else "L").save(tmp_path / name / "0.png")
-    shot = "--frames", tmp_path / "f", "--masks", tmp_path / "m", "--focal", 290
+    shot = "--frames", tmp_path / "f", "--masks", tmp_path / "m", "--lens", 290
 
     def said_of(root, place):
         poses = np.zeros((1, 72))

@@ -7,7 +7,7 @@ from gva_mi import InputError
 from gva_mi.body.smplx import load_body
 from gva_mi.data.importers.lens import centred
 from gva_mi.data.importers.people import choose, joints_in_masks
-from gva_mi.data.importers.tracks import Track
+from gva_mi.data.importers.track import Track
 
 SIZE = (64, 48)
 

@@ -1,26 +1,29 @@
-"""Read another program's normal maps from a folder: each shows a whole frame.
+"""Normals that a user brings: maps of another program, or by a network in an ONNX file.
 
-Maps belong to frames by the last number in their names: that of the frame's own file where frames
-are files; of a film, the first is 0, or 1 where the maps count from 1 to the last.
+A map shows a whole frame. Maps belong to frames by the last number in their names: that of the
+frame's own file where frames are files; of a film, the first is 0, or 1 where the maps count from 1
+to the last.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.core.atomic import atomic_write
-from gva_mi.core.console import listed
+from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.data.folder import MASKS, NORMALS, SubjectWriter, frame_name
-from gva_mi.data.importers.footage import PICTURES, Pictures, files_of
-from gva_mi.data.importers.numbering import number_in
+from gva_mi.data.crop import bounds
+from gva_mi.data.folder import FRAMES, MASKS, NORMALS, SubjectWriter, frame_name
+from gva_mi.data.importers.footage import PICTURES, Pictures, files_of, number_in
 from gva_mi.data.masks import read_mask
+from gva_mi.data.networks.normals import NormalNetwork
 from gva_mi.data.normals import Convention, NormalMaps, read_map
-from gva_mi.data.pictures import in_8_bits, require_sides, write_image
+from gva_mi.data.pictures import in_8_bits, read_image, require_sides, write_image
 from gva_mi.splat import Camera
 
 
@@ -112,3 +115,35 @@ def _read(path: Path, camera: Camera) -> np.ndarray:
             raise InputError(f"{path}: holds no number below 0, such as (n + 1) / 2; expected n")
     require_sides(f"{path}:", stored, camera.width, camera.height)
     return stored
+
+
+def write_normals(
+    folder: Path,
+    network: NormalNetwork,
+    count: int,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
+
+    A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
+
+    Args:
+        folder: of the subject.
+        network: that sees the pictures.
+        count: of the frames.
+        progress: called after every frame.
+    """
+    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * count, 0
+    for k in range(count):
+        mask = read_mask(folder / MASKS, k)
+        box = None if mask is None else bounds(mask > 0.5)
+        if box is not None:
+            image = read_image(folder / FRAMES / frame_name(k), 3)
+            crop, normals = network.see(image, mask, box)
+            boxes[k] = list(astuple(crop))
+            writer.normals(k, normals)
+            maps += 1
+        if progress:
+            progress(k + 1, count)
+    writer.normals_record(network.spec.convention, boxes)
+    return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]

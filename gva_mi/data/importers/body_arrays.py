@@ -1,0 +1,355 @@
+"""Find a body's arrays in a file by their public names: :func:`find_body`.
+
+:data:`NAMES` is the table: our name of an array, and the names under which programs write it. The
+first one that a file holds is taken, also in camel case or behind the name of a model
+(``smplx_body_pose``, ``bodyPose``). The arrays may lie in a dictionary of their own, such as
+``params``.
+
+Rotations are axis-angle or matrices, flat or joint by joint. The numbers of a row name the body:
+
+=========  ==========================================================================
+Numbers    Joints
+=========  ==========================================================================
+165        SMPL-X: all 55 joints
+156        SMPL+H: 22 joints and both hands
+72         SMPL: 22 joints and two mittens, which are left out
+66         the 22 joints that all bodies have, with hands and face beside them or without
+63, 69     SMPL-X's or SMPL's joints below the root, which ``global_orient`` turns
+=========  ==========================================================================
+
+With ``Rh`` and ``Th``, as of EasyMocap, the body turns about the origin: x = R(Rh) b + Th.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gva_mi.body.body_file import FORMATS, SMPL, SMPLH, SMPLX
+from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
+from gva_mi.body.rotations import composed, nearest_rotations, to_matrices, to_rotvecs
+from gva_mi.core.errors import InputError
+
+WHOLE = ("poses", "pose", "fullpose", "full_pose", "thetas")  # all joints in a row
+NAMES = {
+    "global_orient": ("global_orient", "root_orient", "root_pose", "global_rot"),
+    "body_pose": ("body_pose", "pose_body"),
+    "left_hand_pose": ("left_hand_pose", "lhand_pose", "pose_lhand", "left_hand", "lhand"),
+    "right_hand_pose": ("right_hand_pose", "rhand_pose", "pose_rhand", "right_hand", "rhand"),
+    "hands": ("pose_hand", "hand_pose"),  # left before right
+    "jaw_pose": ("jaw_pose", "pose_jaw"),
+    "leye_pose": ("leye_pose",),
+    "reye_pose": ("reye_pose",),
+    "eyes": ("pose_eye", "eye_pose"),
+    "transl": (
+        "trans", "transl", "translation", "global_transl", "global_body_translation", "global_t",
+        "root_trans", "root_translation", "root_pos", "cam_trans", "body_translation", "tran", "Th",
+    ),
+    "scaled": ("scaling", "body_scale"),  # of AIST++: x = s b + t
+    "betas": ("betas", "beta", "shape", "shapes", "body_shape"),
+    "expression": ("expression", "expressions", "expr", "exp", "face_expr"),
+}  # fmt: skip
+# What is neither pose nor shape: lens, time, boxes. It is not named as unused.
+OTHERS = set(
+    "K cam_K intrinsic intrinsics focal focal_length focal_l princpt bbox width height frame_ids "
+    "frame_id frame time stage offsets".split()
+)
+PARTS = {**SMPLX_FIELDS, "hands": slice(LEFT_HAND.start, RIGHT_HAND.stop), "eyes": slice(23, 25)}
+_EXTREMITIES = {ours: PARTS[ours] for ours in PARTS if ours not in ("global_orient", "body_pose")}
+_NUMBERS = {k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)}  # of a row: its joints
+_BELOW_ROOT = (63, 69)  # numbers of a row
+_MODEL = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
+_CAMEL = re.compile("(?<=[a-z0-9])(?=[A-Z])")
+_DEEP = 3  # dictionaries in dictionaries
+# Some programs add whole turns to a limb's rotation, but not so many; in degrees, arms that hang
+# down are turned by more than this.
+_TURNS = 4 * 2 * np.pi
+
+
+@dataclass(frozen=True)
+class FoundBody:
+    """A body's arrays in T frames, in the file's own axes."""
+
+    rotations: np.ndarray  # (T, 55, 3) axis-angle, radians; may hold NaN
+    form: str  # "SMPL", "SMPL+H" or "SMPL-X"
+    has_hands: bool
+    transl: np.ndarray | None = None  # (T, 3) metres, of a body that is not scaled
+    about_origin: np.ndarray | None = None  # (T, 3, 3) turns, where the body turns about the origin
+    betas: np.ndarray | None = None  # (B,), or (n, B) if they differ between frames
+    expression: np.ndarray | None = None  # (T, E)
+    unused: tuple[str, ...] = ()  # names of the other arrays of numbers
+
+
+def find_body(where: str, found: Mapping[str, Any]) -> FoundBody:
+    """Find the joints, the place and the shape of T frames."""
+    arrays = NamedArrays(where, unnested(found))
+    body = _rotations(arrays)
+    if body is None:
+        names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
+        raise InputError(
+            f"{where}: holds no poses of one person; expected one of {', '.join(WHOLE)}, or "
+            f"root_orient and pose_body, or global_orient and body_pose; found: {names}"
+        )
+    frames = len(body.rotations)
+    turns, place = None, "transl"
+    if {"Rh", "Th"} <= arrays.keys():
+        Rh, place = _vectors(where, *arrays.take("Rh"), frames), "Th"
+        body.rotations[:, 0] = composed(Rh, body.rotations[:, 0])
+        turns = to_matrices(Rh)
+    transl, betas = _translation(arrays, place, frames), _betas(arrays)
+    face = _expression(arrays, frames)
+    unused = arrays.unused()
+    return replace(
+        body, transl=transl, about_origin=turns, betas=betas, expression=face, unused=unused
+    )
+
+
+class NamedArrays(dict):
+    """A file's arrays by name; it keeps which of them were taken."""
+
+    def __init__(self, where: str, found: Mapping[str, Any]) -> None:
+        super().__init__({k: x for k, x in found.items() if x is not None})
+        self.where, self.taken = where, set()
+        self._own = {plain_name(k): k for k in reversed(self)}  # the first of a plain name
+
+    def find(self, *names: str) -> str | None:
+        """Return the file's own name of the first of ``names``, ours or the file's, it holds."""
+        public = [name for ours in names for name in NAMES.get(ours, (ours,))]
+        found = (name if name in self else self._own.get(name) for name in public)
+        return next((name for name in found if name is not None), None)
+
+    def take(self, *names: str) -> tuple[str, np.ndarray] | tuple[None, None]:
+        """Return name and numbers (float64, 1-D at least) of what :meth:`find` finds."""
+        name = self.find(*names)
+        if name is None:
+            return None, None
+        self.taken.add(name)
+        return name, numbers_of(f"{self.where}: '{name}'", self[name])
+
+    def cover(self, *names: str) -> None:
+        """Count ``names`` of ours as taken, because other arrays hold the same."""
+        public = {name for ours in names for name in NAMES[ours]}
+        self.taken |= {own for plain, own in self._own.items() if plain in public}
+
+    def unused(self) -> tuple[str, ...]:
+        """Return the names of arrays of numbers that were not taken."""
+        return tuple(str(k) for k, x in self.items() if k not in self.taken and is_numbers(x))
+
+
+def numbers_of(where: str, value: Any) -> np.ndarray:  # noqa: ANN401
+    """Return a value of a file as an array (float64, 1-D at least), or refuse it."""
+    try:
+        array = np.asarray(value)
+        array = array if array.dtype.kind != "c" else array.astype(str)  # refused
+        return np.atleast_1d(array.astype(np.float64))
+    except (ValueError, TypeError):
+        raise InputError(f"{where} must be numbers, got {value!s:.40}") from None
+
+
+def plain_name(name: object) -> str:
+    """Return a name in lower case with underscores, without that of a model before it."""
+    return _MODEL.sub("", _CAMEL.sub("_", str(name)).lower())
+
+
+def is_numbers(x: Any) -> bool:  # noqa: ANN401
+    """Whether a value of a file is an array of more than one number."""
+    return isinstance(x, np.ndarray) and x.size > 1 and x.dtype.kind in "biuf"
+
+
+def holds_pose(found: Any) -> bool:  # noqa: ANN401
+    """Whether a file's content has the poses of a body by name."""
+    names = {*WHOLE, *NAMES["body_pose"]}
+    return isinstance(found, Mapping) and any(
+        plain_name(name) in names and x is not None and not isinstance(x, Mapping)
+        for name, x in found.items()
+    )
+
+
+def unnested(found: Any, deep: int = _DEEP) -> Any:  # noqa: ANN401
+    """Return a dictionary in whose only inner dictionary with poses the parameters lie with these
+    parameters by name, the outer names kept; anything else as it is."""
+    if not isinstance(found, Mapping) or holds_pose(found) or not deep:
+        return found
+    inner = {name: unnested(one_object(x), deep - 1) for name, x in found.items()}
+    posed = [name for name, x in inner.items() if holds_pose(x)]
+    if len(posed) != 1:
+        return found
+    outer = {name: x for name, x in found.items() if name != posed[0]}
+    return outer | dict(inner[posed[0]])
+
+
+def one_object(found: Any) -> Any:  # noqa: ANN401
+    """Return what an array of one object holds, numpy's way to keep a dictionary; else the same."""
+    one = isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1
+    return found.item() if one else found
+
+
+def _rotations(arrays: NamedArrays) -> FoundBody | None:
+    """Find the joints of T frames; None if the arrays hold no poses."""
+    name, pose = arrays.take(*WHOLE)
+    below_root = name is None or math.prod(pose.shape[pose.ndim > 1 :]) in _BELOW_ROOT
+    if name is None:
+        name, pose = arrays.take("body_pose")
+    root, orient = arrays.take("global_orient") if below_root else (None, None)
+    if name is None:
+        return None
+    if root is None:
+        body, form = _of_all_joints(arrays.where, name, pose)
+        arrays.cover(*(PARTS if body.has_hands else ("global_orient", "body_pose")))
+    else:
+        body = _of_root_and_body(arrays.where, root, orient, name, pose)
+        form = body.form
+    body = body if body.has_hands else _with_extremities(arrays, body, form)
+    turns = np.nan_to_num(np.linalg.norm(body.rotations[:, 1:], axis=2))
+    if (largest := float(np.median(turns, axis=0).max())) > _TURNS:
+        raise InputError(
+            f"{arrays.where}: a limb is turned by {largest:.0f} radians in most frames, such as by "
+            "rotations in degrees; expected axis-angle in radians"
+        )
+    return body
+
+
+def _of_all_joints(where: str, name: str, pose: np.ndarray) -> tuple[FoundBody, str]:
+    """Return a pose with all joints in a row, (T, 3 J), and the form of hands beside it."""
+    rows = pose[None] if pose.ndim == 1 else pose
+    if rows.ndim > 2 and len(rows) == 1 and rows[0].size not in _NUMBERS:
+        rows = rows[0]  # a batch of one motion
+    numbers = rows[0].size if len(rows) else 0
+    axes = [n for n in rows.shape[1:] if n > 1]
+    if numbers not in _NUMBERS or (len(axes) > 1 and axes[-1] != 3):
+        raise InputError(
+            f"{where}: '{name}' has {numbers} numbers a frame; expected axis-angle, 165 (SMPL-X), "
+            f"156 (SMPL+H), 72 (SMPL) or 66 (its 22 joints above the hands), or matrices, and no "
+            f"quaternions; got {pose.shape}"
+        )
+    count = _NUMBERS[numbers]
+    angles = axis_angles(where, name, rows, len(rows), count)
+    rotations = np.zeros((len(angles), len(JOINTS), 3))
+    form = FORMATS.get(count, SMPL)
+    joints = list(range(BODY.stop)) if form is SMPL else list(form.joints)  # without mittens
+    rotations[:, joints] = angles[:, : len(joints)]
+    beside = SMPLX.name if count == BODY.stop else form.name
+    return FoundBody(rotations, form.name, form is not SMPL), beside
+
+
+def _of_root_and_body(
+    where: str, root: str, orient: np.ndarray, name: str, body: np.ndarray
+) -> FoundBody:
+    """Return the joints of a root and a body in arrays of their own."""
+    matrix = orient.ndim > 2 and orient.shape[-2:] == (3, 3)
+    frames = orient.size // (9 if matrix else 3)
+    if not frames or orient.shape[-1] != 3:
+        raise InputError(f"{where}: '{root}' must be (T, 3) or (T, 3, 3), got {orient.shape}")
+    rotations = np.zeros((frames, len(JOINTS), 3))
+    rotations[:, :1] = axis_angles(where, root, orient, frames, 1)
+    # SMPL's 23 joints have mittens; 22 and 24 repeat the root.
+    numbers = body.size / frames
+    count = next((n for n in (21, 23, 22, 24) if numbers in (3 * n, 9 * n)), 21)
+    angles = axis_angles(where, name, body, frames, count)
+    rotations[:, BODY] = angles[:, count in (22, 24) :][:, :21]
+    return FoundBody(rotations, SMPL.name if count in (23, 24) else SMPLX.name, False)
+
+
+def _with_extremities(arrays: NamedArrays, body: FoundBody, form: str) -> FoundBody:
+    """Return the joints with hands, jaw and eyes of arrays of their own.
+
+    With any of these the body is a ``form``.
+    """
+    names = {}
+    for ours, part in _EXTREMITIES.items():
+        name, x = arrays.take(ours)
+        if name is not None:
+            names[ours] = name
+            count = part.stop - part.start
+            body.rotations[:, part] = axis_angles(arrays.where, name, x, len(body.rotations), count)
+    form = form if names else body.form
+    if form == SMPLX.name and names.get("hands") == "pose_hand" and "jaw_pose" not in names:
+        form = SMPLH.name  # AMASS's
+    return replace(body, form=form, has_hands=any("hand" in ours for ours in names))
+
+
+def axis_angles(where: str, name: str, x: np.ndarray, frames: int, joints: int) -> np.ndarray:
+    """Convert T frames of so many joints, of any shape, to axis-angle (T, J, 3)."""
+    if x.size == 3 * joints:  # of all frames
+        x = np.broadcast_to(x.reshape(1, joints, 3), (frames, joints, 3))
+    rows = _by_frame(x, frames, joints, 3)
+    if rows is not None:
+        return rows
+    matrices = _by_frame(x, frames, joints, 3, 3)
+    if matrices is None:
+        hint = ", axis-angle and no components of a PCA" if "hand" in name else ""
+        raise InputError(f"{where}: '{name}' must be ({frames}, {3 * joints}){hint}; got {x.shape}")
+    known = np.isfinite(matrices).all((-1, -2), keepdims=True)
+    matrices = np.where(known, matrices, np.eye(3))
+    product = matrices @ matrices.swapaxes(-1, -2)  # orthogonal to a few digits
+    if np.abs(product - np.eye(3)).max() > 0.1 or (np.linalg.det(matrices) < 0).any():
+        raise InputError(f"{where}: '{name}' {x.shape} must hold rotation matrices")
+    return np.where(known[..., 0], to_rotvecs(nearest_rotations(matrices)), np.nan)
+
+
+def _by_frame(x: np.ndarray, frames: int, *row: int) -> np.ndarray | None:
+    """Return an array as (frames, *row) if these are its axes, flat or not, else None.
+
+    Axes of length 1 do not count, but an array of the right size with other axes is not taken.
+    """
+    if x.size != frames * int(np.prod(row)):
+        return None
+    axes = [n for n in x.shape if n != 1]
+    first, rest = axes[:1], axes[1:] if frames > 1 else axes
+    if (frames > 1 and first != [frames]) or (len(rest) > 1 and rest[-1] != row[-1]):
+        return None
+    return x.reshape(frames, *row)
+
+
+def _vectors(where: str, name: str, x: np.ndarray, frames: int) -> np.ndarray:
+    """Return an array of vectors as (T, 3), or refuse it."""
+    rows = _by_frame(x, frames, 3)
+    if rows is None:
+        raise InputError(f"{where}: '{name}' must be ({frames}, 3), got {x.shape}")
+    return rows
+
+
+def _translation(arrays: NamedArrays, ours: str, frames: int) -> np.ndarray | None:
+    """Return the translation (T, 3), metres, of a body that is not scaled.
+
+    Where a body is scaled by s, all is divided by s: x = s b + t looks the same as b + t / s.
+    """
+    name, transl = arrays.take(ours)
+    if name is None:
+        return None
+    transl = _vectors(arrays.where, name, transl, frames)
+    key, scale = arrays.take("scaled", *(["scale"] if name == "translation" else []))
+    if key is None:
+        return transl
+    scale = scale.ravel()
+    if scale.size not in (1, frames) or not ((scale > 0) & (scale < np.inf)).all():
+        raise InputError(f"{arrays.where}: '{key}' must be one number above 0, got {scale}")
+    return transl / scale[:, None]
+
+
+def _betas(arrays: NamedArrays) -> np.ndarray | None:
+    name, betas = arrays.take("betas")
+    if name is None:
+        return None
+    given = betas.shape
+    if betas.size:
+        one = betas.size == betas.shape[-1]
+        betas = betas.reshape(betas.shape[-1]) if one else np.squeeze(betas)
+    if not betas.size or betas.ndim not in (1, 2) or not np.isfinite(betas).all():
+        raise InputError(f"{arrays.where}: '{name}' must be finite (B,) or (T, B), got {given}")
+    return betas
+
+
+def _expression(arrays: NamedArrays, frames: int) -> np.ndarray | None:
+    name, face = arrays.take("expression")
+    if name is None or not face.size:
+        return None
+    rows = face.reshape(1 if face.size == face.shape[-1] else len(face), -1)
+    if len(rows) not in (1, frames):  # one row is every frame's
+        raise InputError(f"{arrays.where}: '{name}' must be ({frames}, n), got {face.shape}")
+    return np.broadcast_to(rows, (frames, rows.shape[1]))

@@ -24,7 +24,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.stamp import is_fresh, results_version, stamp, start_folder
 from gva_mi.data.cameras import load_cameras
-from gva_mi.data.film import SEE_THROUGH, require_alpha_codec, write_film
+from gva_mi.data.film import write_film
 from gva_mi.data.folder import VIDEO, frame_name
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.track import TargetBody
@@ -61,8 +61,8 @@ def render(
             trained with the avatar.
         cameras: a file of cameras: one for all frames, or one for each.
         background: a colour, such as white or #ff8800, or a picture file.
-        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
-        video: also write video.mp4 there; with ``alpha`` video.webm.
+        alpha: pictures are transparent around the avatar.
+        video: also write video.mp4 there; not with ``alpha``, which films cannot hold.
         fps: frames a second of films; motions of other programs are resampled to it.
         body: see above; for an avatar without its body.
         overwrite: replace existing renders.
@@ -70,6 +70,8 @@ def render(
     run, out = Path(run), Path(out)
     if cameras is not None and path != CameraPath():
         raise InputError("render: give --cameras, or say where cameras stand; not both")
+    if video and alpha:
+        raise InputError("render: a film cannot be transparent; give --video or --alpha, not both")
     body = run_folder.body_of_run(run, None if body is None else Path(body))
     avatar = run_folder.load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, fps, body)
@@ -79,19 +81,16 @@ def render(
         pictures = _given_cameras(Path(cameras), motion)
     size = pictures[0].camera.width, pictures[0].camera.height
     behind = read_background(background, *size)
-    movie = Path(VIDEO).stem + SEE_THROUGH if alpha else VIDEO
-    if video and alpha:
-        require_alpha_codec(out / movie)
     made_of = _stamp(avatar, motion, pictures, behind, alpha, video, fps)
     about = {"avatar": str(run), "poses": poses, "cameras": cameras}
     files = [frame_name(k) for k in range(len(pictures))]
-    names = [*files, movie] if video else files
+    names = [*files, VIDEO] if video else files
 
     def images(missing: Collection[str]) -> Iterator[np.ndarray]:
         """Render and write the missing pictures, and yield them; for a film yield all."""
         drawn = [k for k, file in enumerate(files) if file in missing]
         layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
-        for k in range(len(files)) if movie in missing else drawn:
+        for k in range(len(files)) if VIDEO in missing else drawn:
             if files[k] not in missing:
                 yield read_image(out / files[k], 4 if alpha else 3)
                 continue
@@ -102,8 +101,8 @@ def render(
 
     folder = _missing(out, names, overwrite, about, made_of)
     with folder as missing, bar("render") as progress:
-        if movie in missing:
-            write_film(out / movie, images(missing), fps, "alpha" if alpha else "playable")
+        if VIDEO in missing:
+            write_film(out / VIDEO, images(missing), fps, "playable")
         else:
             deque(images(missing), maxlen=0)
     say(f"{len(pictures)} pictures: {out}")

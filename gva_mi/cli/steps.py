@@ -166,8 +166,8 @@ def render(
             the poses trained with the avatar.
         cameras: K, T_camera_world, width, height; one for all frames, or T.
         background: a colour, such as white or #ff8800, or a picture file.
-        alpha: pictures are transparent around the avatar, and so is a film, then a .webm.
-        video: also write video.mp4 there; with --alpha video.webm.
+        alpha: pictures are transparent around the avatar.
+        video: also write video.mp4 there; not with --alpha.
         fps: frames a second of films; motions of other programs are resampled to it.
         body: the body file of an avatar without its body; without it the run's, or the puppet.
         overwrite: replace existing renders.

@@ -46,18 +46,12 @@ FROM_2020 = np.array(
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
 )
 LUMA_2020 = np.array([0.2627, 0.6780, 0.0593], np.float32)
-SEE_THROUGH = ".webm"  # of films with alpha, which an .mp4 cannot hold
-_WAYS = {  # of a film: container, codec, its pixels and options, the pixels that it is given
+_WAYS = {  # of a film: codec, its pixels and options
     # x264 writes its settings into the file, the number of threads among them: always use one.
-    "lossless": ("mp4", "libx264rgb", "rgb24", {
-        "crf": "0", "preset": "veryfast", "threads": "1"}, "rgb24"),
+    "lossless": ("libx264rgb", "rgb24", {"crf": "0", "preset": "veryfast", "threads": "1"}),
     # mbtree reads uninitialised memory: other bits in every run.
-    "playable": ("mp4", "libx264", "yuv420p", {
-        "crf": "18", "threads": "1", "mbtree": "0"}, "rgb24"),
-    "alpha": ("webm", "libvpx-vp9", "yuva420p", {
-        "crf": "12", "b": "0", "deadline": "good", "cpu-used": "4", "threads": "1", "row-mt": "0",
-        "auto-alt-ref": "0"}, "rgba"),
-}  # fmt: skip
+    "playable": ("libx264", "yuv420p", {"crf": "18", "threads": "1", "mbtree": "0"}),
+}
 KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 
 
@@ -182,27 +176,12 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
     """Yield the frames of a film."""
     count = 0
     with decoding(path), open_film(path) as container:
-        for frame in _with_alpha(container):
+        for frame in container.decode(video=0):
             require_size(str(path), frame.width, frame.height)
             yield frame
             count += 1
     if not count:
         raise InputError(f"{path}: holds no picture")
-
-
-def _with_alpha(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
-    """Yield the frames of a film; with their alpha, which FFmpeg's own decoder of VP9 drops."""
-    import av
-
-    stream = container.streams.video[0]
-    decoder = {"vp8": "libvpx", "vp9": "libvpx-vp9"}.get(stream.codec_context.name)
-    alpha = ("alpha_mode", "1") in {(key.lower(), x) for key, x in stream.metadata.items()}
-    if not alpha or decoder not in av.codecs_available:
-        yield from container.decode(stream)
-        return
-    decoder = av.CodecContext.create(decoder, "r")
-    for packet in container.demux(stream):
-        yield from decoder.decode(packet)
 
 
 def open_film(path: Path) -> av.container.InputContainer:
@@ -266,47 +245,32 @@ def steps_of(path: Path) -> tuple[np.ndarray, float]:
     return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
 
 
-def require_alpha_codec(path: Path) -> None:
-    """Raise an InputError where films with alpha cannot be written."""
-    import av
-
-    if "libvpx-vp9" not in av.codecs_available:
-        raise InputError(
-            f"{path}: the installed PyAV has no libvpx-vp9, which films with alpha need; expected "
-            "its own wheel, pip install av"
-        )
-
-
 def write_film(
     path: Path,
     images: Iterable[np.ndarray],
     fps: int = 25,
-    way: Literal["lossless", "playable", "alpha"] = "lossless",
+    way: Literal["lossless", "playable"] = "lossless",
 ) -> None:
-    """Write a film of pictures (H, W, C), floats in [0, 1] or 8-bit.
+    """Write an mp4 of pictures (H, W, 3), floats in [0, 1] or 8-bit.
 
-    Lossless is an mp4 in RGB; playable is an mp4 that every player shows; alpha is a .webm of RGBA
-    pictures, straight alpha. The last two drop the last row or column of odd sizes.
+    Lossless is RGB; every player shows a playable one, without the last row or column of odd sizes.
     """
     import av
 
-    kind, codec, pixels, options, given = _WAYS[way]
-    bare = {"fflags": "+bitexact"} if way == "alpha" else {}  # no time stamp or random number
+    codec, pixels, options = _WAYS[way]
     with (
         atomic_write(path) as unfinished,
-        av.open(str(unfinished), "w", format=kind, options=bare) as container,
+        av.open(str(unfinished), "w", format="mp4") as container,
     ):
         stream = container.add_stream(codec, rate=fps)
         stream.pix_fmt, stream.options = pixels, options
-        if way == "alpha":
-            stream.metadata["alpha_mode"] = "1"  # players need it
         for k, image in enumerate(images):
             image = in_8_bits(image)
-            if way != "lossless":  # halved colours: even sizes
+            if way == "playable":  # halved colours: even sizes
                 image = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
             if k == 0:
                 stream.height, stream.width = image.shape[:2]
-            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), given)
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24")
             container.mux(stream.encode(picture))
         container.mux(stream.encode())
 

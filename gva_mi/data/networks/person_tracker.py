@@ -11,7 +11,7 @@ people, so those who are known are painted over. It misses people who fill less 
 it sees, so parts of the picture are searched, too. A detected person is one if the body network
 agrees twice: on the picture and on its mirror image.
 
-Of several people, the one is followed who is near the expected place, of the same size, in the same
+Of several people, the one is followed who is near the last place, of the same size, in the same
 colours between shoulders and hips. While that person is hidden, nobody is found.
 """
 
@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +46,12 @@ _GREY, _AROUND = 128, 0.1  # what is painted over; of the radius: around the lan
 _SURROUNDINGS = 5.0  # of the radius: side of the square in which the person is searched
 
 _BINS = 4  # of each colour channel
-_MEMORY, _STEADY = 0.9, 0.7  # shares of the colours and of the speed that stay in each picture
-# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
-# and in each picture without a sight.
+_MEMORY = 0.9  # share of the colours that stays in each picture
+# Of the radius: what a person hardly moves from one picture to the next, and in each picture
+# without a sight.
 _STEP, _DRIFT = 1.0, 0.3
 _LEAST = -0.5  # least resemblance to the person
-_DOUBTFUL = 0.6  # of the usual likeness of colours: less is another person, if several are around
+_DOUBTFUL = 0.42  # overlap of colours: less is another person, if several are around
 _TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
 
 
@@ -136,44 +135,6 @@ def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     return inside / np.maximum(union, 1e-12)
 
 
-@dataclass
-class KnownPerson:
-    """The person who is followed: place, size, speed and the colours of the torso."""
-
-    body: SeenBody  # when last seen
-    colours: np.ndarray  # (bins,) of sum 1
-    speed: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels a picture
-    usual: float = 0.7  # likeness of the colours from picture to picture
-    unseen: int = 0  # pictures since then
-
-    @property
-    def expected(self) -> np.ndarray:
-        """Where the hips (2,) are now, if the person has gone on, pixels."""
-        return self.body.hips + self.unseen * self.speed
-
-    def resemblance(self, body: SeenBody, likeness: float) -> float:
-        """Return how much somebody looks like this person: 1 is the expected place and colours."""
-        moved = np.linalg.norm(body.hips - self.expected) / self.body.radius
-        grown = abs(np.log(body.radius / self.body.radius))
-        return likeness - float(moved + grown) / (_STEP + _DRIFT * self.unseen)
-
-    def likeness(self, colours: np.ndarray) -> float:
-        """Return the overlap of two histograms of sum 1."""
-        return float(np.minimum(self.colours, colours).sum())
-
-    def is_at(self, body: SeenBody) -> bool:
-        """Return whether somebody is where this person is expected."""
-        return bool(np.linalg.norm(body.hips - self.expected) < _SAME * self.body.radius)
-
-    def update(self, body: SeenBody, colours: np.ndarray) -> None:
-        """Remember a new sight."""
-        moved = (body.hips - self.body.hips) / max(1, self.unseen)
-        self.speed = _STEADY * self.speed + (1 - _STEADY) * moved
-        self.usual = _MEMORY * self.usual + (1 - _MEMORY) * self.likeness(colours)
-        self.colours = _MEMORY * self.colours + (1 - _MEMORY) * colours
-        self.body, self.unseen = body, 0
-
-
 class PersonTracker:
     """Finds one person in picture after picture."""
 
@@ -185,7 +146,9 @@ class PersonTracker:
         The person is chosen in the first picture that shows anybody, or N people.
         """
         self._detector, self._network, self._person = detector, network, person
-        self._ours: KnownPerson | None = None
+        self._body: SeenBody | None = None  # when the person was last seen
+        self._colours = np.zeros(_BINS**3)  # of the person's torso, of sum 1
+        self._unseen = 0  # pictures since then
         self._number = -1
         self.crowded: list[int] = []  # pictures in which several people were seen
         self.lost: list[int] = []  # pictures in which the person was not found
@@ -193,7 +156,7 @@ class PersonTracker:
     @property
     def begun(self) -> bool:
         """Whether the person was chosen."""
-        return self._ours is not None
+        return self._body is not None
 
     @property
     def _several(self) -> bool:
@@ -203,31 +166,31 @@ class PersonTracker:
     def follow(self, image: np.ndarray) -> SeenBody | None:
         """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
         self._number += 1
-        ours, seen = self._ours, []
-        if ours is not None and not ours.unseen:
-            body = self._network.see(image, ours.body.square)
+        seen = []
+        if self._body is not None and not self._unseen:
+            body = self._network.see(image, self._body.square)
             seen = [body] if body.presence >= FOUND else []
         if not seen or self._several or self._number % _EVERY == 0:
             seen = self._search(image, seen)
         if len(seen) > 1:
             self.crowded.append(self._number)
-        found = self._choose(image, seen) if ours is None else self._recognise(image, seen)
+        found = self._recognise(image, seen) if self.begun else self._choose(image, seen)
         if found is None:
             self.lost.append(self._number)
         return found
 
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Add the people who are not among the seen."""
-        ours, due = self._ours, self._number % _EVERY == 0
+        due = self._number % _EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
-        if ours is not None and not seen:
-            expected = tuple(ours.expected.tolist())
-            squares.append(TurnedSquare(expected, _SURROUNDINGS * ours.body.radius))
-        just_lost = ours is not None and ours.unseen < _EVERY
+        if self.begun and not seen:
+            last = tuple(self._body.hips.tolist())
+            squares.append(TurnedSquare(last, _SURROUNDINGS * self._body.radius))
+        just_lost = self.begun and self._unseen < _EVERY
         if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
             squares += squares_over(image, min(image.shape[:2]))
         found = self._found_in(squares, image, seen)
-        if ours is None and not found and due:
+        if not self.begun and not found and due:
             found = self._found_in(squares_over(image, min(image.shape[:2]) / 2), image, [])
         return found
 
@@ -260,7 +223,7 @@ class PersonTracker:
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
         if best.presence < FOUND:
             return None
-        if self._ours is not None and self._ours.is_at(best):
+        if self.begun and _is_same(best, self._body):
             return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
@@ -276,25 +239,28 @@ class PersonTracker:
             middle = np.array(image.shape[1::-1]) / 2
             off = lambda body: float(np.linalg.norm((body.hips - middle) / middle))
             chosen = max(seen, key=lambda body: body.radius / (1 + off(body)))
-        self._ours = KnownPerson(chosen, torso_colours(image, chosen))
+        self._body, self._colours = chosen, torso_colours(image, chosen)
         return chosen
 
     def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Return the one of the seen who resembles our person most, if anybody does."""
-        ours, best = self._ours, None
-        ours.unseen += 1
-        least = _LEAST
+        self._unseen += 1
+        last, found, least = self._body, None, _LEAST
         for body in seen:
             colours = torso_colours(image, body)
-            likeness = ours.likeness(colours)
-            if self._several and likeness < _DOUBTFUL * ours.usual:
+            likeness = float(np.minimum(self._colours, colours).sum())
+            if self._several and likeness < _DOUBTFUL:
                 continue
-            if (resemblance := ours.resemblance(body, likeness)) > least:
-                least, best = resemblance, (body, colours)
-        if best is None:
+            moved = np.linalg.norm(body.hips - last.hips) / last.radius
+            grown = abs(np.log(body.radius / last.radius))
+            resemblance = likeness - float(moved + grown) / (_STEP + _DRIFT * self._unseen)
+            if resemblance > least:
+                least, found = resemblance, (body, colours)
+        if found is None:
             return None
-        ours.update(*best)
-        return best[0]
+        self._body, self._unseen = found[0], 0
+        self._colours = _MEMORY * self._colours + (1 - _MEMORY) * found[1]
+        return self._body
 
 
 def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:

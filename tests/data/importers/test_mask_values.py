@@ -88,15 +88,6 @@ def test_few_numbers_below_the_unit_are_labels(drawn, container, tmp_path):
         assert np.array_equal(mask, 255 * ((drawn[k] > 0) & ~ring))
 
 
-def test_a_film_of_vp9_keeps_its_alpha(tmp_path):
-    """FFmpeg's own decoder drops it, and a person in colours is no mask."""
-    color = np.stack([200 * ME, 90 * OTHER, 0 * ME, 255 * ME], axis=-1).astype(np.uint8)
-    write_film(tmp_path / "m.webm", [color, color], way="alpha")
-    found = list(masks(tmp_path / "m.webm"))
-    assert len(found) == 2
-    assert all(((mask > 127) != ME).mean() < 0.01 for mask in found)
-
-
 def test_masks_with_an_axis_of_channels_are_a_stack(tmp_path):
     for axis in (1, 3):
         np.save(tmp_path / "m.npy", np.expand_dims(np.stack([ME, ME]), axis))

@@ -321,7 +321,10 @@ def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
         "rest_faces": (None, 3), "rest_looseness": (V,), "rest_directions": (V, 3, None),
         "rest_pose_features": (None,), "rest_expression_joints": (J, 3, None),
         "rest_betas": (None,), "canonical.means": (N, 3), "canonical.quats": (N, 4),
-        "canonical.weights": (N, J), "light": (3,),
+        "canonical.log_scales": (N, 3), "canonical.logit_opacities": (N,),
+        "canonical.sh": (N, 4 if state["canonical.sh"].shape[1:2] == (4,) else 1, 3),
+        "canonical.weights": (N, J), "canonical.slopes": (N, 3, J),
+        "canonical.directions": (N, 3, None), "light": (3,),
     }  # fmt: skip
     for name, shape in shapes.items():
         if fault := shape_fault(state[name].shape, shape):

@@ -52,40 +52,15 @@ def require_count(where: str, count: int) -> None:
 class CanonicalGaussians(nn.Module):
     """N Gaussians in the rest pose: raw parameters, their activations, and skinning weights.
 
-    Shapes are those of the table above; K is 1 or 4 coefficients of colour.
+    It is made of the tensors of the table above by name; K is 1 or 4 coefficients of colour.
     """
 
-    def __init__(
-        self,
-        means: Tensor,
-        quats: Tensor,
-        log_scales: Tensor,
-        logit_opacities: Tensor,
-        sh: Tensor,
-        weights: Tensor,
-        slopes: Tensor,
-        directions: Tensor,
-    ) -> None:
+    def __init__(self, **tensors: Tensor) -> None:
         super().__init__()
-        N, J = means.shape[0], weights.shape[-1]
-        given = means, quats, log_scales, logit_opacities, sh, weights, slopes, directions
-        given = dict(zip((*PARAMETERS, *BINDING), given, strict=True))
-        shapes = {
-            "means": (N, 3), "quats": (N, 4), "log_scales": (N, 3), "logit_opacities": (N,),
-            "sh": (N, 4 if sh.shape[1:2] == (4,) else 1, 3), "weights": (N, J),
-            "slopes": (N, 3, J), "directions": (N, 3, directions.shape[-1]),
-        }  # fmt: skip
-        for name, shape in shapes.items():
-            if given[name].shape != shape:
-                raise ValueError(
-                    f"CanonicalGaussians: {name} must be {shape}, got {tuple(given[name].shape)}"
-                )
-        for name, value in given.items():
-            value = value.detach().clone().contiguous()
-            if name in PARAMETERS:
-                setattr(self, name, nn.Parameter(value))
-            else:
-                self.register_buffer(name, value)
+        for name in PARAMETERS:
+            setattr(self, name, nn.Parameter(tensors[name].detach().clone().contiguous()))
+        for name in BINDING:
+            self.register_buffer(name, tensors[name].detach().clone().contiguous())
         self._sparse: dict[tuple[str, ...], tuple[list[Tensor], list[int], Any]] = {}
 
     def __len__(self) -> int:

@@ -189,12 +189,11 @@ class Glb:
             "accessors": [],
         }
 
-    def add(self, array: np.ndarray, use: int | None = None, normalized: bool = False) -> int:
+    def add(self, array: np.ndarray, use: int | None = None) -> int:
         """Store an array and return the number of its accessor.
 
         It is (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers, matrices
-        row by row. ``use`` is :data:`VERTICES` or :data:`TRIANGLES`; ``normalized`` integers
-        represent [0, 1].
+        row by row. ``use`` is :data:`VERTICES` or :data:`TRIANGLES`.
         """
         kind = _KINDS[array.shape[1:]]
         accessor = {
@@ -206,8 +205,6 @@ class Glb:
         if array.dtype == np.float32 and kind != "MAT4":  # the format demands some of them
             low, high = array.min(0), array.max(0)
             accessor |= {"min": np.atleast_1d(low).tolist(), "max": np.atleast_1d(high).tolist()}
-        if normalized:
-            accessor["normalized"] = True
         if kind == "MAT4":
             array = array.swapaxes(1, 2)  # column by column
         content = np.ascontiguousarray(array).tobytes()

@@ -6,7 +6,7 @@
       options.json         options and versions of the run, hashes of the video, and the files of
                            its poses and body
       checkpoint.pt        the last saved state, until the run is finished
-      history.npz          per step: loss and its terms, Gaussians, milliseconds by LAPS
+      history.npz          per step: loss and its terms, Gaussians, milliseconds
       reinit/000900.npz    of each re-initialisation: the Gaussians before and after, the mesh
       first/               the run with whose poses this one began, if it has first_steps
       poses.npz            of all frames, if poses were trained; see gva_mi.fit.poses
@@ -46,9 +46,6 @@ AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
 FIRST = "first"
 METRICS, REPORT = "metrics.json", "report.html"
-# Columns of the history: parts of its milliseconds. Upkeep is density control, re-initialisation,
-# and binding Gaussians to the outer skin.
-LAPS = ("milliseconds_frame", "milliseconds_descent", "milliseconds_upkeep")
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 
 

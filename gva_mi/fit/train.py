@@ -41,7 +41,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -120,8 +119,14 @@ def fit(
     if samples is None:
         samples = FrameSampler(video, video.splits.train, *chosen, out)
     if options.first_steps:
-        video = _after_first_fit(video, body, options, out, offsets, progress, samples)
-        progress = part_of_progress(progress, options.first_steps, options.steps, options.all_steps)
+        first, steps = out / run_folder.FIRST, options.first_steps
+        report = part_of_progress(progress, 0, steps, options.all_steps)
+        alone = replace(options, steps=steps, first_steps=0, complete=False)
+        same = {"offsets": offsets, "resume": True, "samples": samples}
+        fit(video, body, alone, first, progress=report, **same)
+        trained = load_poses(first / run_folder.TRAINED_POSES)[0]
+        video = replace(video, pose=trained, stage=2)
+        progress = part_of_progress(progress, steps, options.steps, options.all_steps)
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = Run(video, body, options, offsets, state)
@@ -141,23 +146,6 @@ def fit(
     run.avatar.save(out / run_folder.AVATAR)
     run_folder.drop_state(out)
     return run.avatar
-
-
-def _after_first_fit(
-    video: Video,
-    body: BodyModel,
-    options: FitOptions,
-    out: Path,
-    offsets: Tensor | None,
-    progress: Progress | None,
-    samples: FrameSampler,
-) -> Video:
-    """Return the video under the poses that a first fit trains, in a folder of the run."""
-    first, steps = out / run_folder.FIRST, options.first_steps
-    report = part_of_progress(progress, 0, steps, options.all_steps)
-    alone = replace(options, steps=steps, first_steps=0, complete=False)
-    fit(video, body, alone, first, offsets=offsets, resume=True, progress=report, samples=samples)
-    return replace(video, pose=load_poses(first / run_folder.TRAINED_POSES)[0], stage=2)
 
 
 class Run:
@@ -202,16 +190,10 @@ class Run:
 
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
         """Take one step with its upkeep by the schedule; return its line of the history."""
-        times = [time.perf_counter()]
-        sample = samples[self.step]
-        times.append(time.perf_counter())
-        figures = self.descend(sample, distance)
-        times.append(time.perf_counter())
+        begin = time.perf_counter()
+        figures = self.descend(samples[self.step], distance)
         self.add_and_remove_gaussians(out)
-        times.append(time.perf_counter())
-        laps = 1e3 * np.diff(times)
-        figures |= dict(zip(run_folder.LAPS, laps.tolist(), strict=True))
-        figures["milliseconds"] = float(laps.sum())
+        figures["milliseconds"] = 1e3 * (time.perf_counter() - begin)
         for name, value in figures.items():
             self.history.setdefault(name, []).append(value)
         return figures

@@ -42,10 +42,3 @@ def test_a_hollow_shell_has_one_closed_surface_around_it():
     mesh = as_trimesh(alpha_shape(shell(), ALPHA, smoothing=0))
     assert mesh.is_watertight and mesh.body_count == 1
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.3**3, rel=0.04)
-
-
-@pytest.mark.parametrize(("gap", "pieces"), [(0.06, 1), (0.10, 2)])
-def test_gaps_narrower_than_the_ball_are_closed(gap, pieces):
-    one = shell(1500, 0.15, noise=0.0)
-    mesh = as_trimesh(alpha_shape(np.vstack([one, one + [0.3 + gap, 0, 0]]), ALPHA, 0))
-    assert mesh.body_count == pieces

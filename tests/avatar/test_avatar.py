@@ -159,23 +159,3 @@ def test_gaussians_on_vertices_follow_the_body(body, random_pose):
     assert (
         avatar(pose).means - seed_avatar(stiff, shape, None, PLAIN)(pose).means
     ).abs().max() > 0.005
-
-
-def test_unknown_expression_coefficients_are_ignored(make_avatar, random_pose):
-    avatar, pose = make_avatar(), random_pose(7)
-    more = dataclasses.replace(pose, expression=torch.cat([pose.expression, torch.ones(1, 5)], 1))
-    fewer = dataclasses.replace(pose, expression=pose.expression[:, :3])
-    for other in (more, fewer):
-        assert torch.allclose(avatar(other).means, avatar(pose).means, atol=1e-6)
-
-
-def test_several_frames_are_refused(make_avatar):
-    with pytest.raises(ValueError, match="one frame"):
-        make_avatar()(Pose.rest(2))
-
-
-def test_offsets_move_the_seeds_and_not_the_joints(body):
-    shape, offsets = Shape(torch.zeros(10)), torch.full((642, 3), 0.01)
-    naked, clothed = seed_avatar(body, shape), seed_avatar(body, shape, offsets)
-    assert torch.allclose(clothed.canonical.means, naked.canonical.means + 0.01)
-    assert torch.equal(clothed.rig.joints, naked.rig.joints)

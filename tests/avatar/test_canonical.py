@@ -9,13 +9,11 @@ from gva_mi.avatar.canonical import (
     PARAMETERS,
     CanonicalGaussians,
     SeedOptions,
-    neighbour_spacing,
     seed_on_surface,
     spread_over_faces,
 )
 from gva_mi.avatar.rig import Skin
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat.kernels.sh import C0
 
 
 def seed(body, **options):
@@ -60,20 +58,6 @@ def test_discs_lie_flat_in_the_surface(body):
     assert torch.allclose((axes[..., 2] * normals).sum(-1).abs(), torch.ones(len(G)), atol=1e-5)
     assert torch.allclose(G.scales[:, 2] / G.scales[:, 0], torch.tensor(0.25))
     assert torch.equal(G.scales[:, 0], G.scales[:, 1])
-
-
-def test_spacing_of_a_grid_is_its_step():
-    x = torch.arange(5.0) * 0.01
-    grid = torch.cartesian_prod(x, x, x)  # each point has three neighbours or more
-    assert torch.allclose(neighbour_spacing(grid), torch.tensor(0.01))
-
-
-def test_colors_become_the_constant_band(body):
-    colors = torch.rand(642, 3, generator=torch.Generator().manual_seed(0))
-    skin = Skin(body.v_template, body.weights, torch.arange(642), torch.zeros(642, 3, 0))
-    G = seed_on_surface(body.v_template, body.faces, skin, colors=colors)
-    assert torch.allclose(G.sh[:, 0] * C0 + 0.5, colors, atol=1e-6)
-    assert (G.sh[:, 1:] == 0).all()
 
 
 def test_blend_shapes_move_as_the_whole_table_says():

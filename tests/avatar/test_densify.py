@@ -145,8 +145,3 @@ def test_screen_gradient_is_the_force_on_an_image_coordinate():
     expected = per_metre.abs() * 3 / 40 * 5
     assert gradients.mean()[0] == pytest.approx(expected.item(), rel=2e-2)
     assert gradients.mean()[1] == 0 and gradients.views.tolist() == [1, 0]  # behind the camera
-
-
-def test_a_size_above_which_nothing_is_split_is_refused():
-    with pytest.raises(ValueError, match="split_scale must be above 0 and at most 0.1"):
-        DensifyOptions(split_scale=0.2)

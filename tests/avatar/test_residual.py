@@ -4,7 +4,7 @@ function for any set of Gaussians."""
 import pytest
 import torch
 
-from gva_mi.avatar.residual import OUTPUT_UNIT, PoseResidual, ResidualOptions
+from gva_mi.avatar.residual import PoseResidual, ResidualOptions
 
 
 @pytest.fixture
@@ -32,10 +32,6 @@ def network(trained=True, **options):
     return mlp
 
 
-def test_starts_at_exactly_zero(points, weights, rotations):
-    assert (network(trained=False)(points, weights, rotations) == 0).all()
-
-
 def test_is_zero_where_nothing_bends(points, weights, rotations):
     mlp = network()
     assert (mlp(points, weights, torch.zeros(55, 3)) == 0).all()
@@ -44,22 +40,6 @@ def test_is_zero_where_nothing_bends(points, weights, rotations):
     moved = mlp(points, weights, elbow).abs().amax(1) > 0
     follows = weights.argmax(1)
     assert torch.equal(moved, (follows == 18) | (follows == 16))  # forearm and upper arm
-
-
-def test_root_does_not_enter(points, weights, rotations):
-    turned = rotations.clone()
-    turned[0] += 1
-    mlp = network()
-    assert torch.equal(mlp(points, weights, rotations), mlp(points, weights, turned))
-
-
-def test_fingers_enter(points, weights, rotations):
-    bent = rotations.clone()
-    bent[41] += 1  # hangs on joint 40, which some points follow
-    mlp = network()
-    change = (mlp(points, weights, rotations) - mlp(points, weights, bent)).abs().amax(1)
-    assert change.max() > 0.1 * OUTPUT_UNIT
-    assert torch.equal(change > 0, weights.argmax(1) == 40)
 
 
 def test_every_parameter_receives_a_gradient_after_one_step(points, weights, rotations):

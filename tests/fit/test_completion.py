@@ -12,13 +12,10 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.data.video import load_video
 from gva_mi.fit.colors import (
     AWAY,
-    RIM,
     Places,
     complete_colors,
-    facing,
     guesses,
     neighbours,
-    weighted_median,
 )
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
@@ -104,18 +101,3 @@ def test_a_back_that_no_frame_shows_has_hair_and_no_print(alike):
     assert np.abs(h[places.skull & guessed] - HAIR).max() < 1e-4
     assert (h[places.trunk & guessed] == CLOTH).all()
     assert not b[places.limbs].any() and not b[head & front].any()
-
-
-def test_a_weighted_median_counts_rows_as_often_as_their_weights():
-    values, weights = np.random.default_rng(5).normal(size=(9, 3)), np.arange(9) % 4 + 1
-    often = np.median(np.repeat(values, weights, axis=0), axis=0)
-    assert sum(weights) == 21 and (weighted_median(values, weights) == often).all()
-
-
-def test_what_faces_the_camera_counts_fully_and_what_faces_away_not_at_all(camera):
-    ahead = torch.tensor(camera.T_camera_world[2, :3]).float()
-    eye = -torch.tensor(camera.T_camera_world[:3, :3].T @ camera.T_camera_world[:3, 3]).float()
-    place = (eye + 2 * ahead)[None]
-    tilted = normalize(torch.tensor([[3.0**0.5, 0, 0]]) - ahead, dim=1)
-    found = [float(facing(normal, place, camera)) for normal in (-ahead[None], tilted, ahead[None])]
-    assert found == pytest.approx([1, ((RIM + 0.5) / (RIM + 1)) ** 2, 0], abs=1e-5)

@@ -9,7 +9,6 @@ from gva_mi.avatar.skin_gaussians import light_vector
 from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import to_matrix
 from gva_mi.fit.lambert import Lambert
-from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.kernels.sh import C0
 
 
@@ -43,19 +42,6 @@ def test_without_differences_a_colour_depends_on_the_angle_between_light_and_nor
     assert angle.max() > 0.25 and angle.min() < -0.25
 
 
-def test_normals_are_those_of_the_surface_beside_a_gaussian(avatar):
-    rig, law = avatar.rig, Lambert(avatar)
-    surface = vertex_normals(rig.vertices, rig.faces)
-    nearest = torch.cdist(avatar.canonical.means, rig.vertices).argmin(1)
-    assert (law.normals * surface[nearest]).sum(1).min() > 0.7
-    torch.testing.assert_close(law.normals.norm(dim=1), torch.ones(len(law.normals)))
-    with torch.no_grad():
-        avatar.canonical.means.copy_(avatar.canonical.means.flip(0))
-    before = law.normals
-    law.follow(avatar)
-    assert torch.equal(law.normals, before.flip(0))
-
-
 def test_turning_upright_teaches_the_colours_of_other_turns(avatar):
     """Slopes that are learned alone know nothing of light from above or below."""
     law = Lambert(avatar)
@@ -82,8 +68,3 @@ def test_turning_upright_teaches_the_colours_of_other_turns(avatar):
             mine = law(sh) if known_law else sh
             error[known_law] = (colours(lying, mine) - colours(lying, truth)).abs().mean()
     assert error[True] < 0.5 * error[False]
-
-
-def test_constant_colours_stay(avatar):
-    constant = avatar.canonical.sh[:, :1]
-    assert Lambert(avatar)(constant) is constant

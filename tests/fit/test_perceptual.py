@@ -35,11 +35,6 @@ def blurred(image, sigma):
     return torch.from_numpy(gaussian_filter(image.numpy(), (sigma, sigma, 0)))
 
 
-@pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
-def test_equal_images_have_no_distance(distance, picture):
-    assert distance()(picture, picture) == 0
-
-
 def test_the_loss_is_the_mean_absolute_difference_with_its_gradient():
     f, g = torch.randn(2, 1, 4, 6, 5, generator=torch.Generator().manual_seed(0)).unbind()
     f[0, 0] = g[0, 0]  # equal features pull nowhere
@@ -52,25 +47,10 @@ def test_the_loss_is_the_mean_absolute_difference_with_its_gradient():
 
 
 @pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
-def test_the_seed_decides_the_network(distance, picture, monkeypatch):
-    other = blurred(picture, 1)
-    found = distance()(picture, other)
-    assert found == distance()(picture, other)
-    monkeypatch.setattr(perceptual, "RAND_SEED", 4)
-    assert found != distance()(picture, other)
-
-
-@pytest.mark.parametrize("distance", [rand_vgg, rand_vgg_loss])
 def test_more_blur_is_farther(distance, picture):
     measure = distance()
     far = [float(measure(blurred(picture, sigma), picture)) for sigma in (0.5, 1, 2, 4)]
     assert far == sorted(far) and far[0] > 0
-
-
-def test_random_numbers_of_the_caller_are_left_alone():
-    before = torch.get_rng_state()
-    rand_vgg()
-    assert torch.equal(before, torch.get_rng_state())
 
 
 def test_the_loss_trains_the_image_and_not_the_network(picture):

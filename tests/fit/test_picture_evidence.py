@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.data.crop import NoEvidence
 from gva_mi.fit.photometric import PhotometricOptions, PictureAndMask
 from gva_mi.splat import render
 
@@ -74,23 +73,3 @@ def test_outlines_do_not_follow_the_mask(known, frame, points, seen):
         a, b = (s.loss(known, frame.pose, PICTURE) * s.mask.float().mean() for s in (seen, other))
         torch.testing.assert_close(a, b)
         assert other.loss(known, frame.pose, BOTH) > seen.loss(known, frame.pose, BOTH)
-
-
-def test_every_joint_that_is_seen_and_the_place_receive_a_gradient(known, frame, seen):
-    pose = frame.pose.map(lambda x: x.clone().requires_grad_())
-    inputs = [pose.rotations, pose.transl]
-    rotations, transl = torch.autograd.grad(seen.loss(known, pose, BOTH), inputs)
-    found = Pose(rotations, transl, pose.expression).to_smplx()
-    for name in ("global_orient", "body_pose", "left_hand_pose", "right_hand_pose", "transl"):
-        assert found[name].isfinite().all() and (found[name] != 0).any(), name
-
-
-@pytest.mark.parametrize("change, reason", [
-    ({"mask": np.zeros((48, 48), "f4")}, "its mask is empty"),
-    ({"shift": (50.0, 0, 0)}, "out of view"),
-    ({"shift": (0, 0, 50.0)}, "behind the camera"),
-], ids=["mask", "view", "behind"])  # fmt: skip
-def test_a_frame_without_evidence_says_why(change, reason, frame, points):
-    points = points + change.pop("shift", 0.0)
-    with pytest.raises(NoEvidence, match=reason):
-        PictureAndMask.of(replace(frame, **change), points)

@@ -13,10 +13,7 @@ from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import (
     FrameSampler,
-    RandomStream,
     box_of_gaussians,
-    random_state,
-    torch_state,
 )
 from gva_mi.splat import Gaussians, Image, render
 
@@ -107,35 +104,6 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
     assert stripe_is_known == still
 
 
-def test_a_background_that_contradicts_the_frame_is_not_used(video, monkeypatch):
-    """The wall is green in all frames but one; no shade of green is that frame's red."""
-    k = samples(video)[0].frame
-    walls = np.float32([[0.2, 0.8, 0.2], [0.9, 0.3, 0.2]])
-    frames = []
-    for i in range(max(TRAIN) + 1):
-        picture = np.broadcast_to(walls[int(i == k)], (48, 48, 3)).copy()
-        mask = np.zeros((48, 48), np.float32)
-        mask[10:40, 8 + 5 * i : 22 + 5 * i] = 1
-        picture[mask > 0] = 0.1
-        frames.append(dataclasses.replace(video[i], image=picture, mask=mask))
-    monkeypatch.setattr(
-        type(video), "frames", lambda self, indices: iter([frames[i] for i in indices])
-    )
-    sample = samples(video, mask_error=0.06, still_camera=True)[0]
-    assert sample.frame == k
-    person, behind = sample.cutout.person.numpy(), sample.cutout.behind.numpy()
-    hidden = (behind[..., 3] > 0) | (person[..., 3] > 0)
-    expected = np.broadcast_to(np.rint(255 * walls[1]), behind[hidden][:, :3].shape)
-    np.testing.assert_allclose(behind[hidden][:, :3], expected, atol=1)
-
-
-def test_without_any_background_a_render_stands_before_the_picture(video, monkeypatch):
-    frame = dataclasses.replace(video[0], mask=np.full((48, 48), 0.6, np.float32))
-    monkeypatch.setattr(type(video), "frames", lambda self, indices: (frame for _ in indices))
-    cutout = samples(video, still_camera=True)[0].cutout
-    assert torch.equal(cutout.behind[..., :3], cutout.person[..., :3])
-
-
 def test_options_for_a_film_keep_what_was_chosen():
     usual = FitOptions(steps=9).of_film()
     chosen = FitOptions(
@@ -147,30 +115,6 @@ def test_options_for_a_film_keep_what_was_chosen():
     assert (usual.rates.sh_decay, usual.loss.alpha) == (0.01, 0.05)
     assert chosen.of_film() == chosen
     assert FitOptions(poses=PoseOptions(trained=False)).of_film().first_steps == 0
-
-
-@pytest.mark.parametrize("shown", [False, True])
-def test_in_a_film_a_picture_outvotes_its_mask_only_by_a_clear_colour(shown, video, monkeypatch):
-    """The mask ends 2 pixels inside of a render in the wall's colour, or of a person."""
-    y, x = np.mgrid[:48, :48] + 0.5
-    disk = lambda radius: (radius - np.hypot(x - 24, y - 24)).clip(0, 1).astype(np.float32)
-    wall, wide, mask = np.float32([0.2, 0.4, 0.6]), disk(16.5), disk(14.5)
-    color = wall + np.float32(0.1 if shown else 0)
-    picture = wall + wide[..., None] * (color - wall)
-    frame = dataclasses.replace(video[0], image=picture, mask=mask)
-    monkeypatch.setattr(type(video), "frames", lambda self, indices: (frame for _ in indices))
-    target = samples(video, mask_error=0.12)[0].target(everywhere(frame.camera))
-    options = FitOptions().of_film().loss
-    options = dataclasses.replace(options, perceptual=0.0)
-    loss = []
-    for alpha in (wide, mask):
-        image = Image(torch.from_numpy(alpha[..., None] * color), torch.from_numpy(alpha))
-        found = render_losses(image, target, torch.zeros(0, 3), options, None)
-        loss.append(float(found.total(options)))
-    # Pixels of the ring, times what each costs: 0.05 by alpha, 0.1 where its colour is missing.
-    ring = float((wide - mask).sum()) / target.area
-    gain = ring * (0.05 - (0.1 if shown else 0.0))
-    assert loss[0] - loss[1] == pytest.approx(gain, rel=0.1)
 
 
 def everywhere(camera):
@@ -248,24 +192,3 @@ def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
     assert box_of_gaussians(ball(torch.full((1, 3), torch.nan), 0.01), camera) is None
     wide = ball(known.canonical.means[:1], float("inf"))
     assert box_of_gaussians(wide, camera) == Box(0, 0, 48, 48)
-
-
-@pytest.mark.parametrize("window", [11, 100])
-def test_windows_lie_in_the_image_and_in_the_person_s_box(window, video):
-    found = samples(video, window=window)
-    for step in range(20):
-        sample, where = found[step], found[step].window
-        assert 0 <= where.left and 0 <= where.top and where.right <= 48 and where.bottom <= 48
-        assert where.width == where.height == min(window, 48)
-        mask = sample.target(everywhere(sample.camera)).composite()[2]
-        assert mask.amax(1)[where.top : where.bottom].max() > 0.5
-        assert mask.amax(0)[where.left : where.right].max() > 0.5
-
-
-def test_purposes_and_steps_have_streams_of_their_own():
-    drawn = {(p, k): random_state(0, p, k).random() for p in RandomStream for k in range(3)}
-    assert len(set(drawn.values())) == len(drawn)
-    assert (
-        torch_state(0, RandomStream.SEED).initial_seed()
-        != torch_state(1, RandomStream.SEED).initial_seed()
-    )

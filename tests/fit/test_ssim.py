@@ -33,12 +33,6 @@ def test_gradients_and_tangents_by_differences(shape):
                                     check_forward_ad=True, fast_mode=True)  # fmt: skip
 
 
-def test_a_part_of_an_image_is_that_part():
-    a, b = pictures(30, 40)
-    part = (slice(3, 19), slice(7, 31))
-    assert ssim(a[part], b[part]) == ssim(a[part].contiguous(), b[part].contiguous())
-
-
 def test_an_image_smaller_than_the_window_is_refused():
     with pytest.raises(ValueError, match="at least 11 x 11"):
         ssim(*pictures(10, 20))

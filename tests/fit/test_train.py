@@ -19,7 +19,6 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit, make_adam
-from gva_mi.splat.kernels.sh import C0
 from gva_mi.study.evaluate import evaluate
 
 STEPS = 24
@@ -69,18 +68,6 @@ def fitted(video, body, tmp_path_factory):
     return fit(video, body, OPTIONS, out), out
 
 
-def test_decay_leaves_colours_and_what_lambert_knows_of_slopes(video, body, tmp_path):
-    """Without decay slopes are learned; with all of it they are one strength along the normals."""
-    apart = []
-    for share in (0.0, 1.0):
-        options = replace(OPTIONS, steps=6, rates=Rates(sh_decay=share))
-        sh = fit(video, body, options, tmp_path / str(share)).canonical.sh.detach()
-        assert sh[:, 0].abs().min() > 0
-        strength = sh[:, 1:].norm(dim=1) / (sh[:, 0] + 0.5 / C0)
-        apart.append(float(strength.max() - strength.min()))
-    assert apart[0] > 0.01 and apart[1] < 1e-3
-
-
 def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     figures = lambda avatar: evaluate(avatar, video, splits=["test"], weights=Weights())[0]
     options = replace(OPTIONS, steps=100, schedule=Schedule(densify_every=0, reinit_at=()))
@@ -104,15 +91,6 @@ def test_a_fit_goes_on_where_too_few_gaussians_are_opaque_for_a_surface(
     options = replace(OPTIONS, steps=2, avatar=faint, schedule=schedule)
     assert len(fit(video, body, options, tmp_path).canonical) >= 300
     assert said == [f"{tmp_path}: step 1: too few opaque Gaussians, no re-initialisation"]
-
-
-def test_the_naked_option_ignores_offsets(video, body, tmp_path):
-    """The paper's way: what the refinement displaced is not looked at."""
-    offsets = 0.02 * body.v_template / body.v_template.norm(dim=1, keepdim=True)
-    one = replace(OPTIONS, steps=1)
-    naked = fit(video, body, replace(one, naked=True), tmp_path / "naked", offsets=offsets)
-    assert same(naked, fit(video, body, one, tmp_path / "plain"))
-    assert not same(naked, fit(video, body, one, tmp_path / "displaced", offsets=offsets))
 
 
 @pytest.mark.parametrize("one_sided", [False, True])
@@ -155,41 +133,11 @@ def test_adam_of_one_sided_people_moves_places_alike_in_all_axes(known):
     assert straight[:, 2].abs().mean() < 0.1 * moved(torch.eye(3), False)[:, 2].abs().mean()
 
 
-def test_adam_of_one_sided_people_goes_on_from_its_state_to_the_bit(known):
-    def stepped(avatar, steps, state=None):
-        optimizer = make_adam(avatar, None, Rates(), one_sided=True)
-        if state:
-            optimizer.load_state_dict(state)
-        for k in steps:
-            generator = torch.Generator().manual_seed(k)
-            for x in avatar.canonical.parameters():
-                x.grad = 1e-5 * torch.randn(x.shape, generator=generator)
-            optimizer.param_groups[0]["lr"] = 1e-3
-            optimizer.step()
-        return copy.deepcopy(optimizer.state_dict())
-
-    whole, parts = copy.deepcopy(known), copy.deepcopy(known)
-    stepped(whole, range(6))
-    stepped(parts, range(3, 6), stepped(parts, range(3)))
-    for (name, x), y in zip(
-        whole.canonical.named_parameters(), parts.canonical.parameters(), strict=True
-    ):
-        assert torch.equal(x, y), name
-
-
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):
     avatar, out = fitted
     assert same(Avatar.load(out / run_folder.AVATAR), avatar)
     assert not (out / run_folder.CHECKPOINT).exists()
     assert not list(out.glob("**/*.part"))
-
-
-def test_the_history_has_a_line_per_step(fitted):
-    avatar, out = fitted
-    history = run_folder.load_history(out)
-    assert all(len(column) == STEPS for column in history.values())
-    np.testing.assert_array_equal(history["step"], np.arange(1, STEPS + 1))
-    assert all(np.isfinite(column).all() for column in history.values())
 
 
 def test_the_perceptual_term_counts_in_the_mean_as_much_as_its_weight_says(fitted):
@@ -212,14 +160,6 @@ def test_every_parameter_is_trained(video, body, tmp_path):
     assert set(before) == set(after) == set(PARAMETERS)
     for name in PARAMETERS:
         assert after[name].isfinite().all() and not torch.equal(before[name], after[name]), name
-
-
-@pytest.mark.parametrize("every", [2, 0])
-def test_skinning_weights_follow_gaussians_that_moved(every, video, body, tmp_path):
-    schedule = Schedule(densify_every=0, reinit_at=(), rebind_every=every)
-    avatar = fit(video, body, replace(OPTIONS, steps=4, schedule=schedule), tmp_path)
-    here = avatar.skin.bind(avatar.canonical.means).weights
-    assert torch.equal(avatar.canonical.weights, here) == (every > 0)
 
 
 def test_the_same_seed_gives_the_same_bits_on_any_number_of_torch_threads(
@@ -285,15 +225,6 @@ def test_a_second_fit_starts_anew_with_the_poses_of_the_first(video, body, tmp_p
     assert same(fit(video, body, both, tmp_path / "run", resume=True), wanted)
     with pytest.raises(InputError, match="--preset film trains poses first"):
         replace(both, poses=PoseOptions(trained=False))
-
-
-def test_completion_changes_colours_alone(video, body, tmp_path, monkeypatch):
-    options = replace(OPTIONS, steps=4, complete=True)
-    completed = fit(video, body, options, tmp_path / "completed")
-    monkeypatch.setattr("gva_mi.fit.train.complete_colors", lambda *arguments: None)
-    plain = fit(video, body, options, tmp_path / "plain").state_dict()
-    differ = {k for k, x in completed.state_dict().items() if not torch.equal(x, plain[k])}
-    assert differ == {"canonical.sh"}
 
 
 @pytest.mark.slow

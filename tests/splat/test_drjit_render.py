@@ -2,14 +2,12 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 
 import drjit as dr
 import numpy as np
 import pytest
 import torch
-from drjit.llvm import TensorXf, ad
-from samples.scenes import in_drjit
+from drjit.llvm import ad
 
 from gva_mi.splat import torch_render
 from gva_mi.splat.drjit_render import render
@@ -39,22 +37,6 @@ def test_same_bits_as_torch(dtype, kind, degree):
     dr.backward(loss + dr.sum(dr.square(found.alpha)) + dr.sum(found.depth))
     for name, array in (inputs | {"background": background}).items():
         np.testing.assert_array_equal(dr.grad(array), scene.inputs()[name].grad.numpy(), name)
-
-
-def test_without_autodiff():
-    scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
-    image = render(in_drjit(scene.gaussians, TensorXf), scene.camera)
-    assert type(image.color) is TensorXf
-    assert image.color.shape == (32, 32, 3) and image.depth.shape == (32, 32)
-
-
-def test_kinds_must_agree():
-    scene = random_scene(torch.Generator().manual_seed(3)).to(torch.float32)
-    gaussians = in_drjit(scene.gaussians, TensorXf)
-    with pytest.raises(ValueError, match="one kind"):
-        render(replace(gaussians, quats=ad.TensorXf(gaussians.quats)), scene.camera)
-    with pytest.raises(ValueError, match="one kind"):
-        render(scene.gaussians, scene.camera)
 
 
 def test_drjits_forward_mode_transposes_its_reverse_mode():

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.avatar.without_body import body_hash, save_without_body, with_body
@@ -75,15 +75,3 @@ def test_another_body_is_refused(file, clothed, body, tmp_path):
     with pytest.raises(InputError, match="made with another body .* than other"):
         save_without_body(tmp_path / "b.npz", clothed, other, "other")
     assert not (tmp_path / "b.npz").exists()
-
-
-def test_a_body_that_differs_in_its_blend_shapes_alone_is_refused(file, body):
-    arrays = body.arrays()
-    arrays["shapedirs"] = arrays["shapedirs"] * 1.01
-    with pytest.raises(InputError, match="belongs to 'ellipsoid'"):
-        with_body(file, read_arrays(file, ""), BodyModel(arrays), "other")
-
-
-def test_the_plain_reader_names_the_missing_body(file):
-    with pytest.raises(InputError, match="without its body"):
-        Avatar.load(file)

@@ -1,8 +1,20 @@
 """``rasterization`` against the numbers of gsplat 1.5.3's own CUDA kernels.
 
-``make_cuda_references.py`` made them, and says what ``cuda_references.npz`` holds. gsplat computes
-in float32: each bound below allows for its roundings. The bounds hold for our float32 and float64
-alike, because most of each difference is gsplat's.
+gsplat computes in float32: each bound below allows for its roundings. The bounds hold for our
+float32 and float64 alike, because most of each difference is gsplat's. ``cuda_references.npz`` was
+made on an H100 with ``NO_FAST_MATH=1``, gsplat's own switch; only numbers are stored:
+
+=============================  =====================================================================
+``cases``                      JSON: the scene and the arguments of each case, and who made the file
+``scene/NAME/ARRAY``           the inputs, float32
+``case/NAME/weights``          (..., C, H, W, D+1) int8: the loss is the sum of colours and alphas
+                               times weights / 32; 0 in pixels at a cut-off
+``case/NAME/loss``             the loss, summed in float64
+``case/NAME/pixels``           (P, D+1) colours and alpha of every eleventh pixel of all pictures
+``case/NAME/grad/ARRAY``       the loss's gradient by an input, and by ``means2d``
+``case/NAME/meta/ARRAY``       of ``meta``: rows where ``radii`` are 0 hold 0, gsplat leaves them
+                               uninitialised
+=============================  =====================================================================
 """
 
 import json

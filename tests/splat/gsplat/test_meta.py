@@ -134,17 +134,6 @@ def test_means2d_has_a_gradient_where_means_and_cameras_are_frozen(arguments, pa
     assert not rasterization(**(a | {"colors": a["colors"].detach()}))[2]["means2d"].requires_grad
 
 
-def test_meta_is_a_dictionary(arguments):
-    meta = rasterization(**arguments())[2]
-    assert {"radii", "conics", "means2d"} <= set(meta) and len(meta) == len(dict(meta))
-    assert meta["radii"] is meta["radii"] and meta.get("nothing") is None
-    meta["radii"] = 1
-    del meta["conics"]
-    assert meta["radii"] == 1 and "conics" not in meta
-    with pytest.raises(KeyError):
-        meta["conics"]
-
-
 @pytest.mark.parametrize("packed", [True, False])
 def test_memory_is_freed_with_the_results(arguments, packed):
     a = arguments()

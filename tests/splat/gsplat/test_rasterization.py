@@ -95,27 +95,6 @@ def test_render_modes(arguments):
     assert expected[seen].min() > 1.5 and expected[seen].max() < 4
 
 
-def test_colors_of_each_camera(arguments):
-    a = arguments()
-    twice = torch.stack([a["colors"], 1 - a["colors"]]).detach()
-    found = rasterization(**(a | {"colors": twice}))[0]
-    for c in range(C):
-        alone = rasterization(**(a | {"colors": twice[c]}))[0]
-        torch.testing.assert_close(found[c], alone[c], atol=0, rtol=0)
-
-
-def test_radius_clip_leaves_out_the_small(arguments):
-    a = arguments()
-    radii = rasterization(**a, packed=False)[2]["radii"]
-    clipped, _, meta = rasterization(**a, packed=False, radius_clip=4.0)
-    kept = (radii > 4).any(dim=-1)
-    assert kept.any() and not kept.all()
-    assert ((meta["radii"] > 0).all(dim=-1) == (kept & (radii > 0).all(dim=-1))).all()
-    for c in range(C):
-        few = {k: a[k][kept[c]] for k in ("means", "quats", "scales", "opacities", "colors")}
-        torch.testing.assert_close(rasterization(**(a | few))[0][c], clipped[c], atol=0, rtol=0)
-
-
 @pytest.mark.parametrize("dtype, rtol", [(torch.float32, 1e-5), (torch.float64, 1e-11)])
 def test_gaussians_on_the_near_and_far_plane_are_drawn(dtype, rtol):
     """As in gsplat; 0.3 and 0.7 are no float32 numbers, and are rounded as the depths are."""
@@ -137,13 +116,6 @@ def test_gaussians_on_the_near_and_far_plane_are_drawn(dtype, rtol):
         torch.autograd.grad(x.square().sum(), means)[0] for x in (found, expected)
     )
     assert (by_kernels - by_reference).norm() <= rtol * by_reference.norm()
-
-
-def test_arguments_for_a_gpu_change_nothing(arguments):
-    a = arguments()
-    idle = {"packed": False, "tile_size": 8, "sparse_grad": True, "channel_chunk": 4}
-    idle |= {"segmented": True, "rolling_shutter": SimpleNamespace(name="GLOBAL")}
-    assert torch.equal(rasterization(**a)[0], rasterization(**a, **idle)[0])
 
 
 def test_a_trainer_may_write_into_its_pictures(arguments, gradients):
@@ -221,15 +193,3 @@ def test_leading_dimensions_are_a_batch(arguments, packed):
         joined = [part[name] for part in parts]
         joined = torch.cat(joined) if packed else torch.stack(joined)[:, None]
         assert torch.equal(meta[name], joined), name
-
-
-def test_no_gaussians_at_all(arguments):
-    a = {
-        k: v.detach()[:0] if k in "means quats scales opacities colors".split() else v
-        for k, v in arguments().items()
-    }
-    for packed in (True, False):
-        colors, alphas, meta = rasterization(**a, packed=packed)
-        assert colors.shape == (C, H, W, 3) and (colors == 0).all() and (alphas == 0).all()
-        for name in ("means2d", "depths", "radii", "conics", "opacities"):
-            assert meta[name].numel() == 0, name

@@ -70,7 +70,7 @@ def motions(run: Path, folder: Path) -> list[Path]:
     """The avatar in the steps of somebody else, who dances."""
     dancer = folder / "dancer"
     options = SynthOptions(
-        motion="dance", frames=SHOWN, size=32, samples=1, clothes=False, hair=False,
+        motion="dance", frames=SHOWN, size=32, samples=1, bare=True,
         novel_poses=0, novel_views=0,
     )  # fmt: skip
     make_subject(dancer, options, load_body())

@@ -14,7 +14,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.files import require_replaceable
 from gva_mi.core.tasks import usual_workers
 from gva_mi.data.fingerprint import SYNTH
-from gva_mi.synthetic import SynthOptions, describe_errors, make_subject
+from gva_mi.synthetic import SynthOptions, make_subject
 
 
 def synth(
@@ -37,6 +37,4 @@ def synth(
     require_writable(out.absolute().parent)
     with bar("synth") as progress:
         make_subject(out, options, model, progress, SYNTH if overwrite else None)
-    for line in describe_errors(out):
-        say(line)
     say(f"subject: {out}")

@@ -31,6 +31,7 @@ from gva_mi.fit import paper
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.options import FitOptions
 from gva_mi.synthetic import SynthOptions
+from gva_mi.synthetic.error_models import NO_ERRORS
 
 T = TypeVar("T")
 
@@ -77,11 +78,11 @@ class Take:
         made = SynthOptions(
             seed=self.seed, subject=self.subject, motion=self.motion, figure=self.figure,
             outfit=self.outfit, frames=self.frames or frames, size=self.size or size,
-            clothes=not self.bare, hair=not self.bare, novel_poses=novel, novel_views=novel,
+            bare=self.bare, novel_poses=novel, novel_views=novel,
             scene=self.scene, shutter=self.shutter,
         )  # fmt: skip
         held = self.camera != "stands"  # for which no errors are invented
-        return replace(made, camera=self.camera, noise=0.0) if held else made
+        return replace(made, camera=self.camera, error_model=NO_ERRORS) if held else made
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ from gva_mi.study.filmed import Filming, Work, filming_work, height_of
 from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refinement import Evaluation, mask_iou, write_refinement
 from gva_mi.study.similarity import zoomed
-from gva_mi.synthetic.closest import closest
+from gva_mi.synthetic.foreign_body import closest
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
 FORMAT = 3

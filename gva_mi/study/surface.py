@@ -47,8 +47,8 @@ from gva_mi.mesh.surface import vertex_normals
 from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.study.figures import Figure
 from gva_mi.synthetic import remake_subject
-from gva_mi.synthetic.provenance import recorded_options
 from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.subject_folder import recorded_options
 from gva_mi.synthetic.texture import Material
 
 OPAQUE = 0.5  # opacity above which a Gaussian counts
@@ -62,7 +62,7 @@ AROUND = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
 HEM = 0.8  # share of a garment's slack beyond which a face belongs to the hem
 
 END = "end"  # of the fit, a moment
-PARTS = ("hair", "hem", "accessories", "rest")
+PARTS = ("hair", "hem", "rest")
 
 
 def surface_figures(run: Path, avatar: Avatar, subject: Path, body: BodyModel) -> Iterator[Figure]:
@@ -204,6 +204,5 @@ def _parts(person: Subject) -> np.ndarray:
         own = person.material == int(material)
         if slack[own].any():
             parts[own & (slack >= HEM * slack[own].max())] = PARTS.index("hem")
-    for material, name in ((Material.HAIR, "hair"), (Material.ACCESSORY, "accessories")):
-        parts[person.material == int(material)] = PARTS.index(name)
+    parts[person.material == int(Material.HAIR)] = PARTS.index("hair")
     return parts

@@ -2,30 +2,29 @@
 
 ==================  ================================================================
 ``options``         all options
-``subject_folder``  writes a subject's folder
-``provenance``      an existing folder: its options, its person, other errors
-``people, look``    the person: shape, colours, cut of the clothes; lamps
-``rest_body``       the body below the clothes
-``clothes/``        clothes and hair, and how they follow the body
+``subject_folder``  a subject's folder: written, copied with other errors, its person
+``people``          the person: shape, colours, cut of the clothes
+``rest_body``       the body below the clothes, and closed surfaces around it
+``garments, hair``  clothes and hair as such surfaces
+``dressing``        how they follow the body
+``subject``         body, clothes and hair as one surface, with folds
 ``texture``         colours of skin, cloth and hair
-``subject``         body, clothes and hair as one surface
-``surface``         normals and smooth steps that such surfaces are made with
-``stretched``       a body of other proportions than the fitted one
-``closest``         ground truth on the fitted body for such a person
-``motion/``         motions of the video, and held-out poses
-``cameras``         cameras on white, and of a phone in a room
+``foreign_body``    a body that the fitted one does not span, and its closest pose
+``motion``          motions of the video, and held-out poses
+``actions``         squats, steps, and gestures with the arms
+``footwork``        feet that do not slide, legs that reach for them
+``cameras``         cameras on white; the phone in a room, and its film
+``furniture, room`` rooms
 ``staging``         poses, cameras and exposures of the video
-``rooms/``          rooms, and the film of a phone
-``render, rays``    rays and light; rays of a picture's samples
-``pictures``        files of one picture, by one process or several
-``error_models/``   error models of poses, masks and normals
+``render``          rays and light
+``error_models``    distributions over the errors of a recording
+``pose_errors``     errors of poses and camera
+``picture_errors``  errors of masks and normals
 ``estimates``       estimates of a pipeline with such errors
 ==================  ================================================================
 """
 
-from gva_mi.synthetic.estimates import describe_errors
 from gva_mi.synthetic.options import SynthOptions
-from gva_mi.synthetic.provenance import degrade, remake_subject
-from gva_mi.synthetic.subject_folder import make_subject
+from gva_mi.synthetic.subject_folder import degrade, make_subject, remake_subject
 
-__all__ = ["SynthOptions", "degrade", "describe_errors", "remake_subject", "make_subject"]
+__all__ = ["SynthOptions", "degrade", "make_subject", "remake_subject"]

@@ -1,17 +1,25 @@
 """Cameras of a synthetic subject: one around the person on white, or a phone in a room.
 
 The phone stands at eye height and looks down, with the whole person in view. One tilt and one focal
-length hold for a film. Held by hand, it sways slowly and trembles; one that walks around the person
-keeps its height and distance.
+length hold for a film. Held by hand, it sways slowly and trembles. Its film has the noise of a
+sensor,
+
+1. ``noisy = picture + N(0, σ²)``,  ``σ = σ₀ · (1 − 0.5 · picture)``
+
+in encoded values: noise of photons, on sRGB's curve, is weaker where it is bright. H.264 follows,
+at the bits per pixel of phones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
+from gva_mi.core.atomic import atomic_write
 from gva_mi.splat import Camera, look_at
 
 # On white.
@@ -25,6 +33,12 @@ EDGE = 0.03  # share of the picture that is free around all places of the person
 TILT = np.radians(15)  # most that the phone looks down
 # Held by hand: slow sway of position (m) and direction (rad), and a tremor of 4 to 9 Hz (rad).
 SWAY, DRIFT, TREMOR = 0.015, 0.008, 0.0007
+# Of its film.
+SENSOR_NOISE = (1.0, 3.5)  # grey levels of 255: σ₀ of a film
+BITS_PER_PIXEL = 0.27  # as of 17 Mbit/s for 1920 x 1080 at 30 a second
+LEAST_BIT_RATE = 10_000  # bits a second that the encoder accepts
+# Always one thread; mbtree reads uninitialised memory: see gva_mi.data.pictures.
+ENCODER = {"threads": "1", "mbtree": "0", "preset": "veryfast"}
 
 
 def camera_around(
@@ -66,19 +80,14 @@ class PhoneCamera:
     size: int  # pixels, width and height
 
     def camera(
-        self,
-        azimuth: float = 0.0,
-        moved: np.ndarray | float = 0.0,
-        turned: Sequence[float] = (0.0, 0.0, 0.0),
+        self, moved: np.ndarray | float = 0.0, turned: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> Camera:
-        """Return the camera at an azimuth about the vertical, rad, 0 in front of the person.
+        """Return the camera, in front of the person.
 
         ``moved`` (3,), m, and ``turned`` (3,), rad to the right, upwards and clockwise, are those
         of the hand that holds it.
         """
-        away = np.array([np.sin(azimuth), 0, np.cos(azimuth)])
-        right = np.array([np.cos(azimuth), 0, -np.sin(azimuth)])
-        above = np.array([0, 1.0, 0])
+        right, above, away = np.eye(3)
         eye = self.middle + self.distance * away + self.height * above + moved
         ahead = -np.cos(self.tilt) * away - np.sin(self.tilt) * above
         target = eye + ahead + turned[0] * right + turned[1] * above
@@ -87,16 +96,15 @@ class PhoneCamera:
         return Camera(focal, focal, half, half, T, self.size, self.size)
 
     @staticmethod
-    def draw(rng: np.random.Generator, points: np.ndarray, size: int, around: bool) -> PhoneCamera:
-        """Draw a phone that sees all points (T, n, 3) of a person, from all sides if ``around``."""
+    def draw(rng: np.random.Generator, points: np.ndarray, size: int) -> PhoneCamera:
+        """Draw a phone that sees all points (T, n, 3) of a person."""
         flat = points.reshape(-1, 3)
         middle = (flat.min(0) + flat.max(0)) / 2 * [1, 0, 1]
         height, focal, tall = (float(rng.uniform(*ends)) for ends in (HEIGHT, FOCALS, TALL))
         aim = float(rng.uniform(-0.03, 0.03))  # share of the picture, below its middle
-        sides = np.linspace(0, 2 * np.pi, 8, endpoint=False).tolist() if around else [0.0]
         placed = PhoneCamera(middle, height, 3.0, 0.1, focal, size)
         for _ in range(40):  # until the person fits; converges geometrically
-            seen = np.stack([placed.camera(a).project(points) for a in sides]) / size
+            seen = placed.camera().project(points) / size
             rows = seen[..., 1]
             tallest = np.ptp(rows, axis=-1).max() / tall
             widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * EDGE)
@@ -122,3 +130,34 @@ def held_by_hand(
     sway, drift, tremor = waves(SWAY, 0.1, 0.6), waves(DRIFT, 0.1, 0.7), waves(TREMOR, 4, 9)
     at = lambda wave, t: (wave[0] * np.sin(2 * np.pi * (wave[1] * t + wave[2]))).sum(1)
     return lambda t: (at(sway, t), at(drift, t) + at(tremor, t))
+
+
+def write_phone_film(
+    path: Path, pictures: Iterable[np.ndarray], fps: Fraction, rng: np.random.Generator
+) -> None:
+    """Write pictures (H, W, 3) 8-bit, of even sides, as an .mp4 of H.264 with BT.709 colours."""
+    import av
+    from av.video.reformatter import ColorRange, Colorspace
+
+    strength = rng.uniform(*SENSOR_NOISE)
+    with atomic_write(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=fps)
+        stream.pix_fmt, stream.options = "yuv420p", ENCODER
+        context = stream.codec_context
+        context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1
+        context.color_range = ColorRange.MPEG
+        for k, picture in enumerate(pictures):
+            if k == 0:
+                stream.height, stream.width = picture.shape[:2]
+                bits = int(BITS_PER_PIXEL * picture.shape[0] * picture.shape[1] * fps)
+                stream.bit_rate = max(bits, LEAST_BIT_RATE)
+            value = picture.astype(np.float32)
+            noise = rng.standard_normal(picture.shape, dtype=np.float32)
+            value += strength * (1 - value / 510) * noise
+            noisy = np.round(np.clip(value, 0, 255)).astype(np.uint8)
+            frame = av.VideoFrame.from_ndarray(noisy, "rgb24").reformat(
+                format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG
+            )
+            frame.pts = None
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())

@@ -1,7 +1,7 @@
 """The estimates of a pipeline for a recording: poses, camera, masks and normals with errors.
 
 They depend on the ground truth and the options alone, so a recording can be degraded again (see
-``provenance``). Masks and normals are degraded from the 8-bit files of the ground truth.
+``subject_folder.degrade``): masks and normals, from the 8-bit files of the ground truth.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_json, write_json
+from gva_mi.core.files import write_json
 from gva_mi.data.folder import MASKS, NORMALS, TRUTH, SubjectWriter, frame_name
-from gva_mi.data.normals import Convention, NormalMaps, in_convention
+from gva_mi.data.normals import NormalMaps, in_convention
 from gva_mi.data.pictures import read_image
 from gva_mi.splat import Camera
-from gva_mi.synthetic.closest import Closest
-from gva_mi.synthetic.error_models.masks import Confusion, confusions, noisy_mask
-from gva_mi.synthetic.error_models.models import EXACT, ErrorParameters, draw_errors
-from gva_mi.synthetic.error_models.normals import noisy_normals
-from gva_mi.synthetic.error_models.poses import estimated_camera, noisy_poses
-from gva_mi.synthetic.error_models.processes import runs
+from gva_mi.synthetic.error_models import USUAL, ErrorParameters, draw_errors
+from gva_mi.synthetic.foreign_body import Closest
 from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
+from gva_mi.synthetic.picture_errors import Confusion, confusions, noisy_mask, noisy_normals
+from gva_mi.synthetic.pose_errors import estimated_camera, noisy_poses, runs
 
 MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
 
@@ -34,8 +31,7 @@ MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
 class PictureErrors:
     """The errors of one frame's mask and normals."""
 
-    parameters: ErrorParameters
-    level: float  # factor on all errors; 0 is exact
+    parameters: ErrorParameters | None  # None: exact
     camera: Camera
     seed: tuple[int, ...]  # seed of their random numbers
     confusion: Confusion = Confusion()
@@ -44,45 +40,46 @@ class PictureErrors:
 
     def apply(self, mask: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Degrade a true mask (H, W) and true normals (H, W, 3) in camera space."""
+        if self.parameters is None:
+            return mask, normals
         _, errors = np.random.SeedSequence(self.seed).spawn(2)  # the first is the renderer's
         of_mask, of_normals = (np.random.default_rng(s) for s in errors.spawn(2))
-        found, level = self.parameters, self.level
-        mask = noisy_mask(mask, found.mask, level, of_mask, self.confusion)
+        found = self.parameters
+        mask = noisy_mask(mask, found.mask, of_mask, self.confusion)
         if self.no_normals:
             return mask, None
-        return mask, noisy_normals(normals, mask, found.normal, level, of_normals)
-
-    @property
-    def convention(self) -> Convention:
-        """The convention of the files of normals."""
-        return self.parameters.normal.convention_at(self.level)
+        normals = noisy_normals(normals, mask, found.normal, of_normals)
+        return mask, in_convention(normals, self.camera, found.normal.convention)
 
 
 @dataclass(frozen=True)
 class Pipeline:
     """A pipeline that estimates poses, masks and normals of a recording."""
 
-    options: SynthOptions  # error model, levels and seed
+    options: SynthOptions  # error model and seed
     body: BodyModel  # of the estimated poses
     cameras: Sequence[Camera]  # the true cameras of all frames
     near: Closest  # ground truth on this body
 
     @property
-    def errors(self) -> ErrorParameters:
-        return draw_errors(self.options.error_model, self.options.seed_of_noise)
+    def errors(self) -> ErrorParameters | None:
+        return draw_errors(self.options.error_model, self.options.seed_of_errors)
 
     def pictures(self) -> list[PictureErrors]:
         """Draw the errors of mask and normals of each frame."""
-        options, errors, level = self.options, self.errors, self.options.noise
+        options, errors = self.options, self.errors
+        seed = (*options.entropy(RENDER, errors=True), MOTION)
+        if errors is None:
+            return [PictureErrors(None, camera, seed, as_rendered=True) for camera in self.cameras]
         confused = confusions(
-            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask, level,
+            self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask,
             options.random(MISTAKEN, errors=True),
         )  # fmt: skip
-        share = min(level * errors.normal.missing, 0.9)
-        missing = runs(options.random(MISSING, errors=True), len(confused), share, MISSING_FRAMES)
-        seed, exact = (*options.entropy(RENDER, errors=True), MOTION), options.error_model == EXACT
+        rng, share = options.random(MISSING, errors=True), errors.normal.missing
+        missing = runs(rng, len(confused), share, MISSING_FRAMES)
+        exact = options.error_model == USUAL
         return [
-            PictureErrors(errors, level, camera, (*seed, k), seen, bool(gone), exact)
+            PictureErrors(errors, camera, (*seed, k), seen, bool(gone), exact)
             for k, (camera, seen, gone) in enumerate(
                 zip(self.cameras, confused, missing, strict=True)
             )
@@ -90,36 +87,23 @@ class Pipeline:
 
     def write(self, folder: Path) -> None:
         """Write poses, cameras, the convention of normals, and ``noise.json``."""
-        options, errors, level = self.options, self.errors, self.options.noise
-        truth, rng = (self.near.pose, self.near.shape), options.random(NOISE, errors=True)
-        first = self.cameras[0]
-        found = noisy_poses(self.body, *truth, first, errors.pose, level, rng)
-        writer = SubjectWriter(folder)
+        options, errors, near, cameras = self.options, self.errors, self.near, self.cameras
+        writer, found = SubjectWriter(folder), (near.pose, near.shape)
+        if errors is not None:
+            rng = options.random(NOISE, errors=True)
+            found = noisy_poses(self.body, *found, cameras[0], errors.pose, rng)
+            cameras = [estimated_camera(camera, errors.pose) for camera in cameras]
+            if errors.normal.convention != "perspective":
+                writer.normals_record(errors.normal.convention)
         writer.poses(*found, stage=1)
-        writer.cameras([estimated_camera(camera, errors.pose, level) for camera in self.cameras])
-        if (convention := errors.normal.convention_at(level)) != "perspective":
-            writer.normals_record(convention)
+        writer.cameras(cameras)
         about = {
             "error_model": options.error_model,
-            "seed": options.seed_of_noise,
-            "level": level,
-            "parameters": asdict(errors),
-            "floor": {"joint_mm": self.near.joint_mm, "limb_mm": self.near.limb_mm},
+            "seed": options.seed_of_errors,
+            "parameters": None if errors is None else asdict(errors),
+            "floor": {"joint_mm": near.joint_mm, "limb_mm": near.limb_mm},
         }
         write_json(folder / "noise.json", about)
-
-
-def describe_errors(folder: Path) -> list[str]:
-    """Describe the errors of a subject's folder in a line or two."""
-    path, expected = Path(folder) / "noise.json", "what gva-mi synth writes"
-    found = read_json(path, expected)
-    with expecting(path, expected):
-        model, seed, level = (found[key] for key in ("error_model", "seed", "level"))
-        lines = [f"noise: error model {model}, seed {seed}, level {level:g}"]
-        if found["floor"]["joint_mm"] > 0:
-            near = f"{found['floor']['limb_mm']:.1f} mm"
-            lines.append(f"the fitted body comes as near as {near} to the joints of the limbs")
-        return lines
 
 
 def write_estimates(
@@ -140,10 +124,7 @@ def write_estimates(
         hits = np.round(stored * (samples / 255))
         maps = NormalMaps(folder / TRUTH / NORMALS, "perspective", None)
         truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
-    mask, normals = errors.apply(*truth)
-    if normals is not None:
-        normals = in_convention(normals, errors.camera, errors.convention)
-    write_pictures(folder, index, mask, normals)
+    write_pictures(folder, index, *errors.apply(*truth))
 
 
 def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:

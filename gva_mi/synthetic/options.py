@@ -11,9 +11,9 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
-from gva_mi.synthetic.error_models.models import require_error_model
-from gva_mi.synthetic.people import STUDY, SyntheticPerson, foreign_outfit
-from gva_mi.synthetic.stretched import BodyStretch, stretched
+from gva_mi.synthetic.error_models import NO_ERRORS, require_error_model
+from gva_mi.synthetic.foreign_body import BodyStretch, stretched
+from gva_mi.synthetic.people import NAMED, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.subject import Subject, draw_subject
 
 # Random number streams, one for each purpose.
@@ -23,7 +23,6 @@ BLUR = 4  # moments while the shutter is open, which share the samples
 MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
-Level = Annotated[float, Within(0, 10)]
 Samples = Annotated[int, Within(1, 4096)]
 
 
@@ -32,24 +31,20 @@ class SynthOptions:
     """A synthetic subject, its motion, its pictures, and the errors of its stage-1 data."""
 
     seed: Seed = 0  # seed of the person, its motion and its errors
-    subject: str | None = None  # one of the seven named subjects; seed varies the rest
-    motion: Literal["turn", "everyday", "still", "half", "walk", "sit", "dance"] = "turn"
+    subject: str | None = None  # one of the four named subjects; seed varies the rest
+    motion: Literal["turn", "everyday", "still", "half", "walk", "dance"] = "turn"
     frames: VideoFrames = 80  # frames of the video; a turn fills all of them
     size: PictureSide = 512  # pixels, width and height of the pictures
-    light: Literal["usual", "side", "ambient"] = "usual"  # lamps besides the sky
-    # A phone held by hand, in a room, or one that circles once around the person: with noise 0.
+    light: Literal["usual", "side"] = "usual"  # lamps besides the sky
+    # A phone held by hand, in a room, or one that circles once around the person on white: with
+    # error model none.
     camera: Literal["stands", "held", "circles"] = "stands"
     scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
-    error_model: str = "bursts"  # error model of poses, masks and normals
-    # Factor on all errors; 0: exact. In bursts, 1 is about 66 mm of the vertices, 1 pixel of masks
-    # at size 512, and 9 degrees of normals.
-    noise: Level = 1.0
-    noise_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
+    error_model: str = "bursts"  # error model of poses, masks and normals; none: exact
+    error_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
     figure: PythonOnly[Literal["own", "stretched", "anny"]] = "own"  # body of the person
-    # Foreign: thick soles, wide trousers, bag, hood.
-    outfit: PythonOnly[Literal["own", "foreign"]] = "own"
-    clothes: PythonOnly[bool] = True  # with shoes; without, a swimsuit is painted on the skin
-    hair: PythonOnly[bool] = True  # without it the head is bald
+    outfit: PythonOnly[Literal["own", "foreign"]] = "own"  # foreign: thick soles, wide trousers
+    bare: PythonOnly[bool] = False  # bald, with a swimsuit that is painted on the skin
     samples: PythonOnly[Samples] = 16  # rays per pixel, a square number
     # Share of the time between frames that the shutter is open: motion blur.
     shutter: PythonOnly[Share] = 0.0
@@ -64,9 +59,7 @@ class SynthOptions:
                 f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
             )
         require_error_model(self.error_model)
-        if round(self.samples**0.5) ** 2 != self.samples:
-            raise InputError(f"synth: samples must be a square number, got {self.samples}")
-        choices = {"subject": (None, *STUDY)} | {
+        choices = {"subject": (None, *NAMED)} | {
             name: get_args(hint)
             for name, hint in get_type_hints(SynthOptions).items()
             if get_origin(hint) is Literal
@@ -75,17 +68,20 @@ class SynthOptions:
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
                 raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
-        if self.camera != "stands" and self.noise > 0:
+        if self.camera != "stands" and self.error_model != NO_ERRORS:
             raise InputError(
-                f"synth: errors need a fixed camera; --camera {self.camera} needs --noise 0"
+                f"synth: errors need a fixed camera; --camera {self.camera} needs "
+                f"--error-model {NO_ERRORS}"
             )
-        if self.camera == "held" and self.scene == "white":
-            raise InputError("synth: --camera held needs --scene room")
-        if self.shutter > 0 and round((self.samples / BLUR) ** 0.5) ** 2 * BLUR != self.samples:
-            raise InputError(
-                f"synth: samples must be {BLUR} times a square number with a shutter, "
-                f"got {self.samples}"
-            )
+        needed = {"held": "room", "circles": "white"}.get(self.camera, self.scene)
+        if self.scene != needed:
+            raise InputError(f"synth: --camera {self.camera} needs --scene {needed}")
+        moments = BLUR if self.shutter > 0 else 1
+        if round((self.samples / moments) ** 0.5) ** 2 * moments != self.samples:
+            number = "a square number"
+            if self.shutter > 0:
+                number = f"{BLUR} times a square number with a shutter"
+            raise InputError(f"synth: samples must be {number}, got {self.samples}")
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
         """Return the body that the subject is drawn on, given the fitted ``body``."""
@@ -98,7 +94,7 @@ class SynthOptions:
     def person(self, body: BodyModel) -> SyntheticPerson:
         """Return the person for a body."""
         named = self.subject is not None
-        person = STUDY[self.subject] if named else SyntheticPerson.draw(self.seed, body.num_betas)
+        person = NAMED[self.subject] if named else SyntheticPerson.draw(self.seed, body.num_betas)
         outfit = person.outfit
         if self.outfit == "foreign":
             outfit = foreign_outfit(outfit, self.random(OUTFIT))
@@ -108,25 +104,24 @@ class SynthOptions:
 
     def subject_on(self, drawn_on: BodyModel) -> Subject:
         """Return the person's surface on the body of :meth:`drawn_on`."""
-        person = self.person(drawn_on)
-        return draw_subject(drawn_on, person, self.clothes, self.hair)
+        return draw_subject(drawn_on, self.person(drawn_on), self.bare)
 
     def recorded(self) -> dict[str, object]:
         """Return the recorded options: all but ``workers``, which does not change the result."""
         return {k: v for k, v in asdict(self).items() if k != "workers"}
 
     @property
-    def seed_of_noise(self) -> int:
+    def seed_of_errors(self) -> int:
         """Seed of the errors."""
-        return self.seed if self.noise_seed is None else self.noise_seed
+        return self.seed if self.error_seed is None else self.error_seed
 
     def entropy(self, stream: int, errors: bool = False) -> tuple[int, ...]:
         """Return the seed of a stream, different for all subjects of the study.
 
         With ``errors``, it depends on the seed of the errors instead.
         """
-        named = () if self.subject is None else (STUDY[self.subject].seed,)
-        return (self.seed_of_noise if errors else self.seed, stream, *named)
+        named = () if self.subject is None else (NAMED[self.subject].seed,)
+        return (self.seed_of_errors if errors else self.seed, stream, *named)
 
     def random(self, stream: int, errors: bool = False) -> np.random.Generator:
         """Return the generator of a stream, see :meth:`entropy`."""

@@ -1,19 +1,43 @@
-"""Synthetic subjects: shape, colours, clothes and hair, drawn from a seed or one of seven by name.
+"""Synthetic persons: shape, colours, clothes and hair, drawn from a seed or one of four by name.
 
-The seven subjects of the study cover what is hard for an avatar: hair away from the head, a skirt,
-cloth without texture, thin glasses, the shadow of a cap.
+The four cover what is hard for an avatar: hair away from the head, a skirt, cloth without texture.
+Colours are linear albedo with Rec. 709 primaries.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from gva_mi.synthetic.look import Color, Fabric, linear, palette
+Color = tuple[float, float, float]  # linear albedo
+Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
+HairStyle = Literal["short", "bob", "long"]
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Pattern and colours of a cloth; "plain" has only a weave, "smooth" nothing."""
+
+    pattern: Pattern
+    colors: tuple[Color, Color, Color]  # ground, figure, thin lines; linear albedo
+    scale: float  # m, one repeat of the pattern
+
+
+def linear(*srgb: int) -> Color:
+    """Convert an 8-bit sRGB colour to linear albedo."""
+    c = np.array(srgb, dtype=np.float64) / 255
+    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+
+
+def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
+    """Draw one of the colours, slightly varied."""
+    color = np.array(colors[rng.integers(len(colors))])
+    return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))
+
 
 _linear = lambda *colors: [linear(*c) for c in colors]
 SKINS = _linear((232, 190, 165), (214, 165, 135), (190, 135, 102), (146, 98, 72), (104, 68, 50))
@@ -25,12 +49,10 @@ CLOTHS = _linear(
 )  # fmt: skip
 DENIMS = _linear((45, 60, 90), (75, 85, 105), (38, 40, 46), (125, 110, 85))
 
-HairStyle = Literal["short", "bob", "long"]
-
 
 @dataclass(frozen=True)
 class Outfit:
-    """The cut of clothes and hair, and accessories."""
+    """The cut of clothes and hair."""
 
     sleeve: float  # end of the sleeves in (0, 2): 1 is the elbow, 2 the wrist
     hem: float  # m, end of the shirt below the pelvis
@@ -40,11 +62,7 @@ class Outfit:
     flare: float  # trousers: m, distance of the hem; skirt: growth of its radius per metre
     hair: HairStyle
     hair_thick: float  # m
-    glasses: bool = False
-    cap: bool = False
     sole: float = 0.0  # m, thickness added to the flat soles
-    bag: Literal["none", "shoulder", "backpack"] = "none"
-    hood: Literal["none", "down", "up"] = "none"
 
 
 @dataclass(frozen=True)
@@ -60,7 +78,6 @@ class SyntheticPerson:
     bottom: Fabric
     shoes: Color
     outfit: Outfit
-    accent: Color = CLOTHS[9]  # of cap, glasses and bag
 
     @staticmethod
     def draw(seed: int, num_betas: int) -> SyntheticPerson:
@@ -82,9 +99,9 @@ class SyntheticPerson:
             (denim, tuple(1.8 * c for c in denim), colors[3]),
             float(rng.uniform(0.05, 0.08)),
         )
-        iris, shoes, accent = palette(rng, IRISES), palette(rng, CLOTHS), palette(rng, CLOTHS)
+        iris, shoes = palette(rng, IRISES), palette(rng, CLOTHS)
         betas = tuple(float(b) for b in betas)
-        return SyntheticPerson(seed, betas, skin, hair, iris, top, bottom, shoes, outfit, accent)
+        return SyntheticPerson(seed, betas, skin, hair, iris, top, bottom, shoes, outfit)
 
 
 def _draw_outfit(rng: np.random.Generator) -> Outfit:
@@ -97,22 +114,19 @@ def _draw_outfit(rng: np.random.Generator) -> Outfit:
         "skirt": (rng.uniform(0.7, 1.0), rng.uniform(0.15, 0.3)),
     }[bottom]
     hair, thick = str(rng.choice(["bob", "bob", "long", "short"])), float(rng.uniform(0.012, 0.02))
-    drawn = Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
-    drawn = replace(drawn, glasses=bool(rng.random() < 0.2), cap=bool(rng.random() < 0.15))
+    rng.random(2)  # unused; without them, the colours that follow would change
     # A skirt spreads from the hips and would come through a longer shirt.
-    return replace(drawn, hem=0.4 * drawn.hem) if bottom == "skirt" else drawn
+    hem = 0.4 * hem if bottom == "skirt" else hem
+    return Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
 
 
 def foreign_outfit(outfit: Outfit, rng: np.random.Generator) -> Outfit:
-    """Change an outfit to one unlike the others: thick soles, wide trousers, a bag, a hood."""
+    """Change an outfit to one unlike the others: thick soles, mostly wide trousers."""
     outfit = replace(outfit, sole=float(rng.uniform(0.01, 0.05)))
     if rng.random() < 0.7:
         length, flare = float(rng.uniform(1.8, 1.95)), float(rng.uniform(0.03, 0.06))
         outfit = replace(outfit, bottom="trousers", length=length, flare=flare)
-    bag, hood = rng.choice(["none", "shoulder", "backpack"]), rng.choice(["none", "down", "up"])
-    if hood == "up":  # hides the hair and leaves no room for a cap
-        outfit = replace(outfit, hair="short", hair_thick=0.012, cap=False)
-    return replace(outfit, bag=str(bag), hood=str(hood))
+    return outfit
 
 
 def _fabric(pattern: str, *colors: tuple[int, int, int], scale: float = 0.06) -> Fabric:
@@ -122,7 +136,7 @@ def _fabric(pattern: str, *colors: tuple[int, int, int], scale: float = 0.06) ->
 
 # Betas: height, weight, leg length, arm length, shoulder width, hip width, chest, belly, muscles,
 # size of the head.
-STUDY: Mapping[str, SyntheticPerson] = MappingProxyType({
+NAMED: Mapping[str, SyntheticPerson] = MappingProxyType({
     "amira": SyntheticPerson(  # long hair, stripes
         101, (-0.7, -0.4, 0.3, 0.0, -0.5, 0.7, 0.8, -0.5, -0.4, 0.1),
         SKINS[1], HAIRS[1], IRISES[3],
@@ -130,21 +144,12 @@ STUDY: Mapping[str, SyntheticPerson] = MappingProxyType({
         _fabric("plain", (58, 78, 118), (90, 110, 150)), linear(236, 232, 226),
         Outfit(1.75, 0.06, 0.016, "trousers", 1.92, 0.008, "long", 0.019),
     ),
-    "bruno": SyntheticPerson(  # glasses, plaid
+    "bruno": SyntheticPerson(  # short hair, plaid
         102, (1.1, 0.5, 0.2, 0.2, 0.9, -0.2, 0.2, 0.4, 0.9, 0.0),
         SKINS[0], HAIRS[2], IRISES[1],
         _fabric("plaid", (52, 104, 84), (24, 38, 48), (226, 178, 70), scale=0.075),
         _fabric("plain", (160, 138, 104), (120, 100, 76)), linear(96, 62, 42),
-        Outfit(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014, glasses=True),
-        linear(24, 22, 24),
-    ),
-    "chen": SyntheticPerson(  # bob, a print on chest and back
-        103, (-0.2, -0.7, 0.0, 0.0, -0.4, 0.0, 0.2, -0.4, -0.3, 0.2),
-        SKINS[1], HAIRS[0], IRISES[0],
-        _fabric("print", (232, 176, 62), (34, 50, 92), (240, 236, 226)),
-        _fabric("plaid", (62, 60, 70), (34, 34, 42), (178, 172, 160), scale=0.062),
-        linear(176, 44, 48),
-        Outfit(1.85, 0.13, 0.024, "trousers", 1.88, 0.018, "bob", 0.018),
+        Outfit(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014),
     ),
     "dalia": SyntheticPerson(  # a skirt, hair to the shoulder blades, a top of one colour
         104, (0.3, -0.2, 0.6, 0.1, -0.6, 1.0, 1.0, -0.3, -0.5, 0.0),
@@ -154,27 +159,11 @@ STUDY: Mapping[str, SyntheticPerson] = MappingProxyType({
         linear(60, 60, 68),
         Outfit(0.55, 0.035, 0.017, "skirt", 0.95, 0.26, "long", 0.019),
     ),
-    "edgar": SyntheticPerson(  # a cap, a heavy body, a white shirt without texture
+    "edgar": SyntheticPerson(  # a heavy body, a white shirt without texture
         105, (0.2, 1.3, -0.2, 0.0, 0.6, 0.4, 0.3, 1.3, 0.2, 0.0),
         SKINS[3], HAIRS[0], IRISES[3],
         _fabric("smooth", (226, 224, 218)),
         _fabric("plain", (92, 104, 84), (60, 70, 54)), linear(46, 48, 58),
-        Outfit(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012, cap=True),
-        linear(176, 52, 46),
-    ),
-    "fatou": SyntheticPerson(  # a wide bob, dots
-        106, (0.7, 0.1, 0.9, 0.5, 0.0, 0.5, 0.5, 0.0, 0.0, -0.2),
-        SKINS[4], HAIRS[0], IRISES[3],
-        _fabric("dots", (206, 96, 58), (244, 222, 176), (244, 222, 176), scale=0.052),
-        _fabric("plain", (42, 46, 52), (70, 76, 84)), linear(232, 176, 62),
-        Outfit(0.50, 0.09, 0.015, "trousers", 1.70, 0.024, "bob", 0.022),
-    ),
-    "goran": SyntheticPerson(  # tall and thin, a loose pullover with a print, plaid shorts
-        107, (1.3, -1.1, 0.4, 0.6, 0.3, -0.6, -0.4, -0.5, 0.2, 0.0),
-        SKINS[2], HAIRS[4], IRISES[1],
-        _fabric("print", (124, 150, 188), (236, 232, 224), (176, 44, 48)),
-        _fabric("plaid", (150, 70, 60), (98, 40, 40), (236, 222, 196), scale=0.070),
-        linear(240, 238, 232),
-        Outfit(1.70, 0.15, 0.028, "shorts", 0.85, 0.020, "short", 0.018),
+        Outfit(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012),
     ),
 })  # fmt: skip

@@ -28,18 +28,39 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.look import EARTH, LIGHTS, SKY, AreaLight, Material, encode
-from gva_mi.synthetic.rays import Strata, beside, primary_rays, window_of
-from gva_mi.synthetic.rooms.finishes import finish_color
-from gva_mi.synthetic.rooms.room import INDIRECT, Room, smoothly_lit
+from gva_mi.synthetic.furniture import finish_color
+from gva_mi.synthetic.people import Color
+from gva_mi.synthetic.rest_body import vertex_normals
+from gva_mi.synthetic.room import INDIRECT, SKY, Room, smoothly_lit
 from gva_mi.synthetic.subject import Subject
-from gva_mi.synthetic.surface import vertex_normals
-from gva_mi.synthetic.texture import albedo
+from gva_mi.synthetic.texture import Material, Point, albedo
 
 VARIANT = "llvm_ad_rgb"
 OFFSET = 1e-4  # m, distance of secondary rays' origins from the surface
 FEWER = 4  # times fewer samples beside the person
 MATERIALS = len(Material)  # of the person; finishes of a room have the numbers from here on
+EARTH = (0.30, 0.29, 0.28)  # ambient radiance from below, on white
+
+
+@dataclass(frozen=True)
+class AreaLight:
+    """A parallelogram that emits light on one side."""
+
+    centre: Point  # metres, world
+    u: Point  # half edges; u × v points to the emitting side
+    v: Point
+    radiance: Color  # linear
+
+
+# Besides the sky. Usual: a key light at the upper left of the camera and a weak fill light to the
+# right, both metres wide. Side: one lamp to the left, which lights a turning person from all sides.
+LIGHTS = {
+    "usual": (
+        AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
+        AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
+    ),
+    "side": (AreaLight((-3.6, 1.4, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), (24.0, 23.2, 22.1)),),
+}
 
 
 @dataclass(frozen=True)
@@ -265,3 +286,73 @@ class Renderer:
         # Every direction that nothing blocks gives the mean of all, which leaves little to chance.
         below, above = (mi.Color3f(c.tolist()) for c in self._room.ambient)
         return dr.select(blocked, emission, dr.lerp(below, above, 0.5 + n.y / 3))
+
+
+def primary_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return rays through image points (pixels), and their length per metre of depth."""
+    import mitsuba as mi
+
+    number = lambda x: dr.opaque(mi.Float, x)
+    direction = mi.Vector3f(
+        (x - number(camera.cx)) / number(camera.fx),
+        (y - number(camera.cy)) / number(camera.fy),
+        1.0,
+    )
+    per_depth = dr.norm(direction)
+    T_world_camera = np.linalg.inv(camera.T_camera_world)
+    R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
+    turned = mi.Vector3f(
+        *(R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z for i in range(3))
+    )
+    eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
+    return mi.Ray3f(eye, turned / per_depth), per_depth
+
+
+class Strata:
+    """Stratified points of the unit square: one per cell of an n × n grid over a pixel's samples.
+
+    The cells are permuted for each call and pixel, so that dimensions do not correlate.
+    """
+
+    def __init__(self, random: Array, pixel: Array, sample: Array, n: int) -> None:
+        self._random, self._pixel, self._sample, self._n = random, pixel, sample, n
+        self._calls = 0
+
+    def __call__(self) -> Array:
+        import mitsuba as mi
+
+        n = self._n
+        self._calls += 1
+        key = mi.sample_tea_32(self._pixel, self._calls, 3)[0]
+        cell = mi.permute_kensler(self._sample, n * n, key)
+        u = (mi.Float(cell % n) + self._random.next_float32()) / n
+        v = (mi.Float(cell // n) + self._random.next_float32()) / n
+        return mi.Point2f(u, v)
+
+
+def window_of(vertices: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
+    """Return the window of the picture that holds the vertices: left, top, width, height."""
+    uv = camera.project(vertices.astype(np.float64))
+    size = np.array([camera.width, camera.height])
+    lo = np.clip(np.floor(uv.min(0)) - 1, 0, size - 1).astype(int)
+    hi = np.clip(np.ceil(uv.max(0)) + 1, lo + 1, size).astype(int)
+    return int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])
+
+
+def beside(
+    window: tuple[int, int, int, int], height: int, width: int
+) -> list[tuple[int, int, int, int]]:
+    """Return the parts of a picture around a window, each left, top, width, height."""
+    left, top, wide, high = window
+    right, bottom = left + wide, top + high
+    parts = [
+        (0, 0, width, top), (0, bottom, width, height - bottom),
+        (0, top, left, high), (right, top, width - right, high),
+    ]  # fmt: skip
+    return [part for part in parts if min(part[2:]) > 0]
+
+
+def encode(linear_rgb: np.ndarray) -> np.ndarray:
+    """Encode linear light as sRGB in [0, 1], float32."""
+    x = np.clip(linear_rgb, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)

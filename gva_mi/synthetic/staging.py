@@ -14,11 +14,10 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand
-from gva_mi.synthetic.clothes.folds import MEMORY
 from gva_mi.synthetic.options import BLUR, CAMERA, MOTION, ROOM, SynthOptions
 from gva_mi.synthetic.render import Moment
-from gva_mi.synthetic.rooms.room import Room, draw_room
-from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.room import Room, draw_room
+from gva_mi.synthetic.subject import MEMORY, Subject
 
 THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
 
@@ -66,23 +65,21 @@ class Staging:
     @cached_property
     def phone(self) -> PhoneCamera:
         """The phone of a film in a room."""
-        options, around = self.options, self.options.camera == "circles"
-        points = self.points(self.poses[0])
-        return PhoneCamera.draw(options.random(CAMERA), points, options.size, around)
+        rng, points = self.options.random(CAMERA), self.points(self.poses[0])
+        return PhoneCamera.draw(rng, points, self.options.size)
 
     def cameras_at(self, t: np.ndarray) -> list[Camera]:
         """Return the cameras at moments (T,): all the same, held by hand, or on a circle."""
         options = self.options
-        turns = t % 1.0 if options.camera == "circles" else np.zeros(len(t))
-        if options.scene == "white":
-            points = self.points(self.poses[0])
-            of_turn = {turn: camera_around(points, options.size, 2 * np.pi * turn)
-                       for turn in dict.fromkeys(turns.tolist())}  # fmt: skip
-            return [of_turn[turn] for turn in turns.tolist()]
         if options.camera == "held":
             hand = held_by_hand(np.random.default_rng([*options.entropy(CAMERA), 1]))
-            return [self.phone.camera(0.0, *hand(seconds)) for seconds in t * motion.DURATION]
-        return [self.phone.camera(2 * np.pi * turn) for turn in turns.tolist()]
+            return [self.phone.camera(*hand(seconds)) for seconds in t * motion.DURATION]
+        if options.scene == "room":
+            return [self.phone.camera()] * len(t)
+        points = self.points(self.poses[0])
+        if options.camera == "circles":
+            return [camera_around(points, options.size, 2 * np.pi * turn) for turn in t % 1.0]
+        return [camera_around(points, options.size)] * len(t)
 
     @cached_property
     def cameras(self) -> list[Camera]:
@@ -94,7 +91,7 @@ class Staging:
         if self.options.scene == "white":
             return None
         points, rng = self.points(self.poses[0]), self.options.random(ROOM)
-        return draw_room(rng, self.subject.look, points, self.cameras, self.options.light)
+        return draw_room(rng, self.subject.look.person, points, self.cameras)
 
     def about_film(self) -> dict[str, float]:
         """Return the person's height at rest and the placing of the phone, metres and degrees."""

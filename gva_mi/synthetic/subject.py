@@ -1,8 +1,23 @@
-"""A synthetic person as one surface that moves with the body: skin, clothes, hair and colours."""
+"""A synthetic person as one surface that moves with the body: skin, clothes, hair and colours.
+
+Cloth and hair have a motion of their own: creases at bent joints, and loose ends that lag behind.
+At a joint whose rotation bends its bone b (rest pose) by the axis-angle r,
+
+    1. strength  s = |r⊥|² / (|r⊥|² + 0.5²)                r⊥ is r without the twist about b
+    2. inside    g = ½ + ½ cos(angle of x about b to r × b)
+    3. crease    h = a(x) · window(x) · cos(2π b·(x − J) / 4 cm + phase(x)) · s · g
+
+displaces along the posed normal. Loose ends lag: with p_k the skinned position k steps back and ℓ
+the slack, the largest displacement of a vertex,
+
+    4. lag       u = Σ_k w_k p_k − p_0,   displacement ℓ u / √(ℓ² + |u|²),   w_k ~ exp(−k / 2)
+
+Both are smooth in the pose. Creases vanish in the rest pose, lags without motion.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -10,18 +25,48 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
-from gva_mi.synthetic.clothes.dressing import Worn, covered, dress
-from gva_mi.synthetic.clothes.folds import Crease, creases, lag
-from gva_mi.synthetic.look import Look, Material
+from gva_mi.synthetic.dressing import Piece, covered, dress
 from gva_mi.synthetic.people import SyntheticPerson
-from gva_mi.synthetic.rest_body import RestBody, face_landmarks
-from gva_mi.synthetic.surface import vertex_normals
+from gva_mi.synthetic.rest_body import RestBody, face_landmarks, vertex_normals
+from gva_mi.synthetic.texture import Look, Material
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+BONES: Mapping[str, str] = {  # joint -> the end of its bone
+    "left_elbow": "left_wrist", "right_elbow": "right_wrist", "left_shoulder": "left_elbow",
+    "right_shoulder": "right_elbow", "left_knee": "left_ankle", "right_knee": "right_ankle",
+    "left_hip": "left_knee", "right_hip": "right_knee", "spine1": "spine2", "spine2": "spine3",
+}  # fmt: skip
+WAVELENGTH = 0.04  # m, from crease to crease
+ALONG, ACROSS = 0.075, 0.15  # m, extent of creases along the bone and across it
+HALF = 0.5  # rad, bend at which a crease has half its height
+MEMORY = 5  # time steps that a lag depends on
+INWARD = 0.6  # fraction removed from a lag into the body
+
+
+@dataclass(frozen=True)
+class Crease:
+    """The creases of one joint."""
+
+    joint: int
+    bone: np.ndarray  # (3,) unit, rest pose
+    index: np.ndarray  # (n,) vertices
+    height: np.ndarray  # (n,) metres: a · window · cos of eq. 3
+    around: np.ndarray  # (n, 3) unit, from the bone to the vertex
+
+    def displacement(self, rotation: np.ndarray) -> np.ndarray:
+        """Return displacements (n,) along the normals, metres, for an axis-angle rotation (3,)."""
+        across = rotation - self.bone * (rotation @ self.bone)
+        bend = np.linalg.norm(across)
+        if bend < 1e-6:
+            return np.zeros_like(self.height)
+        inner = np.cross(across / bend, self.bone)
+        strength = bend**2 / (bend**2 + HALF**2)
+        return self.height * strength * (0.5 + 0.5 * (self.around @ inner))
 
 
 @dataclass(frozen=True)
@@ -81,46 +126,32 @@ class Subject:
 
 
 @lru_cache(maxsize=1)  # a program that made a subject often measures it next
-def draw_subject(
-    body: BodyModel,
-    person: SyntheticPerson,
-    clothes: bool = True,
-    hair: bool = True,
-) -> Subject:
-    """Make the surface of a person on a body.
-
-    Without clothes, a swimsuit is painted on the skin; without hair, the head is bald.
-    """
+def draw_subject(body: BodyModel, person: SyntheticPerson, bare: bool = False) -> Subject:
+    """Make the surface of a person on a body: dressed, or ``bare``, bald and in a swimsuit."""
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)
-    worn = dress(rest, person.outfit, rng, clothes, hair)
+    pieces, cone = ([], None) if bare else dress(rest, person.outfit, rng)
     shoulder, hip = (tuple(rest.joints[f"left_{name}"].tolist()) for name in ("shoulder", "hip"))
-    look = Look(
-        skin=person.skin,
-        lips=tuple(s * f for s, f in zip(person.skin, (0.80, 0.45, 0.45), strict=True)),
-        iris=person.iris, hair=person.hair, brows=tuple(0.5 * c for c in person.hair),
-        top=person.top, bottom=person.bottom, shoes=person.shoes, swimsuit=not clothes,
-        face=face_landmarks(body, shape, rest), nails=rest.nails(),
-        shoulder=shoulder, hip=hip, ground=float(rest.vertices[:, 1].min()),
-        accessory=person.accent, cone=worn.cone,
-    )  # fmt: skip
-    return _joined(rest, worn, look, shape, rng)
+    face, ground = face_landmarks(body, shape, rest), float(rest.vertices[:, 1].min())
+    look = Look(person, bare, face, rest.nails(), shoulder, hip, ground, cone)
+    return _joined(rest, pieces, look, shape, rng)
 
 
 def _joined(
-    rest: RestBody, worn: Worn, look: Look, shape: Shape, rng: np.random.Generator
+    rest: RestBody, pieces: list[Piece], look: Look, shape: Shape, rng: np.random.Generator
 ) -> Subject:
     """Join the visible skin and all pieces to one surface."""
     from scipy.sparse import csr_array, vstack
 
-    skin = rest.faces[~covered(rest.vertices, worn.cloth)[rest.faces].all(1)]
+    cloth = [piece.mesh for piece in pieces if piece.material is not Material.HAIR]
+    skin = rest.faces[~covered(rest.vertices, cloth)[rest.faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     skin = skin.reshape(-1, 3)
     of_skin = csr_array(
         (np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), len(rest.vertices))
     )
-    pieces, meshes = worn.pieces, [piece.mesh for piece in worn.pieces]
+    meshes = [piece.mesh for piece in pieces]
     bound = vstack([of_skin, *(piece.binding for piece in pieces)])
     starts = np.cumsum([len(used), *(len(mesh.vertices) for mesh in meshes)])
     vertices = np.concatenate([rest.vertices[used], *(m.vertices for m in meshes)])
@@ -143,3 +174,46 @@ def _joined(
         slack=per_vertex(lambda piece: piece.slack),
         creases=creases(vertices, per_vertex(lambda piece: piece.crease), rest.joints, rng),
     )
+
+
+def creases(
+    vertices: np.ndarray,
+    amplitude: np.ndarray,
+    joints: Mapping[str, np.ndarray],
+    rng: np.random.Generator,
+) -> tuple[Crease, ...]:
+    """Place the creases of all joints at random on vertices (N, 3), rest pose, metres.
+
+    Their height is ``amplitude`` (N,), metres; zero where there are none.
+    """
+    found = []
+    cloth = np.flatnonzero(amplitude > 0)
+    for name, child in BONES.items():
+        bone = joints[child] - joints[name]
+        bone = bone / np.linalg.norm(bone)
+        away = vertices[cloth] - joints[name]
+        along = away @ bone
+        radial = away - along[:, None] * bone
+        radius = np.linalg.norm(radial, axis=1)
+        window = np.exp(-((along / ALONG) ** 2) - (radius / ACROSS) ** 4)
+        near = window > 0.02
+        slant = rng.normal(0, 22, 3)  # rad/m
+        phase = 2 * np.pi * along / WAVELENGTH + away @ slant + rng.uniform(0, 2 * np.pi)
+        height = amplitude[cloth] * window * np.cos(phase)
+        around = radial / np.maximum(radius, 1e-6)[:, None]
+        found.append(Crease(JOINTS.index(name), bone, cloth[near], height[near], around[near]))
+    return tuple(found)
+
+
+def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Return displacements (n, 3) of loose ends (eq. 4), metres.
+
+    ``now`` (n, 3) and ``past`` (MEMORY, n, 3), the latest first, are skinned positions; ``slack``
+    (n,) is the largest displacement, metres, and ``away`` (n, 3) points from the body to the
+    vertex.
+    """
+    weights = np.exp(-np.arange(1, MEMORY + 1) / 2)
+    behind = np.tensordot(weights / weights.sum(), past, axes=1) - now
+    bounded = behind * (slack / np.sqrt(slack**2 + (behind**2).sum(1)))[:, None]
+    inward = np.minimum((bounded * away).sum(1), 0)
+    return bounded - INWARD * inward[:, None] * away

@@ -1,4 +1,7 @@
-"""Write a subject's folder: the video that a real pipeline would have, and its ground truth.
+"""A subject's folder: the video that a real pipeline would have, and its ground truth.
+
+:func:`make_subject` writes one, :func:`degrade` copies its recording with other errors, and
+:func:`remake_subject` makes its person again.
 
 Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
 white, in the light of the room. ``film.mp4`` is the film that a phone would make in a room.
@@ -9,20 +12,27 @@ focal length may be wrong. All in ``truth`` is exact:
 ======================  ========================================================================
 ``surface.ply``         the outer surface in the rest pose, with clothes and hair
 ``poses.npz``           poses of the body that was drawn
-``body.npz``            this body, if it is not the fitted one, see ``closest``
+``body.npz``            this body, if it is not the fitted one, see ``foreign_body``
 ``cameras.npz``         the true cameras
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
 ``novel_pose``          poses that the video does not hold
 ``film.json``           height of the person, placing of the phone, of a video in a room
 ======================  ========================================================================
+
+A picture depends only on its :class:`RenderJob`: one process computes all surfaces, and every job
+has its own random numbers, so any number of worker processes writes the same bits.
 """
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -30,25 +40,45 @@ import numpy as np
 
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.atomic import atomic_dir
-from gva_mi.core.files import write_arrays, write_json
+from gva_mi.core.atomic import atomic_dir, atomic_write
+from gva_mi.core.errors import expecting
+from gva_mi.core.files import read_json, write_arrays, write_json
 from gva_mi.core.stamp import write_record
+from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.data.film import write_film
-from gva_mi.data.fingerprint import SYNTH, fingerprint
-from gva_mi.data.folder import TRUTH, VIDEO, SubjectWriter
-from gva_mi.data.ground_truth import BODY
+from gva_mi.data.fingerprint import SYNTH, fingerprint, require_same_body
+from gva_mi.data.folder import FRAMES, SPLITS, TRUTH, VIDEO, SubjectWriter
+from gva_mi.data.ground_truth import BODY, load_ground_truth
 from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
-from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.closest import Closest, closest
-from gva_mi.synthetic.estimates import PictureErrors, Pipeline
+from gva_mi.synthetic.cameras import camera_around, write_phone_film
+from gva_mi.synthetic.estimates import PictureErrors, Pipeline, write_estimates, write_pictures
+from gva_mi.synthetic.foreign_body import Closest, closest
 from gva_mi.synthetic.options import FILM, MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
-from gva_mi.synthetic.pictures import Render, RenderJob, rendering
-from gva_mi.synthetic.provenance import SURFACE, write_surface
-from gva_mi.synthetic.render import Moment
-from gva_mi.synthetic.rooms.phone import write_phone_film
+from gva_mi.synthetic.render import Moment, Renderer
+from gva_mi.synthetic.room import Room
 from gva_mi.synthetic.staging import Staging, lowered
+from gva_mi.synthetic.subject import Subject
+
+PHONE_FILM = "film.mp4"
+SURFACE = "truth/surface.ply"
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """One picture to render."""
+
+    folder: Path  # gets frames/, masks/, normals/
+    index: int
+    moments: tuple[Moment, ...]  # of the exposure
+    samples: int  # rays per pixel
+    seed: tuple[int, ...]  # seed of its random numbers
+    # With errors, the ground truth is written into truth/, and the room, if there is one, is shown.
+    errors: PictureErrors | None = None
+
+
+Render = Callable[[Iterable[RenderJob]], Iterator[np.ndarray]]  # 8-bit pictures (H, W, 3)
 
 
 def make_subject(
@@ -77,7 +107,7 @@ def make_subject(
     staging = Staging(options, drawn_on, subject)
     with (
         atomic_dir(Path(out), replaced) as folder,
-        rendering(subject, staging.room(), options.light, options.workers) as rendered,
+        _rendering(subject, staging.room(), options.light, options.workers) as rendered,
     ):
 
         def render(jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
@@ -96,6 +126,87 @@ def make_subject(
         write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
         write_record(folder / SYNTH, about)
+
+
+def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyModel) -> None:
+    """Write a recording with other errors, so that each person is rendered once.
+
+    The folder appears when it is complete. It equals what :func:`make_subject` makes with this
+    error model and ``error_seed``; earlier errors have no effect. Only ``bursts`` degrades normals
+    as rendered: from files, they are up to one grey level off. Frames and ground truth are
+    hard-linked from the old folder if the disk allows it.
+
+    Args:
+        subject: a folder that :func:`make_subject` or this function made.
+        out: the new folder, which must not exist or be empty.
+        error_model, seed: the error model, and the seed of its errors.
+        body: the body that the subject was made on.
+
+    Raises:
+        InputError: ``out`` holds something else, ``subject`` was not made here or on another body,
+            or there is no such error model.
+    """
+    subject = Path(subject)
+    about, options = recorded_options(subject)
+    require_same_body(subject, body)
+    options = replace(options, error_model=error_model, error_seed=seed)
+    truth = load_ground_truth(subject / TRUTH, body)
+    near = closest(body, truth.body, truth.pose, truth.shape)
+    pipeline = Pipeline(options, body, truth.cameras, near)
+    with atomic_dir(Path(out)) as folder:
+        for name in (VIDEO, PHONE_FILM, FRAMES, TRUTH, SPLITS):
+            if (subject / name).is_dir():
+                shutil.copytree(subject / name, folder / name, copy_function=_link)
+            elif (subject / name).exists():
+                _link(subject / name, folder / name)
+        for k, errors in enumerate(pipeline.pictures()):
+            write_estimates(folder, k, errors, options.samples)
+        pipeline.write(folder)
+        write_json(folder / SYNTH, about | {"options": options.recorded()})
+
+
+def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
+    """Make the person of a folder again, with materials and binding, and the body drawn on.
+
+    The folder holds only the outer surface. If it differs, because another version of this program
+    made it, the result is None. ``body`` is that of its stage-1 poses.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``, or on another body.
+    """
+    import trimesh
+
+    require_same_body(subject, body)
+    _, options = recorded_options(subject)
+    if not (subject / SURFACE).is_file():
+        return None
+    drawn_on = options.drawn_on(body)
+    person = options.subject_on(drawn_on)
+    filmed = trimesh.load(subject / SURFACE, process=False)
+    same = np.array_equal(filmed.faces, person.faces)
+    same = same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
+    return (person, drawn_on) if same else None
+
+
+def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
+    """Read a subject's ``synth.json`` and the options in it.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``.
+    """
+    path, expected = subject / SYNTH, "a folder that gva-mi synth made"
+    about = read_json(path, expected)
+    with expecting(path, expected):
+        return about, SynthOptions(**about["options"])
+
+
+def write_surface(path: Path, person: Subject) -> None:
+    """Write a person's outer surface in the rest pose."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(person.vertices, person.faces, process=False)
+    with atomic_write(path) as unfinished:
+        unfinished.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
 
 
 @dataclass(frozen=True)
@@ -140,7 +251,7 @@ class _Recording:
         write_film(folder / VIDEO, colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
-            write_phone_film(folder / "film.mp4", colors, fps, options.random(FILM))
+            write_phone_film(folder / PHONE_FILM, colors, fps, options.random(FILM))
             write_json(truth.folder / "film.json", staging.about_film())
         pipeline.write(folder)
 
@@ -180,3 +291,56 @@ class _Recording:
         writer, near = SubjectWriter(folder), self._closest(poses[0])  # on the fitted body
         writer.cameras(cameras)
         writer.poses(near.pose, near.shape, stage=0)
+
+
+@contextmanager
+def _rendering(subject: Subject, room: Room | None, light: str, workers: int) -> Iterator[Render]:
+    """Yield a function that renders jobs, writes their files and yields results in order.
+
+    ``light`` is one of LIGHTS; one of ``workers`` is this process.
+
+    Raises:
+        InputError: a worker process died.
+    """
+    if workers == 1:
+        yield partial(map, partial(_render_job, Renderer(subject, room, light)))
+        return
+    with worker_processes(workers, _start_worker, subject, room, light) as pool:
+        yield partial(in_order, pool, _render_in_worker, ahead=2 * workers)
+
+
+def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
+    """Render one picture and write its files; return its colour, 8-bit (H, W, 3)."""
+    random, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
+    samples, errors = job.samples // len(job.moments), job.errors
+    true = renderer.expose(
+        job.moments, samples, int(random.generate_state(1)[0]), shown=errors is not None
+    )
+    stored = np.round(true.color * 255).astype(np.uint8)
+    SubjectWriter(job.folder).frame(job.index, stored)
+    exact = job.folder if errors is None else job.folder / TRUTH
+    write_pictures(exact, job.index, true.mask, true.normals)
+    if errors is not None:
+        rendered = (true.mask, true.normals) if errors.as_rendered else None
+        write_estimates(job.folder, job.index, errors, job.samples, rendered)
+    return stored
+
+
+_renderer: Renderer | None = None  # of a worker process
+
+
+def _start_worker(subject: Subject, room: Room | None, light: str) -> None:
+    global _renderer
+    _renderer = Renderer(subject, room, light)
+
+
+def _render_in_worker(job: RenderJob) -> np.ndarray:
+    return _render_job(_renderer, job)
+
+
+def _link(source: Path | str, target: Path | str) -> None:
+    """Hard-link a file, or copy it where links are not possible."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)

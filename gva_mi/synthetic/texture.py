@@ -1,23 +1,89 @@
 """Colours of skin, cloth and hair: formulas of the rest position, sharp at any resolution.
 
 Nothing is baked into a bitmap: the colour of a point is computed from its position in the rest
-pose, on Dr.Jit arrays. Colours are linear albedo with Rec. 709 primaries.
+pose, metres, on Dr.Jit arrays, and from a :class:`Look`.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
 
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.synthetic.look import Fabric, Look, Material, Point
+from gva_mi.synthetic.people import Color, Fabric, SyntheticPerson
+
+Point = tuple[float, float, float]  # metres
+
+
+class Material(IntEnum):
+    """The material of a triangle."""
+
+    SKIN, TOP, BOTTOM, SHOES, HAIR = range(5)
+
+
+@dataclass(frozen=True)
+class FaceLandmarks:
+    """Landmarks of the painted face."""
+
+    eyes: tuple[Point, Point]  # left, right
+    mouth: Point
+    unit: float  # distance between the eyes
+
+
+@dataclass(frozen=True)
+class SkirtCone:
+    """The cone of a skirt, whose cloth is unrolled so that patterns keep their size."""
+
+    apex: Point  # metres
+    slope: float  # radius per metre below the apex
+    aspect: float  # width over depth
+
+    def unrolled(self, p: Array) -> tuple[Array, Array]:
+        """Unroll points onto the flat cloth, metres along and around; the seam is behind."""
+        sine = self.slope / np.sqrt(1 + self.slope**2)
+        slant = (self.apex[1] - p.y) * float(np.sqrt(1 + self.slope**2))
+        angle = dr.atan2(p.x - self.apex[0], self.aspect * (p.z - self.apex[2])) * float(sine)
+        return -slant * dr.cos(angle), slant * dr.sin(angle)
+
+    def share(self, p: Array) -> Array:
+        """Return the relative distance of points from the axis, 0 on it and 1 on the cone."""
+        depth = p.z - self.apex[2]
+        out = dr.sqrt(dr.square((p.x - self.apex[0]) / self.aspect) + dr.square(depth))
+        return 0.5 * (1 + self.aspect) * out / (self.slope * (self.apex[1] - p.y))
+
+
+@dataclass(frozen=True)
+class Look:
+    """What the texture is computed from: a person's colours, and landmarks of its body."""
+
+    person: SyntheticPerson
+    swimsuit: bool  # painted on the skin, for a bare person
+    face: FaceLandmarks
+    nails: tuple[Point, ...]  # centres, on the backs of the fingers
+    shoulder: Point  # left shoulder; sleeves begin here
+    hip: Point  # left hip
+    ground: float  # m, height of the soles
+    cone: SkirtCone | None = None  # of a skirt
+
+    def mean_color(self, material: Material) -> Color:
+        """Return the average colour of a material, for indirect light."""
+        person = self.person
+        if material in (Material.TOP, Material.BOTTOM):
+            fabric = person.top if material is Material.TOP else person.bottom
+            a, b = np.array(fabric.colors[0]), np.array(fabric.colors[1])
+            return tuple(0.6 * a + 0.4 * b)
+        plain = {Material.SHOES: person.shoes, Material.HAIR: person.hair}
+        return plain.get(material, person.skin)
 
 
 def albedo(look: Look, material: Array, rest: Array) -> Array:
     """Return the linear albedo, a Dr.Jit ``Array3f``, at points of the rest surface.
 
     ``material`` are values of :class:`Material`, a Dr.Jit integer array, and ``rest`` positions in
-    the rest pose, an ``Array3f``, metres.
+    the rest pose, an ``Array3f``.
     """
     color = _skin(look, rest)
     parts = {
@@ -25,13 +91,13 @@ def albedo(look: Look, material: Array, rest: Array) -> Array:
     }  # fmt: skip
     for part, formula in parts.items():
         color = dr.select(material == int(part), formula(look, rest), color)
-    return dr.select(material == int(Material.ACCESSORY), type(rest)(*look.accessory), color)
+    return color
 
 
 def _skin(look: Look, p: Array) -> Array:
     """Skin with cheeks, brows, eyes, lips, nails and, without clothes, a swimsuit."""
     face = look.face
-    base = type(p)(*look.skin)
+    base = type(p)(*look.person.skin)
     blotches = value_noise(p * 35) * 0.10 + value_noise(p * 140) * 0.05
     color = base * (1 + blotches)
 
@@ -50,7 +116,7 @@ def _skin(look: Look, p: Array) -> Array:
         suit = _inside(look.shoulder[1] - 0.10 - p.y, 0.003)
         suit *= _inside(p.y - look.hip[1] + 0.08, 0.003)
         suit *= _inside(look.shoulder[0] + 0.02 - dr.abs(p.x), 0.003)
-        color = dr.lerp(color, _cloth(look.top, p, p.y, dr.atan2(p.z, p.x) * 0.16), suit)
+        color = dr.lerp(color, _cloth(look.person.top, p, p.y, dr.atan2(p.z, p.x) * 0.16), suit)
     return color
 
 
@@ -65,13 +131,13 @@ def _around_eye(look: Look, p: Array, color: Array, eye: Point) -> Array:
     arc = dy - (0.44 - 0.30 * dr.square(u + 0.06))  # inner ends no lower than outer: no scowl
     brow = _inside(0.038 + 0.025 * (0.3 - u) - dr.abs(arc), 0.02)
     brow *= _inside(0.40 - dr.abs(u), 0.06)
-    color = dr.lerp(color, like(*look.brows), 0.85 * brow)
+    color = dr.lerp(color, like(*(0.5 * c for c in look.person.hair)), 0.85 * brow)
     lid = dr.square(dx / 0.235) + dr.square(dy / dr.select(dy > 0, 0.125, 0.095))
     shadow = _inside(1.9 - lid, 0.9)
     color = dr.lerp(color, color * like(0.76, 0.66, 0.64), shadow)
     inside = _inside(1 - lid, 0.10)
     radius = dr.sqrt(dr.square(dx) + dr.square(dy - 0.005))
-    ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.iris), _inside(0.098 - radius, 0.012))
+    ball = dr.lerp(like(0.78, 0.74, 0.71), like(*look.person.iris), _inside(0.098 - radius, 0.012))
     ball = dr.lerp(ball, like(0.012), _inside(0.045 - radius, 0.012))
     glint = dr.square(dx + 0.03) + dr.square(dy - 0.035)
     ball = dr.lerp(ball, like(0.9), _inside(0.0005 - glint, 0.0003))
@@ -87,7 +153,8 @@ def _mouth(look: Look, p: Array, color: Array) -> Array:
     bow = 0.085 * (1 - dr.square(dx / 0.40)) - 0.02 * dr.exp(-dr.square(dx / 0.06))
     lips = _inside(dr.select(dy > 0, bow * 0.85, bow * 1.15) - dr.abs(dy), 0.02)
     lips *= _inside(0.40 - dr.abs(dx), 0.02)
-    mouth = dr.lerp(color, like(*look.lips), lips)
+    red = like(*(c * f for c, f in zip(look.person.skin, (0.80, 0.45, 0.45), strict=True)))
+    mouth = dr.lerp(color, red, lips)
     gap = _inside(0.012 - dr.abs(dy - 0.01 * dr.cos(9 * dx)), 0.01)
     gap *= _inside(0.37 - dr.abs(dx), 0.03)
     return dr.lerp(mouth, like(0.06, 0.015, 0.012), 0.85 * gap)
@@ -107,9 +174,9 @@ def _top(look: Look, p: Array) -> Array:
     # Nearly x in front, and finite where the cloth closes around the neck.
     trunk = dr.atan2(p.x, dr.abs(p.z) + 0.10) * 0.2
     around = dr.select(sleeve, arm * 0.065, trunk)
-    color = _cloth(look.top, p, along, around)
-    if look.top.pattern == "print":
-        color = _print(look.top, color, p, look.shoulder[1] - 0.13)
+    color = _cloth(look.person.top, p, along, around)
+    if look.person.top.pattern == "print":
+        color = _print(look.person.top, color, p, look.shoulder[1] - 0.13)
     sewn = dr.select(arm_level, _inside(0.0022 - dr.abs(side - seam), 0.001), 0.0)
     return color * (1 - 0.25 * sewn)
 
@@ -125,16 +192,16 @@ def _bottom(look: Look, p: Array) -> Array:
         leg = p.y < look.hip[1] - 0.06
         about_leg = dr.atan2(p.z, dr.abs(p.x) - look.hip[0]) * 0.085
         along, around = p.y, dr.select(leg, about_leg, dr.atan2(p.z, p.x) * 0.16)
-    color = _cloth(look.bottom, p, along, around)
+    color = _cloth(look.person.bottom, p, along, around)
     side_seam = dr.select(dr.abs(p.x) > look.hip[0], seam, 0.0)
-    color = dr.select(lining, type(p)(*look.bottom.colors[0]), color)
+    color = dr.select(lining, type(p)(*look.person.bottom.colors[0]), color)
     return color * (1 - 0.25 * side_seam)
 
 
 def _shoes(look: Look, p: Array) -> Array:
     """Shoes with laces and a pale sole."""
     like = type(p)
-    color = like(*look.shoes) * (1 + 0.15 * value_noise(p * 90))
+    color = like(*look.person.shoes) * (1 + 0.15 * value_noise(p * 90))
     height = p.y - look.ground
     toe = p.z - look.hip[2]
     laces = _inside(0.0035 - dr.abs(dr.abs((toe * 45) - dr.round(toe * 45)) / 45 - 0.004), 0.001)
@@ -160,7 +227,7 @@ def _hair(look: Look, p: Array) -> Array:
     band = dr.exp(-dr.square((y + 0.062 - 0.022 * noise(24, 1, 5.5)) / 0.022))
     paler = 0.5 * dr.clip(-(y + 0.12) / 0.3, 0, 1)
     gloss = 0.9 * band * (0.6 + 0.4 * strands)
-    return type(p)(*look.hair) * (dr.maximum(shade, 0.15) * (1 + paler)) + 0.06 * gloss
+    return type(p)(*look.person.hair) * (dr.maximum(shade, 0.15) * (1 + paler)) + 0.06 * gloss
 
 
 def _cloth(fabric: Fabric, p: Array, along: Array, around: Array) -> Array:

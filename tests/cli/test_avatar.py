@@ -29,8 +29,14 @@ def filmed(tmp_path_factory):
     make_subject(
         folder,
         SynthOptions(
-            seed=150, frames=FRAMES, size=256, samples=4, novel_poses=0, novel_views=0, noise=0.0
-        ),
+            seed=150,
+            frames=FRAMES,
+            size=256,
+            samples=4,
+            novel_poses=0,
+            novel_views=0,
+            error_model="none",
+        ),  # fmt: skip
         body,
     )
     video = load_video(folder)

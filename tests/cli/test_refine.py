@@ -16,9 +16,7 @@ SHORT = ("--size", 48, "--passes", 1)
 @pytest.fixture(scope="session")
 def synthetic(tmp_path_factory):
     folder = tmp_path_factory.mktemp("subject") / "somebody"
-    options = SynthOptions(
-        size=48, frames=3, samples=1, clothes=False, hair=False, novel_poses=0, novel_views=0
-    )
+    options = SynthOptions(size=48, frames=3, samples=1, bare=True, novel_poses=0, novel_views=0)
     make_subject(folder, options, load_body())
     return folder
 

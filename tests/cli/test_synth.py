@@ -6,9 +6,9 @@ import pytest
 @pytest.mark.parametrize(
     "options, said",
     [
-        (("--error-model", "pink"), "no error model 'pink'; there are: bursts, white"),
+        (("--error-model", "pink"), "no error model 'pink'; there are: none, bursts"),
         (("--subject", "zoe"), "no subject 'zoe'; there are: amira, bruno"),
-        (("--camera", "held", "--noise", 0), "--camera held needs --scene room"),
+        (("--camera", "held", "--error-model", "none"), "--camera held needs --scene room"),
     ],
 )
 def test_bad_options_are_refused(tmp_path, cli, options, said):

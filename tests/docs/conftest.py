@@ -21,7 +21,7 @@ def make_bare_subject(out, options, *given):
     """Make a subject quickly: without clothes and hair, with few rays and held-out pictures."""
     from gva_mi.synthetic import make_subject
 
-    bare = {"clothes": False, "hair": False, "samples": 1, "novel_poses": 1, "novel_views": 1}
+    bare = {"bare": True, "samples": 1, "novel_poses": 1, "novel_views": 1}
     make_subject(out, replace(options, workers=1, **bare), *given)
 
 

@@ -14,8 +14,8 @@ from gva_mi.pose.optimize import descend, lever_arms
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.ground import Soles
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.error_models.camera_bias import CameraTilt, tilted
 from gva_mi.synthetic.motion import perform, times
+from gva_mi.synthetic.pose_errors import CameraTilt, tilted
 
 N = 48
 BODY = slice(1, 22)  # joints with errors

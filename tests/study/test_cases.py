@@ -21,8 +21,8 @@ from gva_mi.study.cases import (
     held_out,
     variants_named,
 )
-from gva_mi.synthetic.error_models.models import ERROR_MODELS
-from gva_mi.synthetic.people import STUDY
+from gva_mi.synthetic.error_models import ERROR_MODELS
+from gva_mi.synthetic.people import NAMED
 
 BOTH = pytest.mark.parametrize(
     "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]
@@ -44,7 +44,7 @@ def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
 def test_cases_are_distinct(some):
     assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
     known = {*ERROR_MODELS, FILM}
-    assert all(case.take.subject in (None, *STUDY) and case.noise in known for case in some)
+    assert all(case.take.subject in (None, *NAMED) and case.noise in known for case in some)
 
 
 def test_limits_change_one_thing_of_one_film_at_a_time():
@@ -75,7 +75,7 @@ def test_every_take_has_valid_options(some):
     for case in some:
         options = case.take.synth(8, 64)
         assert options.frames == 8 and options.novel_views == options.novel_poses == 0
-        assert options.clothes is options.hair is not case.take.bare
+        assert options.bare is case.take.bare
 
 
 def changed(name):

@@ -22,8 +22,8 @@ from gva_mi.study.surface import (
     surface_figures,
 )
 from gva_mi.synthetic import SynthOptions, remake_subject
-from gva_mi.synthetic.provenance import SURFACE, write_surface
 from gva_mi.synthetic.subject import draw_subject
+from gva_mi.synthetic.subject_folder import SURFACE, write_surface
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def drawn(folder, body, options):
     """What ``synth`` says of a person, without any picture."""
     about = {"options": options.recorded(), "body": fingerprint(body)}
     (folder / SYNTH).write_text(json.dumps(about))
-    person = draw_subject(body, options.person(body), options.clothes, options.hair)
+    person = draw_subject(body, options.person(body), options.bare)
     (folder / "truth").mkdir()
     write_surface(folder / SURFACE, person)
     return folder
@@ -91,7 +91,7 @@ def drawn(folder, body, options):
 
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory, body):
-    options = SynthOptions(seed=3, clothes=False, hair=False)
+    options = SynthOptions(seed=3, bare=True)
     return drawn(tmp_path_factory.mktemp("bare"), body, options)
 
 
@@ -110,11 +110,11 @@ def test_the_surface_of_a_bare_subject_is_transferred_to_the_avatars_body(bare, 
 
 
 @pytest.mark.slow
-def test_a_cap_is_an_accessory_and_shorts_have_inner_sides(body, tmp_path):
+def test_hair_is_on_the_head_and_shorts_have_inner_sides(body, tmp_path):
     folder = drawn(tmp_path, body, SynthOptions(subject="edgar"))
     truth = TrueSurface.of(folder, body, seed_avatar(body, Shape(torch.zeros(10))).rig)
-    cap = truth.points[truth.part == PARTS.index("accessories")]
-    assert len(cap) > 200 and cap[:, 1].min() > truth.points[:, 1].max() - 0.25
+    hair = truth.points[truth.part == PARTS.index("hair")]
+    assert len(hair) > 200 and hair[:, 1].min() > truth.points[:, 1].max() - 0.35
     hidden = cKDTree(truth.points).query(truth.everywhere)[0] > 0.03
     assert 0.02 < hidden.mean() < 0.5
 

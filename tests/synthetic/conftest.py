@@ -1,20 +1,25 @@
 """A ball as a subject, which has closed-form answers; a bare subject's folder, and its bytes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.synthetic import SynthOptions, make_subject
-from gva_mi.synthetic.look import Fabric, FaceLandmarks, Look, Material
+from gva_mi.synthetic.people import NAMED, Fabric
 from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.texture import FaceLandmarks, Look, Material
 
 GREY = Fabric("plain", ((0.5, 0.5, 0.5),) * 3, 0.05)
+PERSON = replace(
+    NAMED["amira"], skin=(0.5, 0.4, 0.3), hair=(0.1, 0.1, 0.1), top=GREY, bottom=GREY,
+    shoes=(0.3, 0.3, 0.3),
+)  # fmt: skip
 LOOK = Look(
-    skin=(0.5, 0.4, 0.3), lips=(0.5, 0.2, 0.2), iris=(0.1, 0.2, 0.3), hair=(0.1, 0.1, 0.1),
-    brows=(0.1, 0.1, 0.1), top=GREY, bottom=GREY, shoes=(0.3, 0.3, 0.3), swimsuit=False,
-    face=FaceLandmarks(((0.03, 9, 0), (-0.03, 9, 0)), (0, 9, 0), 0.06), nails=(),
-    shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
+    PERSON, swimsuit=False, face=FaceLandmarks(((0.03, 9, 0), (-0.03, 9, 0)), (0, 9, 0), 0.06),
+    nails=(), shoulder=(0.2, 9, 0), hip=(0.1, 8, 0), ground=-9.0,
 )  # fmt: skip
 RADIUS = 0.5  # m
 
@@ -34,9 +39,7 @@ def ball():
     )  # fmt: skip
 
 
-BARE = SynthOptions(
-    frames=3, size=64, samples=16, clothes=False, hair=False, novel_poses=1, novel_views=1
-)
+BARE = SynthOptions(frames=3, size=64, samples=16, bare=True, novel_poses=1, novel_views=1)
 
 
 @pytest.fixture(scope="session")

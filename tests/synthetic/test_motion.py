@@ -58,7 +58,7 @@ def test_a_motion_is_a_function_of_time_and_periodic(name):
 BALLS = [JOINTS.index(f"{side}_foot") for side in ("left", "right")]
 
 
-@pytest.mark.parametrize("name", ["still", "half", "walk", "sit", "dance"])
+@pytest.mark.parametrize("name", ["still", "half", "walk", "dance"])
 def test_a_standing_foot_does_not_slide_and_knees_bend_forward(name):
     pose, places = on_foot(name)
     knees = pose.rotations[:, [JOINTS.index(f"{s}_knee") for s in ("left", "right")]]

@@ -1,4 +1,6 @@
-"""Subjects, dressed and bare."""
+"""Persons, and their surfaces, dressed and bare."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -6,12 +8,11 @@ import torch
 
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.clothes.level_sets import BodySurface
-from gva_mi.synthetic.look import Material
-from gva_mi.synthetic.people import SyntheticPerson
+from gva_mi.synthetic.people import NAMED, SyntheticPerson
 from gva_mi.synthetic.render import Renderer
+from gva_mi.synthetic.rest_body import BodySurface, vertex_normals
 from gva_mi.synthetic.subject import draw_subject
-from gva_mi.synthetic.surface import vertex_normals
+from gva_mi.synthetic.texture import Material
 
 
 def person(body, seed):
@@ -37,9 +38,7 @@ def closed(subject, faces):
 
 
 def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
-    bare, other, again = (
-        draw_subject(body, person(body, k), clothes=False, hair=False) for k in (0, 1, 0)
-    )
+    bare, other, again = (draw_subject(body, person(body, k), bare=True) for k in (0, 1, 0))
     assert np.allclose(bare.vertices, body.rest(bare.shape).vertices.numpy(), atol=1e-6)
     assert np.array_equal(bare.faces, body.faces.numpy())
     assert set(bare.material) == {int(Material.SKIN)}
@@ -47,10 +46,10 @@ def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
     assert np.array_equal(bare.vertices, again.vertices) and bare.look == again.look
 
 
-def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body):
+def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body, dressed):
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    subject = draw_subject(body, person(body, 1), hair=False)
+    subject = dressed
     pose = motion.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
     surface = subject.skinned(body, pose)[0]
     camera = camera_around(surface, 96)
@@ -78,7 +77,17 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
     lit = cloth[dressed.tint[cloth, 0] > 0.98]  # dark openings extend inwards
     distance = surface.distance(dressed.vertices[lit].astype(float))
     assert (distance > -0.002).mean() > 0.99 and np.median(distance) > 0.008
-    for material in set(Material) - {Material.SKIN, Material.ACCESSORY}:
+    for material in set(Material) - {Material.SKIN}:
         assert closed(dressed, part(dressed, material)), material
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
+
+
+def test_the_named_subjects_differ_and_cover_the_hard_cases():
+    assert len({person.seed for person in NAMED.values()}) == 4
+    for a, b in itertools.combinations(NAMED.values(), 2):
+        assert np.abs(np.subtract(a.betas, b.betas)).max() > 0.5
+        assert a.top != b.top and a.outfit != b.outfit
+    wardrobes = [person.outfit for person in NAMED.values()]
+    assert {w.hair for w in wardrobes} == {"short", "long"}
+    assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}

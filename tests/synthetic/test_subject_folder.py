@@ -1,10 +1,12 @@
-"""The folder of a subject: complete, exact at level 0, and reproducible."""
+"""The folder of a subject: complete, exact without errors, reproducible, and degraded again."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from gva_mi import InputError
 from gva_mi.body.pose import load_poses
@@ -14,16 +16,18 @@ from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.ground_truth import load_ground_truth
 from gva_mi.data.pictures import read_image
 from gva_mi.data.video import load_video
-from gva_mi.synthetic import describe_errors, make_subject
+from gva_mi.synthetic import SynthOptions, degrade, make_subject
+from gva_mi.synthetic.error_models import draw_errors
 
 pytest.importorskip("mitsuba")
+HELD = {"error_model": "none", "scene": "room", "camera": "held"}
 
 
 @pytest.fixture(scope="module")
 def exact(body, bare, tmp_path_factory):
-    """A bare body without noise."""
+    """A bare body without errors."""
     out = tmp_path_factory.mktemp("exact") / "subject"
-    make_subject(out, replace(bare, noise=0.0), body)
+    make_subject(out, replace(bare, error_model="none"), body)
     return out
 
 
@@ -66,11 +70,11 @@ def test_the_posed_body_lies_in_the_true_mask(exact, body, part):
         assert_overlay(mask, pixels)
 
 
-def test_level_zero_is_exact(exact):
+def test_no_errors_are_exact(exact):
     truth, seen = load_poses(exact / "truth/poses.npz"), load_poses(exact / "poses.npz")
-    assert np.array_equal(truth[0].rotations, seen[0].rotations)
-    assert np.array_equal(truth[0].transl, seen[0].transl)
-    assert np.array_equal(truth[1].betas, seen[1].betas)
+    for name in ("rotations", "transl", "expression"):
+        assert torch.equal(getattr(truth[0], name), getattr(seen[0], name))
+    assert torch.equal(truth[1].betas, seen[1].betas)
     for kind in ("masks", "normals"):
         for k in range(3):
             name = f"{kind}/{k:06d}.png"
@@ -84,9 +88,6 @@ def test_noise_does_not_touch_frames_or_truth(exact, noisy, files):
     assert all(
         a[name] != b[name] for name in ("poses.npz", "masks/000001.png", "normals/000001.png")
     )
-    said = "noise: error model bursts, seed 0, level {}"
-    assert describe_errors(noisy) == [said.format(1)]
-    assert describe_errors(exact) == [said.format(0)]
 
 
 def test_splits_do_not_overlap(noisy):
@@ -112,15 +113,9 @@ def test_nothing_is_overwritten_and_nothing_partial_remains(noisy, body, bare, t
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.fixture(scope="module")
-def foreign(body, bare, tmp_path_factory):
-    """A person outside the span of the body, without noise."""
-    out = tmp_path_factory.mktemp("foreign") / "subject"
-    make_subject(out, replace(bare, noise=0.0, figure="stretched"), body)
-    return out
-
-
-def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(foreign, body):
+def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(body, bare, tmp_path):
+    foreign = tmp_path / "foreign"
+    make_subject(foreign, replace(bare, error_model="none", figure="stretched"), body)
     require_same_body(foreign, body)
     (camera,) = load_cameras(foreign / "cameras.npz")
     truth = load_ground_truth(foreign / "truth", body)
@@ -128,7 +123,6 @@ def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(forei
     away = body(pose, shape).joints - truth.body(truth.pose, truth.shape).joints
     floor = json.loads((foreign / "noise.json").read_text())["floor"]
     assert 0 < 1000 * away.norm(dim=-1).mean() == pytest.approx(floor["joint_mm"], abs=0.01)
-    assert "as near as" in describe_errors(foreign)[-1]
     assert truth.foreign
     for k in range(3):
         vertices = truth.body(truth.pose[k], truth.shape).vertices[0]
@@ -144,7 +138,7 @@ def test_the_same_options_write_the_same_bits(noisy, body, bare, files, tmp_path
 
 def test_a_camera_that_circles_sees_the_person_from_all_sides(body, bare, tmp_path):
     seen = {"frames": 4, "size": 32, "samples": 1, "novel_poses": 0, "novel_views": 0}
-    options = replace(bare, seed=1, motion="still", camera="circles", noise=0, **seen)
+    options = replace(bare, seed=1, motion="still", camera="circles", error_model="none", **seen)
     make_subject(tmp_path / "round", options, body)
     video = load_video(tmp_path / "round")
     ahead = np.stack([camera.T_camera_world[2, :3] for camera in video.cameras])
@@ -155,3 +149,99 @@ def test_a_camera_that_circles_sees_the_person_from_all_sides(body, bare, tmp_pa
         assert abs(columns.mean() - 16) < 4 and np.ptp(rows) > 20
         place = body(frame.pose, video.shape).vertices[0].double().numpy()
         assert np.abs(frame.camera.project(place).mean(0) - (columns.mean(), rows.mean())).max() < 3
+
+
+@pytest.mark.slow
+def test_a_folder_of_a_room(body, bare, tmp_path):
+    filmed = replace(
+        bare, novel_views=0, error_model="none", scene="room", camera="held", shutter=0.05
+    )
+    for name, workers in (("room", 1), ("again", 2)):
+        make_subject(tmp_path / name, replace(filmed, workers=workers), body)
+    room, again = tmp_path / "room", tmp_path / "again"
+    names = {str(path.relative_to(room)) for path in room.rglob("*") if path.is_file()}
+    assert all((room / name).read_bytes() == (again / name).read_bytes() for name in names)
+    video, film = load_video(room), Film(room / "film.mp4")
+    assert len(video) == len(film) == 3
+    pose, shape = load_poses(room / "truth/poses.npz")
+    for k, frame in enumerate(video.frames()):
+        beside = frame.image[frame.mask < 0.01]
+        assert (beside > 0.97).mean() < 0.5 and beside.std() > 0.03  # not white
+        assert np.abs(film[k] / 255 - frame.image).mean() < 0.05
+        # The true pose is that of the middle of the exposure, and no pixel of it is cut off.
+        camera = load_cameras(room / "truth/cameras.npz")[k]
+        column, row = camera.project(body(pose[k], shape).vertices[0].double().numpy()).T
+        seen = frame.mask[row.astype(int), column.astype(int)]
+        assert (seen > 0).mean() > 0.97
+    held_out = read_image(room / "truth/novel_pose/frames/000000.png", 3)
+    mask = read_image(room / "truth/novel_pose/masks/000000.png", 1)
+    assert (held_out[mask == 0] == 255).all()
+    about = json.loads((room / "truth/film.json").read_text())
+    y = body.rest(shape).vertices[:, 1]
+    assert about["height_m"] == pytest.approx(float(y.max() - y.min()), abs=1e-5)
+    assert 0 <= about["tilt_deg"] <= 15 and 1.2 <= about["camera_height_m"] <= 1.7
+
+
+@pytest.fixture(scope="module")
+def degraded(noisy, body, tmp_path_factory):
+    """Return a function that degrades the recording by an error model, once."""
+    folder = tmp_path_factory.mktemp("degraded")
+
+    def made(error_model):
+        if not (folder / error_model).exists():
+            degrade(noisy, folder / error_model, error_model, 7, body)
+        return folder / error_model
+
+    return made
+
+
+def test_it_equals_make_subject_and_links_frames_and_ground_truth(
+    noisy, degraded, body, bare, files, tmp_path
+):
+    make_subject(tmp_path / "made", replace(bare, error_model="normals", error_seed=7), body)
+    assert files(tmp_path / "made") == files(degraded("normals"))
+    for path in sorted(noisy.rglob("*")):
+        name = path.relative_to(noisy)
+        if path.is_file() and name.parts[0] in ("frames", "truth", "video.mp4"):
+            assert os.path.samefile(path, degraded("normals") / name), name
+
+
+def test_the_estimated_and_the_true_camera_are_written(noisy, degraded):
+    factor = 1 + draw_errors("focal", 7).pose.focal
+    paths = (degraded("focal") / "truth", degraded("focal"), noisy)
+    (true,), (estimated,), (before,) = (load_cameras(path / "cameras.npz") for path in paths)
+    assert (true.K == before.K).all() and factor != 1
+    assert (true.T_camera_world == estimated.T_camera_world).all()
+    assert (estimated.fx, estimated.fy) == pytest.approx((factor * true.fx, factor * true.fy))
+
+
+def test_other_folders_are_refused(noisy, body, tmp_path):
+    with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    with pytest.raises(InputError, match="already there"):
+        degrade(noisy, noisy, "white", 0, body)
+    (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
+    with pytest.raises(InputError, match="synth.json: of another form"):
+        degrade(tmp_path, tmp_path / "out", "white", 0, body)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "options, sentence",
+    [
+        ({"samples": 5}, "samples must be a square number, got 5"),
+        ({"samples": 9, "shutter": 0.05}, "4 times a square number with a shutter, got 9"),
+        ({"subject": "zoe"}, "amira, bruno"),
+        ({"motion": "crawl"}, "everyday"),
+        ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),
+        ({"error_model": "brown"}, "no error model 'brown'; there are: none, bursts, white"),
+        ({"error_seed": -1}, "error_seed must be from 0 to .*, got -1"),
+        ({"camera": "circles"}, "--camera circles needs --error-model none"),
+        (HELD | {"error_model": "white"}, "--camera held needs --error-model none"),
+        (HELD | {"scene": "white"}, "--camera held needs --scene room"),
+        (HELD | {"camera": "circles"}, "--camera circles needs --scene white"),
+    ],
+)
+def test_bad_options_are_refused(options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        SynthOptions(**options)

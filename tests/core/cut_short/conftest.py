@@ -153,9 +153,7 @@ def prepared(request, tmp_path_factory, subject, video, built_in_body):
     (folder / "made").mkdir()
     (folder / "made/synth.json").write_text("{}")
     (folder / "made/frames.txt").write_text("of another subject")
-    bare = SynthOptions(
-        frames=2, size=32, samples=4, clothes=False, hair=False, novel_poses=0, novel_views=0
-    )
+    bare = SynthOptions(frames=2, size=32, samples=4, bare=True, novel_poses=0, novel_views=0)
     make_subject(folder / "like", bare, built_in_body)
     _refined_before(folder / "like", folder / "refined")
     frames = len(video)

@@ -22,7 +22,7 @@ def prepared(tmp_path_factory, built_in_body):
     """A film of five frames."""
     folder, taken = tmp_path_factory.mktemp("film"), tmp_path_factory.mktemp("taken") / "subject"
     bare = SynthOptions(
-        seed=151, frames=5, size=192, samples=4, clothes=False, hair=False, novel_poses=0,
+        seed=151, frames=5, size=192, samples=4, bare=True, novel_poses=0,
         novel_views=0,
     )  # fmt: skip
     make_subject(taken, bare, built_in_body)

@@ -37,7 +37,7 @@ def rendered_person(built_in_body):
     from gva_mi.synthetic.subject import draw_subject
 
     drawn = SyntheticPerson.draw(101, built_in_body.num_betas)
-    person = draw_subject(built_in_body, drawn, clothes=False, hair=False)
+    person = draw_subject(built_in_body, drawn, bare=True)
     pose = Pose.rest(1)
     turns = {
         "left_shoulder": (0, 0, -0.7), "right_shoulder": (0, 0, 0.7), "left_elbow": (-1.4, 0, 0),

@@ -1,17 +1,17 @@
-"""Dress a body: choose clothes, hair and accessories, and bind them to it.
+"""Dress a body: choose clothes and hair, and bind them to it.
 
 Each vertex of a piece follows vertices of the body by sparse weights that sum to 1:
 
     follow_nearest    weights ~ exp( -distance² / 2 smooth² ), for clothes and hair
-    follow_joint      the mean of the vertices that a joint moves most, for stiff things
     hang_from_hips    a skirt follows the nearest vertices at its waist and both thighs below it:
 
         thighs   t = REACH · smoothstep(distance below the hips)
         left     s = smoothstep(x / half the body's width)
         weights  (1 - t) nearest,  t s of the left thigh's mean,  t (1 - s) of the right one's
 
-With nearest vertices alone, a skirt would tear in two between the legs.
-All functions return (N, V) for N points and V vertices of the body.
+With nearest vertices alone, a skirt would tear in two between the legs. A thigh's mean is that of
+the vertices that its joint moves most. Both functions return (N, V) for N points and V vertices of
+the body.
 """
 
 from __future__ import annotations
@@ -23,13 +23,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, SIDES
-from gva_mi.synthetic.clothes import accessories, garments
-from gva_mi.synthetic.clothes.hair import hair_mesh
-from gva_mi.synthetic.clothes.level_sets import BAND, BodySurface, RestMesh, VoxelGrid
-from gva_mi.synthetic.look import Material, SkirtCone
+from gva_mi.synthetic.garments import CLOTH_CELL, shirt, shoe, skirt, trousers
+from gva_mi.synthetic.hair import hair_mesh
 from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import RestBody
-from gva_mi.synthetic.surface import smoothstep, vertex_normals
+from gva_mi.synthetic.rest_body import (
+    BAND,
+    BodySurface,
+    RestBody,
+    RestMesh,
+    VoxelGrid,
+    smoothstep,
+    vertex_normals,
+)
+from gva_mi.synthetic.texture import Material, SkirtCone
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -43,7 +49,7 @@ BETWEEN = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh 
 
 @dataclass(frozen=True)
 class Piece:
-    """A garment, hair or an accessory, bound to the body."""
+    """A garment or hair, bound to the body."""
 
     material: Material
     mesh: RestMesh
@@ -52,48 +58,28 @@ class Piece:
     crease: float = 0.0  # m, height of its creases
 
 
-@dataclass(frozen=True)
-class Worn:
-    """Everything a person wears, hair included."""
-
-    pieces: tuple[Piece, ...]
-    cone: SkirtCone | None = None  # of a skirt
-
-    @property
-    def cloth(self) -> list[RestMesh]:
-        """Clothes and shoes, which hide the skin below them."""
-        open_ = (Material.HAIR, Material.ACCESSORY)
-        return [piece.mesh for piece in self.pieces if piece.material not in open_]
-
-
 def dress(
-    rest: RestBody,
-    outfit: Outfit,
-    rng: np.random.Generator,
-    clothes: bool,
-    hair: bool,
-) -> Worn:
-    """Dress a body in clothes with accessories, and in hair; ``rng`` draws folds and locks."""
-    pieces, cone = _clothes(rest, outfit, rng) if clothes else ([], None)
-    pieces += [_hair(rest, outfit, rng, pieces)] if hair else []
-    pieces += _accessories(rest, outfit) if clothes else []
-    return Worn(tuple(pieces), cone)
+    rest: RestBody, outfit: Outfit, rng: np.random.Generator
+) -> tuple[list[Piece], SkirtCone | None]:
+    """Return clothes and hair, and the cone of a skirt; ``rng`` draws folds and locks."""
+    pieces, cone = _clothes(rest, outfit, rng)
+    return [*pieces, _hair(rest, outfit, rng, pieces[0].mesh)], cone
 
 
 def _clothes(
     rest: RestBody, outfit: Outfit, rng: np.random.Generator
 ) -> tuple[list[Piece], SkirtCone | None]:
-    """Make top, bottom and shoes; also return the cone of a skirt."""
+    """Make top, bottom and shoes, in this order; also return the cone of a skirt."""
     vertices, joints, loose, cone = rest.vertices, rest.joints, outfit.loose, None
     reach = np.array([0.09, 0.09, 0.22 if outfit.bottom == "skirt" else 0.09])
-    grid = VoxelGrid.around(vertices.min(0) - reach, vertices.max(0) + reach, garments.CLOTH_CELL)
+    grid = VoxelGrid.around(vertices.min(0) - reach, vertices.max(0) + reach, CLOTH_CELL)
     wide = outfit.flare + 0.02 if outfit.bottom != "skirt" else 0.0
     d = rest.surface.sample(grid, max(BAND, wide))
-    top = garments.shirt(grid, d, joints, outfit, rng)
+    top = shirt(grid, d, joints, outfit, rng)
     if outfit.bottom == "skirt":
-        bottom, cone = garments.skirt(grid, d, joints, outfit, rng)
+        bottom, cone = skirt(grid, d, joints, outfit, rng)
     else:
-        bottom = garments.trousers(grid, d, joints, outfit)
+        bottom = trousers(grid, d, joints, outfit)
     height = lambda mesh: mesh.vertices[:, 1].astype(np.float64)
     chest, hip = joints["spine3"][1], joints["left_hip"][1]
     low = smoothstep(chest - height(top), 0.0, chest - joints["pelvis"][1] + outfit.hem)
@@ -106,44 +92,20 @@ def _clothes(
         pieces.append(Piece(Material.BOTTOM, bottom, hangs, 0.035 * drop))
     else:
         pieces.append(_soft(rest, Material.BOTTOM, bottom, 0.025, 0.4 * loose * drop, 0.004))
-    shoes = [garments.shoe(rest, side, outfit.sole) for side in SIDES]
-    return pieces + [_soft(rest, Material.SHOES, shoe, 0.02) for shoe in shoes], cone
+    pieces += [_soft(rest, Material.SHOES, shoe(rest, side, outfit.sole), 0.02) for side in SIDES]
+    return pieces, cone
 
 
-def _hair(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator, clothes: Sequence[Piece]
-) -> Piece:
+def _hair(rest: RestBody, outfit: Outfit, rng: np.random.Generator, top: RestMesh) -> Piece:
     """Make the hair; long hair falls over the shirt."""
-    shirts = [piece.mesh for piece in clothes if piece.material is Material.TOP]
-    worn = [BodySurface(m.vertices, m.faces, vertex_normals(m.vertices, m.faces)) for m in shirts]
-    mesh = hair_mesh(rest, outfit, rng, *worn)
+    below = BodySurface(top.vertices, top.faces, vertex_normals(top.vertices, top.faces))
+    mesh = hair_mesh(rest, outfit, rng, below)
     below = rest.joints["head"][1] + 0.06 - mesh.vertices[:, 1].astype(np.float64)
     free = smoothstep(below, 0.0, 0.12)
     if outfit.hair == "long":  # hair on the shoulders does not swing
         free = free * (1 - smoothstep(below, 0.12, 0.2))
     slack = {"short": 0.0, "bob": 0.014, "long": 0.012}[outfit.hair] * free
     return _soft(rest, Material.HAIR, mesh, 0.03, slack)
-
-
-def _accessories(rest: RestBody, outfit: Outfit) -> list[Piece]:
-    """Make the hood, the bag with its strap, the glasses and the cap of an outfit."""
-    pieces = []
-    if outfit.hood == "up":
-        hood = accessories.hood_up(rest, outfit.hair_thick + 0.012)
-        pieces.append(_soft(rest, Material.TOP, hood, 0.03))
-    elif outfit.hood == "down":
-        hood = accessories.hood_down(rest, outfit.loose + 0.012)
-        pieces.append(_soft(rest, Material.TOP, hood, 0.03))
-    if outfit.bag != "none":
-        make = accessories.backpack if outfit.bag == "backpack" else accessories.shoulder_bag
-        bag, strap, joint = make(rest, outfit.loose)
-        pieces += [_stiff(rest, bag, joint), _soft(rest, Material.ACCESSORY, strap, 0.025)]
-    if outfit.glasses:
-        pieces.append(_stiff(rest, accessories.glasses(rest), "head"))
-    if outfit.cap:
-        cap = accessories.cap(rest, 1.35 * outfit.hair_thick + 0.004)
-        pieces.append(_stiff(rest, cap, "head"))
-    return pieces
 
 
 def _soft(
@@ -157,12 +119,6 @@ def _soft(
     """Bind a mesh to the nearest vertices of the body, weighted over ``smooth`` metres."""
     bound = follow_nearest(mesh.vertices, rest.vertices, smooth)
     return Piece(material, mesh, bound, slack, crease)
-
-
-def _stiff(rest: RestBody, mesh: RestMesh, joint: str) -> Piece:
-    """Bind an accessory to one joint."""
-    bound = follow_joint(mesh.vertices, rest.weights, joint)
-    return Piece(Material.ACCESSORY, mesh, bound)
 
 
 def covered(vertices: np.ndarray, cloth: Sequence[RestMesh]) -> np.ndarray:
@@ -194,14 +150,9 @@ def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> c
     return csr_array((share.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
 
 
-def follow_joint(points: np.ndarray, weights: np.ndarray, joint: str) -> csr_array:
-    """Bind points (N, 3) to one joint, given the skinning weights (V, 55) of the body."""
-    return _follow_means(np.ones((len(points), 1)), weights, joint)
-
-
 def hang_from_hips(points: np.ndarray, rest: RestBody) -> csr_array:
     """Bind the points (N, 3) of a skirt to hips and thighs."""
-    from scipy.sparse import diags_array
+    from scipy.sparse import csr_array, diags_array
 
     hip, knee = rest.joints["left_hip"], rest.joints["left_knee"]
     middle = rest.joints["pelvis"][0]
@@ -209,15 +160,8 @@ def hang_from_hips(points: np.ndarray, rest: RestBody) -> csr_array:
     thighs = REACH * smoothstep(hip[1] - points[:, 1], WAIST, 0.75 * (hip[1] - knee[1]))
     left = smoothstep(points[:, 0] - middle, -half, half)
     shares = np.stack([thighs * left, thighs * (1 - left)], axis=1)
-    legs = _follow_means(shares, rest.weights, "left_hip", "right_hip")
+    moved = [rest.weights[:, JOINTS.index(f"{side}_hip")] for side in SIDES]
+    groups = [np.argsort(-weights, kind="stable")[:GROUP] for weights in moved]
+    entries = (np.full(2 * GROUP, 1 / GROUP), (np.repeat([0, 1], GROUP), np.concatenate(groups)))
+    legs = csr_array(shares) @ csr_array(entries, shape=(2, len(rest.vertices)))
     return (diags_array(1 - thighs) @ follow_nearest(points, rest.vertices, SPREAD) + legs).tocsr()
-
-
-def _follow_means(shares: np.ndarray, weights: np.ndarray, *joints: str) -> csr_array:
-    """Spread shares (N, G) of G joints over the vertices that each joint moves most."""
-    from scipy.sparse import csr_array
-
-    groups = [np.argsort(-weights[:, JOINTS.index(j)], kind="stable")[:GROUP] for j in joints]
-    rows = np.repeat(np.arange(len(groups)), GROUP)
-    entries = (np.full(len(rows), 1 / GROUP), (rows, np.concatenate(groups)))
-    return csr_array(shares) @ csr_array(entries, shape=(len(groups), len(weights)))

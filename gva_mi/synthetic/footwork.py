@@ -28,8 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, SIDES
-from gva_mi.body.rotations import about, to_rotvecs
-from gva_mi.synthetic.motion.turning import root_rotations
+from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 
 DUTY = 0.6  # of a cycle, stance of a foot
 LIFT = 0.07  # m, lift of a swinging foot
@@ -134,6 +133,11 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
         toes[:, 0] = -np.maximum(foot.pitch, 0)  # they stay on the ground while the heel rises
         rotations[:, JOINTS.index(f"{leg.side}_foot")] = toes
     return root - pelvis
+
+
+def root_rotations(yaw: np.ndarray, lean: np.ndarray) -> np.ndarray:
+    """Return matrices (T, 3, 3): a turn by yaw (T,) after small ones (T, 2) about x and z."""
+    return about(1, yaw) @ to_matrices(np.stack([lean[:, 0], 0 * yaw, lean[:, 1]], axis=1))
 
 
 def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> np.ndarray:

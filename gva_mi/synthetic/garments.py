@@ -16,11 +16,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gva_mi.synthetic.clothes.level_sets import RestMesh, VoxelGrid, smax, smin, surface_of
-from gva_mi.synthetic.look import SkirtCone
 from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import RestBody
-from gva_mi.synthetic.surface import smoothstep
+from gva_mi.synthetic.rest_body import (
+    RestBody,
+    RestMesh,
+    VoxelGrid,
+    smax,
+    smin,
+    smoothstep,
+    surface_of,
+)
+from gva_mi.synthetic.texture import SkirtCone
 
 CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
 SHOE_CELL = 0.005  # m, grid of shoes

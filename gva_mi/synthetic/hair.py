@@ -16,17 +16,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.synthetic.clothes.level_sets import (
+from gva_mi.synthetic.people import Outfit
+from gva_mi.synthetic.rest_body import (
     BodySurface,
+    RestBody,
     RestMesh,
     VoxelGrid,
     smax,
     smin,
+    smoothstep,
     surface_of,
 )
-from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import RestBody
-from gva_mi.synthetic.surface import smoothstep
 
 HAIR_CELL = 0.005  # m, grid of hair
 DRAPED = 0.014  # m, thickness of long hair on the back, over the cloth below it
@@ -99,7 +99,7 @@ class _Locks:
 
 
 def hair_mesh(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator, shirt: BodySurface | None = None
+    rest: RestBody, outfit: Outfit, rng: np.random.Generator, shirt: BodySurface
 ) -> RestMesh:
     """Model the hair of a head: "short" follows the skull, a "bob" hangs to the jaw, "long" hair
     falls over the ``shirt`` to the shoulder blades. ``rng`` draws locks and parting.
@@ -125,7 +125,7 @@ def hair_mesh(
         if style == "bob":  # hangs to the jaw and is drawn in toward it
             volume = _ellipsoid(head, thick, at, 0.034 * head.unit, 0.12 * at.below, 0.0)
         else:
-            volume = _long(head, thick, at, None if shirt is None else shirt.sample(grid))
+            volume = _long(head, thick, at, shirt.sample(grid))
         uncut = smin(smax(uncut, head.jaw - y), volume, 0.02)
         field = smax(uncut, ends + 0.006 * at.locks - y, 0.015)
     rise = HAIRLINE + RISE * np.maximum(face, 0) + 0.8 * at.below
@@ -142,7 +142,7 @@ def _face_opening(head: _Head, at: _Locks) -> np.ndarray:
     return smax(face, 0.10 * head.half[2] - at.z, 0.02)
 
 
-def _long(head: _Head, thick: float, at: _Locks, shirt: np.ndarray | None) -> np.ndarray:
+def _long(head: _Head, thick: float, at: _Locks, shirt: np.ndarray) -> np.ndarray:
     """Return the volume of hair behind the shoulders; ``shirt`` is the distance from the shirt."""
     y = at.y
     tuck = 0.25 * np.maximum(at.below - 0.06, 0)
@@ -152,8 +152,6 @@ def _long(head: _Head, thick: float, at: _Locks, shirt: np.ndarray | None) -> np
     front = front + np.where(y > head.jaw, 10 * (y - head.jaw), 0)
     behind = at.z - front + 0.35 * head.half[2]
     volume = smax(volume, behind, 0.03)
-    if shirt is None:
-        return volume
     lies = shirt - DRAPED * (1 + 0.3 * at.locks)
     return smin(volume, smax(lies, smax(volume - 0.03, behind), 0.02), 0.02)
 

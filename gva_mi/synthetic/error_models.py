@@ -4,6 +4,7 @@ A method tuned on one error model learns how its generator errs, so there are se
 the default and always the same; the others draw all parameters from a seed.
 
 ============  ====================================================================================
+``none``      exact estimates
 ``bursts``    errors that last some frames, on one limb at a time; lost hands
 ``white``     independent from frame to frame
 ``slow``      persisting over 15 to 20 frames
@@ -28,13 +29,10 @@ from itertools import compress
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.synthetic.error_models.camera_bias import CameraTilt
-from gva_mi.synthetic.error_models.masks import MaskErrors
-from gva_mi.synthetic.error_models.normals import NormalErrors
-from gva_mi.synthetic.error_models.outliers import Outliers
-from gva_mi.synthetic.error_models.poses import JointFactors, PoseErrors
+from gva_mi.synthetic.picture_errors import MaskErrors, NormalErrors
+from gva_mi.synthetic.pose_errors import CameraTilt, JointFactors, Outliers, PoseErrors
 
-EXACT = "bursts"  # degrades pictures as rendered, the others the 8-bit files of the ground truth
+NO_ERRORS, USUAL = "none", "bursts"  # these degrade pictures as rendered, others the 8-bit files
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,10 @@ class ErrorParameters:
     normal: NormalErrors = NormalErrors()
 
 
-def draw_errors(error_model: str, seed: int) -> ErrorParameters:
-    """Draw the errors of a recording from one of ERROR_MODELS."""
+def draw_errors(error_model: str, seed: int) -> ErrorParameters | None:
+    """Draw the errors of a recording from one of ERROR_MODELS; None: it has none."""
+    if error_model == NO_ERRORS:
+        return None
     return ERROR_MODELS[error_model](
         np.random.default_rng((seed, zlib.crc32(error_model.encode())))
     )
@@ -55,8 +55,9 @@ def draw_errors(error_model: str, seed: int) -> ErrorParameters:
 
 def require_error_model(name: str) -> None:
     """Raise an InputError with the known error models if this is none of them."""
-    if name not in ERROR_MODELS:
-        raise InputError(f"synth: no error model '{name}'; there are: {', '.join(ERROR_MODELS)}")
+    known = (NO_ERRORS, *ERROR_MODELS)
+    if name not in known:
+        raise InputError(f"synth: no error model '{name}'; there are: {', '.join(known)}")
 
 
 def _mixed(rng: np.random.Generator) -> ErrorParameters:
@@ -146,7 +147,7 @@ def _anything(rng: np.random.Generator) -> ErrorParameters:
 
 
 ERROR_MODELS: Mapping[str, Callable[[np.random.Generator], ErrorParameters]] = {
-    EXACT: lambda rng: ErrorParameters(),
+    USUAL: lambda rng: ErrorParameters(),
     "white": _white,
     "slow": lambda rng: _changed(
         _mixed(rng), "pose", memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)

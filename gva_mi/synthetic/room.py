@@ -14,13 +14,13 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.look import SKY, Color, Look
-from gva_mi.synthetic.rooms.finishes import Finish, floor, wall
-from gva_mi.synthetic.rooms.furniture import PIECES, Solid, picture
+from gva_mi.synthetic.furniture import PIECES, Finish, Solid, floor, picture, wall
+from gva_mi.synthetic.people import Color, SyntheticPerson
 
+SKY = (0.58, 0.60, 0.63)  # ambient radiance from above
 INDIRECT = 0.55  # light that a wall sends back, over its albedo, as of other surfaces
 CEILING = 1.25 * np.array(SKY)  # radiance: it is lit by all that falls on the floor
-EXPOSED = {"usual": 0.95, "side": 0.95, "ambient": 1.5}  # a camera's gain by the light
+EXPOSED = 0.95  # a camera's gain
 FAIR = 0.7  # albedo that is not overexposed at this gain
 BOX_SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
 AROUND = 5  # pixels, side of the squares in which light is smooth
@@ -65,17 +65,16 @@ class Room:
 
 def draw_room(
     rng: np.random.Generator,
-    look: Look,
+    person: SyntheticPerson,
     points: np.ndarray,
     cameras: Sequence[Camera],
-    light: str = "usual",
 ) -> Room:
     """Draw a room that holds a person's points (..., 3) of all frames, and all cameras.
 
     Colours of its walls and cloth are near those of the person now and then. The camera's exposure
-    fits the colours and the light, one of :data:`gva_mi.synthetic.look.LIGHTS`.
+    fits the colours.
     """
-    like = [look.skin, look.top.colors[0], look.bottom.colors[0], look.shoes]
+    like = [person.skin, person.top.colors[0], person.bottom.colors[0], person.shoes]
     points = points.reshape(-1, 3)
     eyes = np.stack([camera.position for camera in cameras])
     low, high = points.min(0) - rng.uniform(1.0, 2.4, 3), points.max(0) + rng.uniform(1.0, 2.4, 3)
@@ -89,8 +88,8 @@ def draw_room(
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     join = lambda parts: np.concatenate([*parts])
     bright = np.mean([papered.mean_color(), finishes[2].mean_color()])
-    gain = EXPOSED[light] * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
-    gain = min(gain, EXPOSED[light] * FAIR / max(look.skin)) * (1 + rng.normal(0, 0.03, 3))
+    gain = EXPOSED * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
+    gain = min(gain, EXPOSED * FAIR / max(person.skin)) * (1 + rng.normal(0, 0.03, 3))
     return Room(
         low, high,
         join(solid.vertices for solid in solids).astype(np.float32),

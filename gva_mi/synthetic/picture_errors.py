@@ -1,8 +1,13 @@
-"""Error model of masks: level 1 is usual, 0 is exact.
+"""Error models of masks and normals.
 
-The boundary wobbles by a pixel or two and has some notches. A segmenter may also draw every
-boundary too far out or in, lose the feet for some frames, or include a bag that stays at the same
-place of the body. Lengths in pixels refer to pictures 512 pixels wide and scale with the width.
+**Masks.** The boundary wobbles by a pixel or two and has some notches. A segmenter may also draw
+every boundary too far out or in, lose the feet for some frames, or include a bag that stays at the
+same place of the body.
+
+**Normals** are blurred and turned by an error that varies slowly over the picture. They may also be
+flattened, turned the same way in every frame, given in another convention, or missing in frames.
+
+Lengths in pixels refer to pictures 512 pixels wide and scale with the width.
 """
 
 from __future__ import annotations
@@ -13,9 +18,11 @@ import numpy as np
 
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES, Pose, Shape
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
+from gva_mi.data.normals import Convention
 from gva_mi.splat import Camera
-from gva_mi.synthetic.error_models.processes import field, runs
+from gva_mi.synthetic.pose_errors import runs
 
 FEET_FRAMES = 6.0  # mean number of consecutive frames without a foot
 FOOT = 0.30  # m, length of a foot from the ankle
@@ -33,6 +40,19 @@ class MaskErrors:
     grown: float = 0.0  # px at 512 that the boundary lies too far out; negative: too far in
     lost_feet: float = 0.0  # fraction of the frames, in runs, without a foot
     bag: float = 0.0  # m, radius of a bag at a hip that counts as person; 0: none
+
+
+@dataclass(frozen=True)
+class NormalErrors:
+    """Sizes of the errors of a video's normals."""
+
+    blur: float = 2.2  # px at 512, standard deviation
+    tilt: float = 0.14  # rad, error that varies over the picture
+    tilt_length: float = 50.0  # px at 512, scale of its variation
+    flat: float = 0.0  # relative shortening across the line of sight, before normalisation
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, constant, camera axes
+    convention: Convention = "perspective"  # of the files
+    missing: float = 0.0  # fraction of the frames without normals
 
 
 Pixel = tuple[float, float]
@@ -53,20 +73,14 @@ def confusions(
     shape: Shape,
     camera: Camera,
     noise: MaskErrors,
-    level: float,
     rng: np.random.Generator,
 ) -> list[Confusion]:
-    """Draw in which of T frames feet are lost and on which side a bag hangs.
-
-    ``level`` is a factor on both.
-    """
+    """Draw in which of T frames feet are lost and on which side a bag hangs."""
     frames, rest = len(pose), body.rest(shape).joints
     T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double()
     R, joints = T_world_rest[..., :3, :3].numpy(), joint_places(T_world_rest, rest.double()).numpy()
-    lost = {
-        side: runs(rng, frames, min(level * noise.lost_feet, 0.9), FEET_FRAMES) for side in SIDES
-    }
-    bags = _bags(joints, R[:, 0], camera, level * noise.bag, SIDES[rng.integers(2)])
+    lost = {side: runs(rng, frames, noise.lost_feet, FEET_FRAMES) for side in SIDES}
+    bags = _bags(joints, R[:, 0], camera, noise.bag, SIDES[rng.integers(2)])
     found = []
     for k in range(frames):
         feet = [side for side in SIDES if lost[side][k]]
@@ -77,13 +91,10 @@ def confusions(
 def noisy_mask(
     mask: np.ndarray,
     noise: MaskErrors,
-    level: float,
     rng: np.random.Generator,
     confusion: Confusion = Confusion(),  # noqa: B008 (frozen)
 ) -> np.ndarray:
-    """Degrade a mask (H, W) in [0, 1]; the boundary is off by a pixel or two at level 1."""
-    if level == 0:
-        return mask
+    """Degrade a mask (H, W) in [0, 1]."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     pixel = mask.shape[1] / 512
@@ -94,16 +105,55 @@ def noisy_mask(
     distance += np.where(inside, -0.5, 0.5)  # signed, zero on the boundary, positive inside
     distance = gaussian_filter(distance, 0.6)  # over the steps between pixels
     length = max(noise.wobble_length * pixel, 0.7)
-    wobble = level * max(noise.wobble * pixel, 0.25) * field(rng, mask.shape, length)
+    wobble = max(noise.wobble * pixel, 0.25) * _field(rng, mask.shape, length)
     edge = np.argwhere(np.abs(distance) < 1)
     for centre in edge[rng.integers(len(edge), size=noise.notches)] if len(edge) else ():
-        radius = level * noise.notch_radius * pixel * rng.uniform(0.4, 1.3)
+        radius = noise.notch_radius * pixel * rng.uniform(0.4, 1.3)
         rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
         away = np.hypot(rows - centre[0], columns - centre[1])
         notch = np.maximum(radius - away, 0)
         wobble += rng.choice([-1, -1, 1]) * notch
-    grown = level * noise.grown * pixel
+    grown = noise.grown * pixel
     return np.clip(distance + wobble + grown + 0.5, 0, 1).astype(np.float32)
+
+
+def noisy_normals(
+    normals: np.ndarray, mask: np.ndarray, noise: NormalErrors, rng: np.random.Generator
+) -> np.ndarray:
+    """Degrade normals (H, W, 3) in camera space inside a mask (H, W)."""
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    pixel = normals.shape[1] / 512
+    reach = max(noise.blur * pixel, 0.3)
+    channels = [gaussian_filter(normals[..., k], reach) for k in range(3)]
+    blurred = np.stack(channels, axis=-1)
+    length = np.linalg.norm(blurred, axis=-1)
+    # Where the mask extends past the surface, use the nearest normal.
+    rows, columns = distance_transform_edt(
+        length < 1e-3, return_distances=False, return_indices=True
+    )
+    blurred = blurred[rows, columns] / np.maximum(length[rows, columns], 1e-9)[..., None]
+    axes = [_field(rng, mask.shape, noise.tilt_length * pixel) for _ in range(3)]
+    turned = blurred + noise.tilt / np.sqrt(2) * np.cross(np.stack(axes, -1), blurred)
+    if noise.flat:
+        turned = turned * np.array([1 - noise.flat] * 2 + [1])
+    if any(noise.turn):
+        turned = turned @ to_matrices(np.array(noise.turn)).T
+    turned[..., 2] = np.minimum(turned[..., 2], 0)  # visible surfaces face the camera
+    turned /= np.maximum(np.linalg.norm(turned, axis=-1, keepdims=True), 1e-9)
+    return (turned * (mask > 0.5)[..., None]).astype(np.float32)
+
+
+def _field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
+    """Draw a smooth random image of unit variance that varies over ``length`` pixels."""
+    from scipy.ndimage import zoom
+
+    nodes = [int(np.ceil(n / length)) + 3 for n in shape]  # a lattice to interpolate
+    scale = max((n + 2 * length) / k for n, k in zip(shape, nodes, strict=True))
+    fine = zoom(rng.normal(size=nodes), scale, order=3)
+    top, left = ((f - n) // 2 for f, n in zip(fine.shape, shape, strict=True))
+    image = fine[top : top + shape[0], left : left + shape[1]]
+    return image / image.std()
 
 
 def _confused(inside: np.ndarray, confusion: Confusion) -> np.ndarray:

@@ -1,1 +1,0 @@
-"""Clothes, hair, accessories as level sets (``level_sets``), bound to a body (``dressing``)."""

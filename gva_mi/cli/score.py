@@ -29,7 +29,7 @@ def score(
     out: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Score renders of any method: whole picture, box, mask, hands, face; strict and shifted.
+    """Score renders of any method: whole picture, box, mask, hands, face.
 
     Files are paired by the last number in their names, films in their order.
 
@@ -55,7 +55,7 @@ def score(
     scorer = Scorer(find_weights())
     with bar("score") as progress:
         figures = score_pictures(pairs, scorer, progress)
-    found = table(pivot(figures, ("region", "alignment")))
+    found = table(pivot(figures, ("region",)))
     for line in aligned([found.head, *found.rows]):
         say(line)
     if out is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -36,10 +36,7 @@ from gva_mi.study.engine import (
 )
 from gva_mi.study.figures import Table, pivot, table, to_json
 from gva_mi.study.multiview import multiview
-from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.report import study_tables, write_study_report
-
-IN_PICTURES = 3  # cases that the avatar's page shows
 
 
 @options_of("study")
@@ -92,10 +89,8 @@ class MultiviewChoice:
     points in space, which err by a few centimetres. Prints lengths in millimetres.
     """
 
-    films: Positional[Path]  # folder of the films, named after their cameras, and of a .toml file
-    # Calibration of the cameras, as Pose2Sim, anipose and FreeMoCap write it; without it the .toml
-    # in the folder.
-    calibration: Path | None = None
+    films: Positional[Path]  # folder of the films, named after their cameras
+    calibration: Positional[Path]  # of the cameras, as Pose2Sim, anipose and FreeMoCap write it
     up: Axis = "z"  # axis of the calibration's world
     known_lens: Switch = False  # films are solved with their true focal lengths
     # The person's height, metres; without it, that of an average person.
@@ -151,7 +146,7 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
         for found in tables if made.kind == "refine" else tables[:1]:
             _print(found)
     page, settings = made.path.with_suffix(".html"), {**made.made_with, "versions": versions()}
-    write_study_report(page, made.kind, outcomes, settings, _pictures(made, cases))
+    write_study_report(page, made.kind, outcomes, settings)
     say(f"figures: {made.path}; page: {page}")
 
 
@@ -188,15 +183,6 @@ def _kept(
         kept = []
     asked = [o for o in kept if o.case in cases and o.variant in made.variants]
     return ([] if what.overwrite else asked), [o for o in kept if o not in asked]
-
-
-def _pictures(
-    made: Study, cases: Sequence[StudyCase]
-) -> Iterator[tuple[str, dict[str, ShownAvatar]]]:
-    """Yield names and finished avatars of the first cases."""
-    for case in cases[:IN_PICTURES] if isinstance(made, AvatarStudy) else ():
-        shown = {name: made.run(case, name).shown() for name in made.variants}
-        yield case.name, {name: one for name, one in shown.items() if one is not None}
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:

@@ -36,10 +36,6 @@ from gva_mi.synthetic.error_models import NO_ERRORS
 T = TypeVar("T")
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
-TITLES = {  # of what is unusual in a take
-    "motion": "{}", "figure": "{}", "outfit": "{} clothes", "bare": "bare", "scene": "{}",
-    "camera": "camera {}", "frames": "{} frames", "size": "{} pixels", "shutter": "motion blur",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -65,13 +61,12 @@ class Take:
 
     @property
     def name(self) -> str:
-        """A title such as ``seed 31, stretched``."""
-        other = (
-            text.format(value)
-            for field, text in TITLES.items()
-            if (value := getattr(self, field)) != getattr(Take, field)
-        )
-        return ", ".join([self.subject or f"seed {self.seed}", *other])
+        """A title such as ``seed 31, figure stretched``: all in which it differs from others."""
+        usual, others = vars(Take()), []
+        for name, value in vars(self).items():
+            if name not in ("subject", "seed") and value != usual[name]:
+                others.append(name if value is True else f"{name} {value}")
+        return ", ".join([self.subject or f"seed {self.seed}", *others])
 
     def synth(self, frames: int, size: int, novel: int = 0) -> SynthOptions:
         """Return the options that make it, with so many novel poses and views."""

@@ -6,7 +6,7 @@ determines a person's size, distance and focal length. The owner of a video may 
 
 The avatar study fits every variant to every case, in three rounds: takes are filmed, the poses of
 each case are refined, and each variant of each case is fitted and measured. If it is killed, only
-the steps since the last checkpoint of a fit are lost, and the page can show the avatars.
+the steps since the last checkpoint of a fit are lost.
 
 A study's folder holds::
 
@@ -45,7 +45,6 @@ from gva_mi.data.folder import POSES, REFINED_POSES
 from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.data.splits import Splits
 from gva_mi.data.video import Video, load_video
-from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.paper import REFINE
 from gva_mi.fit.train import fit
@@ -55,7 +54,6 @@ from gva_mi.study.cases import AvatarVariant, StudyCase
 from gva_mi.study.evaluate import measure_run
 from gva_mi.study.figures import Figure, figures_from, to_json
 from gva_mi.study.filmed import Filming, Work, filming_work, height_of
-from gva_mi.study.pictures import ShownAvatar
 from gva_mi.study.refinement import Evaluation, mask_iou, write_refinement
 from gva_mi.study.similarity import zoomed
 from gva_mi.synthetic.foreign_body import closest
@@ -303,8 +301,7 @@ class AvatarStudy(Study):
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, refine each case, then fit each variant."""
         cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
-        also_printed = any(row.poses == "printed" for row in self.rows)
-        made = self.body, self.options.refine, self.stamp, also_printed
+        made = self.body, self.options.refine, self.stamp
         prepared = [
             Work(REFINE_STEPS, partial(prepare_case, filming.subject(case), case, *made))
             for case in cases
@@ -332,21 +329,14 @@ def prepare_case(
     body: BodyModel,
     options: SequenceOptions,
     stamp: str,
-    also_printed: bool,
     progress: Progress | None = None,
 ) -> None:
-    """Write refined poses into a case's folder, unless it has those of the same options.
-
-    ``also_printed``: also the poses that Eq. 8 as printed finds.
-    """
+    """Write refined poses into a case's folder, unless it has those of the same options."""
     if not is_fresh(subject / PREPARED, stamp):
         evaluation = refine_case(subject, case, body, options, progress=progress)
         write_refinement(evaluation)
         (subject / PRINTED_POSES).unlink(missing_ok=True)
         write_record(subject / PREPARED, {}, stamp)
-    if also_printed and not (subject / PRINTED_POSES).exists():
-        found = refine(load_video(subject), body, REFINE)
-        save_poses(subject / PRINTED_POSES, found.pose, found.shape, stage=2)
 
 
 @dataclass(frozen=True)
@@ -368,6 +358,9 @@ class VariantRun:
     def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
         """Fit, or resume a fit, and return its figures."""
         self._make_room()
+        if self.variant.poses == "printed" and not self._poses.exists():
+            found = refine(load_video(self.subject), self.body, REFINE)
+            save_poses(self._poses, found.pose, found.shape, stage=2)
         video, options = self.video(), self.variant.of(self.options)
         offsets = video.offsets_of(len(self.body.v_template))
         about = {"offsets": offsets, "resume": True, "progress": progress}
@@ -376,14 +369,6 @@ class VariantRun:
         # Fitted poses would bend a rigid body.
         fitted = {"fit_to_pictures": not self.variant.rigid}
         return measure_run(*args, driven=self.driven(video), **fitted).figures
-
-    def shown(self) -> ShownAvatar | None:
-        """Open the avatar and its splits for pictures; None if it is not finished."""
-        if not (self.out / run_folder.AVATAR).exists():  # figures may be kept without it
-            return None
-        video, avatar = self.video(), run_folder.load_avatar(self.out)
-        trained = run_folder.under_trained_poses(video, self.out)
-        return ShownAvatar.of(avatar, trained, self.body, self.driven(video))
 
     def video(self) -> Video:
         """Open the case's video under the poses that this variant is fitted with."""

@@ -143,15 +143,15 @@ def table(
     """Write cells as text, under a head that begins with ``title``."""
     columns = list(dict.fromkeys(column for row in cells.values() for column in row))
     single = len({column[-1] for column in columns}) == 1 < len(columns)
-    head = [label(column[:-1] if single else column) for column in columns]
+    head = [label_of(column[:-1] if single else column) for column in columns]
     rows = [
-        [label(row), *(write(row, c, own[c]) if c in own else "–" for c in columns)]
+        [label_of(row), *(write(row, c, own[c]) if c in own else "–" for c in columns)]
         for row, own in cells.items()
     ]
     return Table((title, *head), rows)
 
 
-def label(key: Key) -> str:
+def label_of(key: Key) -> str:
     """Join the names of a row or column that are not empty."""
     return ", ".join(name.replace("_", " ") for name in key if name)
 

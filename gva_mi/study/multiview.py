@@ -188,7 +188,7 @@ def compare(
 
 def multiview(
     folder: Path,
-    calibration: Path | None,
+    calibration: Path,
     body: BodyModel,
     options: FilmOptions,
     up: np.ndarray,
@@ -199,7 +199,7 @@ def multiview(
 
     Args:
         folder: of the films, which start at the same time and have the same frames.
-        calibration: of the cameras; None: the one in the folder.
+        calibration: of the cameras.
         body: of the poses.
         options: of the films.
         up: (3,) the world's direction up.
@@ -211,7 +211,7 @@ def multiview(
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected films that are named after cameras")
-    cameras = read_calibration(calibration or _calibration_in(folder))
+    cameras = read_calibration(calibration)
     films = [_film_of(folder, camera) for camera in cameras]
     motions: list[SolvedMotion] = []
     for k, (film, camera) in enumerate(zip(films, cameras, strict=True)):
@@ -232,13 +232,6 @@ def multiview(
     for camera, film in zip(cameras, found, strict=True):
         figures += compare(camera, *film, body, X, up)
     return figures
-
-
-def _calibration_in(folder: Path) -> Path:
-    found = sorted(folder.glob("*.toml"))
-    if len(found) != 1:
-        raise InputError(f"{folder}: expected one calibration, *.toml, found {len(found)}")
-    return found[0]
 
 
 def _film_of(folder: Path, camera: CalibratedCamera) -> Path:

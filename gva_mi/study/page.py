@@ -11,15 +11,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.study.figures import Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -92,21 +89,5 @@ def _webp(caption: str, images: Sequence[np.ndarray], **options: int) -> Picture
         options |= {"save_all": True, "append_images": rest}
     buffer = io.BytesIO()
     first.save(buffer, "WEBP", **options)
-    return _embedded(caption, buffer, "webp")
-
-
-def plot(caption: str, figure: Figure) -> Picture:
-    """Embed a Matplotlib figure as SVG, and close it."""
-    import matplotlib.pyplot as plt
-
-    for axis in figure.axes:
-        axis.spines[["top", "right"]].set_visible(False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="svg")
-    plt.close(figure)
-    return _embedded(caption, buffer, "svg+xml")
-
-
-def _embedded(caption: str, data: io.BytesIO, kind: str) -> Picture:
-    text = base64.b64encode(data.getvalue()).decode()
-    return Picture(caption, f"data:image/{kind};base64,{text}")
+    text = base64.b64encode(buffer.getvalue()).decode()
+    return Picture(caption, f"data:image/webp;base64,{text}")

@@ -1,4 +1,4 @@
-"""Pictures of avatars beside the ground truth, for the page of a run and of the avatar study.
+"""Pictures of avatars beside the ground truth, for the page of a run.
 
 Novel poses and views are shown after the similarity transform (:mod:`gva_mi.study.similarity`), so
 that a picture shows the avatar and not how far away the subject was assumed to be. All pictures are
@@ -7,8 +7,8 @@ that a picture shows the avatar and not how far away the subject was assumed to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -51,7 +51,6 @@ class ShownAvatar:
         avatar: Avatar,
         trained: Video,
         body: BodyModel,
-        driven: Callable[[Pose], Pose] = lambda pose: pose,
     ) -> ShownAvatar:
         """Open the splits of a video, with novel ones in the avatar's world.
 
@@ -59,65 +58,35 @@ class ShownAvatar:
             avatar: to show.
             trained: opened with the poses that the avatar was trained under.
             body: the fitted body model.
-            driven: applied to every pose before it drives the avatar.
         """
         views = views_of(trained, tuple(SECTIONS), body)
         similarity = similarity_to_truth(avatar.rig, trained, body)
         if similarity is not None:
             own = [view for view in views if view.split in OF_VIDEO]
             views = own + aligned_views(views, similarity, avatar.rig, body)
-        change = lambda source: replace(source, pose=driven(source.pose))
-        return ShownAvatar(avatar, {view.split: view.through(change) for view in views})
+        return ShownAvatar(avatar, {view.split: view for view in views})
 
 
-def picture_sections(
-    cases: Iterable[tuple[str, Mapping[str, ShownAvatar]]], count: int
-) -> list[Section]:
-    """Make a section for each split (its pictures, every avatar beside them), one of Gaussians.
-
-    Args:
-        cases: name of each video, and its avatars by their names. A single avatar is followed by
-            its difference from the picture.
-        count: frames of a split of a video.
-    """
-    pictures, at_rest, names = {split: [] for split in SECTIONS}, [], []
-    for case, avatars in cases:
-        names = list(avatars)
-        for split, own in pictures.items():
-            there = [shown for shown in avatars.values() if split in shown.views]
-            own += _of_split(case, there, split, count) if there else []
-        at_rest += [
-            dots(f"{case} {name}".strip(), shown.avatar.canonical)
-            for name, shown in avatars.items()
-        ]
-    order, columns = f"From left to right: the picture, {', '.join(names)}", 1
-    if len(names) == 1:
-        order, columns = f"{order}, difference (white 0, red 64 of 255 and more)", 3
-    sections = [
-        Section(title, pictures[split], columns, text=f"{order}.")
-        for split, title in SECTIONS.items()
-        if pictures[split]
-    ]
-    return [*sections, *([Section("The Gaussians", at_rest, columns=3)] if at_rest else [])]
+def picture_sections(shown: ShownAvatar, count: int) -> Iterator[Section]:
+    """Yield a section for each split: ``count`` frames, the avatar's render, and the difference."""
+    for split, title in SECTIONS.items():
+        if split in shown.views:
+            pictures = list(_of_view(shown.avatar, shown.views[split], count))
+            yield Section(title, pictures, columns=3)
+    yield Section("The Gaussians", [dots("", shown.avatar.canonical)], columns=3)
 
 
-def _of_split(
-    case: str, avatars: Sequence[ShownAvatar], split: Split, count: int
-) -> Iterator[Picture]:
+def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
-    view = avatars[0].views[split]
     for k in spread(view.frames, count):
         frame = view.video.truly_cut(view.video[k])
         for what, box in _boxes(view, frame):
             times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
-            row = [box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)]
-            for shown in avatars:
-                own = shown.views[split].video[k]
-                camera = box.cut_camera(own.camera).resized(times * box.width, times * box.height)
-                row.append(render_frame(shown.avatar, own.pose, camera))
-            if len(avatars) == 1:
-                row.append(difference(*row))
-            yield picture(f"{case}, frame {k}{what}".strip(", "), np.concatenate(row, axis=1))
+            target = box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)
+            camera = box.cut_camera(frame.camera).resized(times * box.width, times * box.height)
+            image = render_frame(avatar, frame.pose, camera)
+            row = np.concatenate([target, image, difference(target, image)], axis=1)
+            yield picture(f"frame {k}{what}", row)
 
 
 def _boxes(view: SplitView, frame: Frame) -> Iterator[tuple[str, Box]]:
@@ -166,4 +135,5 @@ def dots(caption: str, gaussians: Gaussians) -> Picture:
         )
         with torch.no_grad():
             views.append(in_8_bits(render(small, camera, background=torch.ones(3)).color.numpy()))
-    return picture(f"{caption}: {len(gaussians):,} Gaussians", np.concatenate(views, axis=1))
+    text = f"{caption} {len(gaussians):,} Gaussians".strip()
+    return picture(text, np.concatenate(views, axis=1))

@@ -1,4 +1,4 @@
-"""The pages of a run (its pictures, figures and training), of a film's avatar, and of a study.
+"""The pages of a run (its pictures and figures), of a film's avatar, and of a study.
 
 The first two are made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. There
 is no ground truth of a real film. So the page of its avatar begins with the avatar from all around
@@ -41,15 +41,14 @@ from gva_mi.pose.film.prepare_film import FilmRecord
 from gva_mi.study.cases import FULL
 from gva_mi.study.engine import Outcome
 from gva_mi.study.evaluate import ALIGNED, REGIONS, SPLITS, Metrics
-from gva_mi.study.figures import METRICS, Table, pivot, table, where
-from gva_mi.study.page import Headline, Picture, Section, animation, picture, plot, write_page
+from gva_mi.study.figures import METRICS, Table, label_of, pivot, table, where
+from gva_mi.study.page import Headline, Picture, Section, animation, picture, write_page
 from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
 from gva_mi.study.refinement import OVERLAYS, pose_tables
 from gva_mi.synthetic.motion import perform
 
-SHOWN, STUDY_SHOWN = 4, 2  # frames of a split on the page of a run, of a case on a study's
+SHOWN = 4  # frames of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
-SMOOTHED = 25  # steps in a running mean of the curves
 
 FINDINGS = "film_check.json"  # on the film, in the subject's folder
 TURNTABLE = "turntable"
@@ -60,12 +59,6 @@ SIZE = (384, 512)  # pixels
 IN_PAGE = 3  # every 3rd picture of a film is in the page
 SEED = 0  # of the motions
 
-HEADLINES = (  # region, alignment, kind of error
-    ("body", "pelvis-aligned", "error", "pelvis-aligned error, stage 1 → refined"),
-    ("hands", "pelvis-aligned", "error", "pelvis-aligned, of the hands"),
-    ("feet", "pelvis-aligned", "error", "pelvis-aligned, of the feet"),
-    ("pelvis", "", "depth", "depth of the pelvis, which one camera hardly shows"),
-)
 REFINE_SHOWN = (  # a study's tables
     "change", "stage 1 error, mm", "refined error, mm", "refined depth, mm", "increased",
     "IoU - limit", "mask IoU", "s a frame",
@@ -101,7 +94,7 @@ def write_report(
         first: sections that the page begins with; without them, the turning avatar.
         settings: what else the page lists at its end.
     """
-    metrics, history = Metrics.load(run), run_folder.load_history(run)
+    metrics = Metrics.load(run)
     shown = ShownAvatar.of(avatar, video, body)
     width, height = metrics.size
     write_page(
@@ -111,10 +104,9 @@ def write_report(
         headlines=headlines(metrics),
         sections=[
             *(first or [_turning(avatar, video)]),
-            *picture_sections([("", {"render": shown})], SHOWN),
+            *picture_sections(shown, SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run, metrics),
-            _curves(history),
             _scores(metrics),
         ],
         settings={
@@ -129,24 +121,18 @@ def write_report(
 def headlines(metrics: Metrics) -> list[Headline]:
     """Return pose errors first, because they limit all else; then PSNR, size and time."""
     figures, found = metrics.figures, []
-    for region, alignment, kind, label in HEADLINES:
-        stages = tuple(f"{stage} {kind}, mm" for stage in ("stage 1", "refined"))
-        both = where(figures, region=region, alignment=alignment, metric=stages)
-        if len(both) == 2:
-            sign = "+" if kind == "depth" else ""
-            before, after = (f"{figure.value:{sign}.0f}" for figure in both)
-            found.append(Headline(f"{before} → {after} mm", label))
-    scores = where(figures, metric="PSNR, dB", alignment=("", ALIGNED), split=SPLITS[1:])
-    for whole in where(scores, region="white"):
-        about = {"split": whole.split, "alignment": whole.alignment}
-        (box,) = where(scores, region="person", **about)
-        name = ", ".join(filter(None, about.values())).replace("_", " ")
-        label = f"PSNR, {name}: whole picture / person's box"
-        found.append(Headline(f"{whole.value:.1f} / {box.value:.1f} dB", label))
-    minutes, seconds = divmod(round(metrics.value("seconds")), 60)
-    found.append(Headline(f"{metrics.value('Gaussians'):,}", "Gaussians"))
-    label = f"for {metrics.value('steps'):,} steps"
-    found.append(Headline(f"{minutes} min {seconds:02d} s", label))
+    poses = {"region": "body", "alignment": "pelvis-aligned"}
+    poses["metric"] = ("stage 1 error, mm", "refined error, mm")
+    if errors := [f"{figure.value:.0f}" for figure in where(figures, **poses)]:
+        label = "pelvis-aligned error of the body: stage 1, refined"
+        found.append(Headline(f"{' → '.join(errors)} mm", label))
+    for f in where(figures, metric="PSNR, dB", region=("white", "person"), split=SPLITS[1:]):
+        if f.alignment in ("", ALIGNED):
+            pixels = "whole picture" if f.region == "white" else "person's box"
+            name = label_of((f.split, f.alignment, pixels))
+            found.append(Headline(f"{f.value:.1f} dB", f"PSNR, {name}"))
+    for metric in ("Gaussians", "steps", "seconds"):
+        found.append(Headline(f"{metrics.value(metric):,.0f}", metric))
     return found
 
 
@@ -176,30 +162,6 @@ def _reinitialisation(run: Path, metrics: Metrics) -> Iterator[Section]:
     if pictures or surface:
         tables = [table(surface, "step")] if surface else []
         yield Section("Re-initialisation", pictures, columns=2, tables=tables)
-
-
-def _curves(history: Mapping[str, np.ndarray]) -> Section:
-    """Plot losses and the number of Gaussians over the steps."""
-    import matplotlib.pyplot as plt
-
-    fig, (left, right) = plt.subplots(1, 2, figsize=(11, 3.2), layout="constrained")
-    steps = np.arange(len(history["loss"]))
-    for name, values in history.items():
-        is_loss = name not in ("step", "gaussians") and not name.startswith("milliseconds")
-        if is_loss and np.any(values):
-            left.plot(steps, _smooth(values), label=name, lw=1.2)
-    left.set(xlabel="step", title="loss terms, before their weights", yscale="log")
-    left.legend(frameon=False, fontsize=8)
-    right.plot(steps, history["gaussians"], color="#2f6f5e")
-    right.set(xlabel="step", title="Gaussians")
-    return Section("Training", [plot("", fig)], columns=1)
-
-
-def _smooth(values: np.ndarray) -> np.ndarray:
-    """Take a running mean, because the loss of one step depends on its frame."""
-    over = min(SMOOTHED, len(values))
-    padded = np.pad(values, (over // 2, over - 1 - over // 2), mode="edge")
-    return np.convolve(padded, np.full(over, 1 / over), mode="valid")
 
 
 def _scores(metrics: Metrics) -> Section:
@@ -379,7 +341,6 @@ def write_study_report(
     kind: str,
     outcomes: Sequence[Outcome],
     settings: dict[str, Any],
-    pictures: Iterable[tuple[str, Mapping[str, ShownAvatar]]] = (),
 ) -> None:
     """Write the page of a study.
 
@@ -388,7 +349,6 @@ def write_study_report(
         kind: "refine" or "avatar".
         outcomes: all that were asked for.
         settings: options and versions.
-        pictures: names of some cases, and the avatars of their variants.
     """
     shown = "change" if kind == "refine" else "PSNR, dB"
     sections = [
@@ -397,7 +357,6 @@ def write_study_report(
     ]
     own = [f for o in outcomes for f in o.figures if f.metric == shown and f.split != "train"]
     each = table(pivot(own, ("subject", "variant"), ("split", "alignment", "region")), "case")
-    sections += picture_sections(pictures, STUDY_SHOWN)
     sections.append(Section("Each case", tables=[each], text=f"{shown} of each case."))
     purposes = ", ".join(sorted({outcome.case.purpose for outcome in outcomes}))
     subjects = len({outcome.case.take.name for outcome in outcomes})

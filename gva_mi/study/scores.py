@@ -23,16 +23,14 @@ face     likewise
 =======  =========================================================================================
 
 PSNR of a person who fills a tenth of a white picture is 10 dB higher whole than of the mask, so
-figures of different regions cannot be compared. Each region is scored twice: *strict*, and
-*shifted*, after the render was moved by the translation in the picture that fits best. The
-difference says how much of the error is place, and how much appearance.
+figures of different regions cannot be compared.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -68,9 +66,6 @@ from gva_mi.study.regions import Details, person_box
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
 NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
 NETWORK_LONGEST = 1024  # pixels, the largest side that they see
-FARTHEST = 0.05  # of the longer side of the box: larger shifts are not believed
-STEPS = 10  # shifts are found to 1 / STEPS of a pixel
-STRICT, SHIFTED = "strict", "shifted"
 # Pixels from which their deepest features see something, and between the positions of these.
 NETWORK_SIGHT, NETWORK_STEP = 98, 16
 SSIM_RADIUS = 5  # pixels, of its window
@@ -212,77 +207,43 @@ class PicturePair:
     mask: np.ndarray | None = None  # (H, W) in [0, 1], the person
     boxes: Sequence[tuple[str, Box]] = ()  # hands and face
 
-    @property
-    def regions(self) -> Iterator[tuple[str, Box]]:
-        """Yield the rectangular regions of the pair."""
-        yield "whole", Box(0, 0, self.truth.shape[1], self.truth.shape[0])
-        if self.mask is not None:
-            yield "box", person_box(self.mask)
-        yield from self.boxes
-
     def scores(self, scorer: Scorer) -> Iterator[tuple[str, ImageScores]]:
         """Yield each region and its scores."""
-        for region, box in self.regions:
-            yield region, scorer(box.cut(self.render), box.cut(self.truth))
+        yield "whole", scorer(self.render, self.truth)
         if self.mask is not None:
             inside = self.mask > 0.5
             away = self.render[inside].astype(np.float64) - self.truth[inside]
             similar = float(ssim_map(self.render, self.truth)[inside].mean())
             error = float(np.square(away).mean())
+            for region, box in (("box", person_box(self.mask)), *self.boxes):
+                yield region, scorer(box.cut(self.render), box.cut(self.truth))
             yield "mask", ImageScores(psnr_of(error), similar, np.nan, np.nan)
 
 
 def score_pictures(
     pairs: Iterable[PicturePair], scorer: Scorer, progress: Progress | None = None
 ) -> list[Figure]:
-    """Score renders by every region and protocol that their masks and boxes allow.
+    """Score renders by every region that their masks and boxes allow.
 
     Raises:
         InputError: a render has another size than its picture, or there is no pair.
     """
-    found: dict[tuple[str, str], list[ImageScores]] = {}
+    found: dict[str, list[ImageScores]] = {}
     for done, pair in enumerate(pairs, 1):
         if pair.mask is not None and not (pair.mask > 0.5).any():
             raise InputError(f"score: the mask of {pair.name} is empty")
         if pair.render.shape != pair.truth.shape:
             has, wants = (f"{x.shape[1]}x{x.shape[0]}" for x in (pair.render, pair.truth))
             raise InputError(f"score: the render of {pair.name} has {has}, its picture {wants}")
-        shifted = replace(pair, render=shift_to_fit(pair))
-        for protocol, one in ((STRICT, pair), (SHIFTED, shifted)):
-            for region, scores in one.scores(scorer):
-                found.setdefault((protocol, region), []).append(scores)
+        for region, scores in pair.scores(scorer):
+            found.setdefault(region, []).append(scores)
         if progress:
             progress(done, done)
     if not found:
         raise InputError("score: there is no render to compare")
-    regions = ("whole", "box", "mask", "hands", "face")
-    ordered = ((p, r) for p in (STRICT, SHIFTED) for r in regions if (p, r) in found)
     return [
-        figure
-        for protocol, region in ordered
-        for figure in mean_figures(found[protocol, region], region=region, alignment=protocol)
+        figure for region, scores in found.items() for figure in mean_figures(scores, region=region)
     ]
-
-
-def shift_to_fit(pair: PicturePair) -> np.ndarray:
-    """Return the render moved as fits the picture best, to a tenth of a pixel.
-
-    It is returned as it is where no shift of at most :data:`FARTHEST` makes its error smaller.
-    """
-    from scipy.ndimage import shift
-    from skimage.registration import phase_cross_correlation
-
-    box = dict(pair.regions).get("box") or dict(pair.regions)["whole"]
-    a, b = (box.cut(x).mean(2) for x in (pair.truth, pair.render))
-    if a.std() == 0 or b.std() == 0:
-        return pair.render
-    by = phase_cross_correlation(a, b, upsample_factor=STEPS, normalization=None)[0]
-    if np.abs(by).max() > FARTHEST * max(box.width, box.height):
-        return pair.render
-    moved = shift(pair.render.astype(np.float32), (*by, 0), order=1, mode="nearest")
-    moved = np.round(np.clip(moved, 0, 255)).astype(np.uint8)
-    error = lambda x: np.square(x.astype(np.float64) - pair.truth).mean()
-    return moved if error(moved) < error(pair.render) else pair.render
 
 
 Color = np.ndarray | None  # (3,) in [0, 1]; None: pictures stay as they are

@@ -11,7 +11,7 @@ about the eye, with the given camera c and the true one c*,
     2. y        = s R x + t,    R = R*_cᵀ R_c,    t = R*_cᵀ (s t_c - t*_c)
 
 over the joints j of the body, x under the avatar's poses and y the true ones, in the training
-frames k. If the camera moves, s, R and t are those of Umeyama (1991). The offset o of the skeleton
+frames k. If the camera moves, nothing is aligned. The offset o of the skeleton
 from the true one, in the axes of its pelvis, is what pictures show of it, without the part along
 the camera's axis z:
 
@@ -41,7 +41,6 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.rotations import nearest_rotations
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.data.ground_truth import truth_of
@@ -99,7 +98,9 @@ class Similarity:
 
 @torch.no_grad()
 def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity | None:
-    """Return the similarity from an avatar's world to the true one; None without ground truth.
+    """Return the similarity from an avatar's world to the true one.
+
+    None without ground truth, and for a camera that moves.
 
     Args:
         rig: the avatar's rest body.
@@ -117,9 +118,9 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))
     given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, true_cameras))
     placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
-    static = all(np.allclose(T, T[0], atol=1e-9) for T in placed)
-    flat = x.reshape(-1, 3), y.reshape(-1, 3)
-    whole = _about_the_eye(*flat, given[0], real[0]) if static else _of_moving_camera(*flat)
+    if not all(np.allclose(T, T[0], atol=1e-9) for T in placed):
+        return None
+    whole = _about_the_eye(x.reshape(-1, 3), y.reshape(-1, 3), given[0], real[0])
     off = (x - (y - whole.translation) @ whole.rotation / whole.scale).mean(1)
     root = to_matrix(video.pose.rotations[frames, 0].double()).numpy()
     z = np.stack([camera.T_camera_world[2, :3] for camera in given])
@@ -175,14 +176,6 @@ def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) ->
     a, b = x @ R.T + t, y @ R_real.T + t_real
     scale = float((a * b).sum() / np.square(a).sum())
     return Similarity(scale, R_real.T @ R, R_real.T @ (scale * t - t_real))
-
-
-def _of_moving_camera(x: np.ndarray, y: np.ndarray) -> Similarity:
-    """Return the least-squares similarity from points x to points y, both (N, 3)."""
-    a, b = x - x.mean(0), y - y.mean(0)
-    R = nearest_rotations(b.T @ a)
-    scale = float((b * (a @ R.T)).sum() / np.square(a).sum())
-    return Similarity(scale, R, y.mean(0) - scale * R @ x.mean(0))
 
 
 @torch.no_grad()

@@ -61,7 +61,7 @@ NOT_RUN = {
     "--no-lens --out any-lens": (
         "an hour; tests/study/test_filmed.py renders and watches one film"
     ),
-    "gva-mi study multiview Demo_SinglePerson/videos --calibration "
+    "gva-mi study multiview Demo_SinglePerson/videos "
     "Demo_SinglePerson/calibration/Calib_qualisys.toml --height 1.72": (
         "needs the films of Pose2Sim: tests/study/test_multiview.py"
     ),

@@ -26,6 +26,7 @@ from gva_mi.data.video import load_video
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED, PhotometricOptions
 from gva_mi.fit.renders import render_frame, render_layer
+from gva_mi.fit.run_folder import load_avatar
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.stature import Stature
 from gva_mi.study import evaluate
@@ -316,7 +317,7 @@ def test_a_variant_is_fitted_and_measured_in_all_ways(runs):
     assert Metrics.load(run.out).figures == figures
     (count,) = where(figures, metric="Gaussians")
     assert count.value >= 300
-    hands = [runs[name][0].shown().avatar.options.hands for name in ("full", NO_HANDS.name)]
+    hands = [load_avatar(runs[x][0].out).options.hands for x in ("full", NO_HANDS.name)]
     assert hands == [True, False]
 
 

@@ -129,7 +129,14 @@ class NamedArrays(dict):
         if name is None:
             return None, None
         self.taken.add(name)
-        return name, numbers_of(f"{self.where}: '{name}'", self[name])
+        try:
+            array = np.asarray(self[name])
+            array = array if array.dtype.kind != "c" else array.astype(str)  # refused
+            return name, np.atleast_1d(array.astype(np.float64))
+        except (ValueError, TypeError):
+            raise InputError(
+                f"{self.where}: '{name}' must be numbers, got {self[name]!s:.40}"
+            ) from None
 
     def cover(self, *names: str) -> None:
         """Count ``names`` of ours as taken, because other arrays hold the same."""
@@ -139,16 +146,6 @@ class NamedArrays(dict):
     def unused(self) -> tuple[str, ...]:
         """Return the names of arrays of numbers that were not taken."""
         return tuple(str(k) for k, x in self.items() if k not in self.taken and is_numbers(x))
-
-
-def numbers_of(where: str, value: Any) -> np.ndarray:  # noqa: ANN401
-    """Return a value of a file as an array (float64, 1-D at least), or refuse it."""
-    try:
-        array = np.asarray(value)
-        array = array if array.dtype.kind != "c" else array.astype(str)  # refused
-        return np.atleast_1d(array.astype(np.float64))
-    except (ValueError, TypeError):
-        raise InputError(f"{where} must be numbers, got {value!s:.40}") from None
 
 
 def plain_name(name: object) -> str:

@@ -63,30 +63,19 @@ def read_keypoints(path: Path) -> dict[int, list[np.ndarray]]:
     point was not found.
     """
     with expecting(path, _EXPECTED):
-        if path.is_dir():
-            files = sorted(path.glob("*.json"))
-            frames = counted_from_0(files)
-            people = [
-                (frame, person)
-                for frame, file in zip(frames, files, strict=True)
-                for _, person in _people(path, read_json(file, _EXPECTED), file)
-            ]
-        else:
-            named = list(_people(path, read_json(path, _EXPECTED), None))
-            if any(name is None for name, _ in named):
-                raise InputError(f"{path}: says of no frame; expected {_EXPECTED}")
-            frames = counted_from_0([name for name, _ in named])
-            people = [(frame, x) for frame, (_, x) in zip(frames, named, strict=True)]
-    found: dict[int, list[np.ndarray]] = {}
-    for frame, person in people:
-        found.setdefault(frame, []).append(person)
-    if not people:
+        files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+        seen = [
+            (file if path.is_dir() else frame, person)
+            for file in files
+            for frame, person in _people(path, read_json(file, _EXPECTED), None)
+        ]
+        names = files if path.is_dir() else [name for name, _ in seen]
+        numbers = dict(zip(names, counted_from_0(names), strict=True))
+    if not seen:
         raise InputError(f"{path}: holds no people; expected {_EXPECTED}")
-    if all(np.nan_to_num(x[:, :2]).max() < 2 for _, x in people):
-        raise InputError(
-            f"{path}: holds places as shares of the picture; expected pixels, as OpenPose writes "
-            "with --keypoint_scale 0"
-        )
+    found: dict[int, list[np.ndarray]] = {}
+    for name, person in seen:
+        found.setdefault(numbers[name], []).append(person)
     return found
 
 

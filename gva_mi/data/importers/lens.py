@@ -253,11 +253,10 @@ def _numbers(meta: bytes) -> dict[str, float]:
 def _value(data: bytes) -> float | None:
     """Return the number in a ``data`` box, after type and language; None without one."""
     kind, value = int.from_bytes(data[:4], "big"), data[8:]
-    if kind in _SIGNED or kind in _UNSIGNED:
-        return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))
-    try:
+    with suppress(ValueError, struct.error):
+        if kind in _SIGNED or kind in _UNSIGNED:
+            return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))
         if kind in _FLOATS:
             return struct.unpack(_FLOATS[kind], value)[0]
         return float(value) if kind == _TEXT else None
-    except (ValueError, struct.error):
-        return None
+    return None

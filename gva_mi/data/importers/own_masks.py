@@ -1,11 +1,12 @@
-"""Masks that a user brings: of another program, or by Segment Anything.
+"""Masks and normals that a user brings: of another program, or by a network.
 
-They take the place of those that are found here, or stand beside them (:class:`WithMasks`).
+Masks take the place of those that are found here, or stand beside them (:class:`WithMasks`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ import numpy as np
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import options_of
-from gva_mi.data.folder import frame_name
+from gva_mi.data.crop import bounds
+from gva_mi.data.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.data.importers import footage
-from gva_mi.data.masks import BARELY, require_person
+from gva_mi.data.masks import BARELY, read_mask, require_person
+from gva_mi.data.networks.normals import NormalNetwork
 from gva_mi.data.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 
@@ -157,3 +160,35 @@ class WithMasks(Sequence[np.ndarray]):
         shares = (x.astype(np.float32) / 255 for x in (found, read_image(path, 1)))
         P, Q = (x.clip(1 - CERTAIN, CERTAIN) for x in shares)
         return in_8_bits(P * Q / (P * Q + (1 - P) * (1 - Q)))
+
+
+def write_normals(
+    folder: Path,
+    network: NormalNetwork,
+    count: int,
+    progress: Progress | None = None,
+) -> list[str]:
+    """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
+
+    A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
+
+    Args:
+        folder: of the subject.
+        network: that sees the pictures.
+        count: of the frames.
+        progress: called after every frame.
+    """
+    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * count, 0
+    for k in range(count):
+        mask = read_mask(folder / MASKS, k)
+        box = None if mask is None else bounds(mask > 0.5)
+        if box is not None:
+            image = read_image(folder / FRAMES / frame_name(k), 3)
+            crop, normals = network.see(image, mask, box)
+            boxes[k] = list(astuple(crop))
+            writer.normals(k, normals)
+            maps += 1
+        if progress:
+            progress(k + 1, count)
+    writer.normals_record(network.spec.convention, boxes)
+    return [f"normals of {maps} frames by {network.path.name}, {network.spec.convention}"]

@@ -29,7 +29,6 @@ from gva_mi.data.networks.segment_anything import Prompt
 from gva_mi.data.silhouettes import count_in_mask, joints_in_world
 
 _REACH = 1.0  # metres that a person moves from frame to frame at most
-MOSTLY = 0.5  # of the joints: clothes and an estimate that errs leave most in the person's mask
 ROOM = 0.05  # of the longer side of the joints' box, round it
 HEAD = 1.3  # from the head's joint to its top, in lengths from neck to head
 NEAR = 0.12  # of that side: others' points nearer than this to a joint are left out
@@ -109,30 +108,6 @@ def joints_in_masks(
                 hits, there = count_in_mask(pixels[k], inside)
                 votes[person] += hits, there - hits
     return votes
-
-
-def label_under(
-    where: str, track: Track, masks: Iterable[np.ndarray], labels: Sequence[int], joints: np.ndarray
-) -> int:
-    """Return the label of masks (H, W) under most of a track's joints, where it is in a mask.
-
-    The other arguments are those of :func:`joints_in_masks`.
-    """
-    hits, seen = dict.fromkeys(labels, 0), dict.fromkeys(labels, 0)
-    pixels = pixels_by_frame(track, joints)
-    for k, mask in enumerate(masks):
-        for label in np.unique(mask).tolist() if k in pixels else ():
-            inside, there = count_in_mask(pixels[k], mask == label)
-            hits[label] += inside
-            seen[label] += there
-    best = max((x for x in labels if x), key=hits.__getitem__)
-    if hits[best] < MOSTLY * seen[best] or not seen[best]:
-        shares = ", ".join(f"{k} ({hits[k] / max(seen[k], 1):.0%})" for k in list(labels)[:9])
-        raise InputError(
-            f"{where}: masks of labels, and none holds most joints of person {track.person}: "
-            f"{shares}; save (label == the person's) * 255, or choose --person"
-        )
-    return int(best)
 
 
 def pixels_by_frame(

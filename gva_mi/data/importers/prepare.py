@@ -39,9 +39,8 @@ from gva_mi.data.importers.datasets import (
 )
 from gva_mi.data.importers.estimators import KINDS, VideoInfo, read_estimator
 from gva_mi.data.importers.lens import asked_for, filmed_with, recorded, undistort
-from gva_mi.data.importers.own_masks import MaskOptions, write_masks
-from gva_mi.data.importers.own_normals import maps_of, write_maps, write_normals
-from gva_mi.data.importers.people import choose, joints_in_masks, label_under, prompts_of
+from gva_mi.data.importers.own_masks import MaskOptions, write_masks, write_normals
+from gva_mi.data.importers.people import choose, joints_in_masks, prompts_of
 from gva_mi.data.importers.track import TargetBody, Track, every_frame, median_betas
 from gva_mi.data.importers.world import Upward, upright
 from gva_mi.data.masks import read_mask, require_person
@@ -75,10 +74,9 @@ class PrepareOptions(MaskOptions):
     # Names of a data set's other cameras, whose pictures are held out as novel views for evaluate;
     # or all.
     views: tuple[str, ...] = ()
-    # A folder of maps, one per frame by the last number in its name; or a network, .onnx, that
-    # takes pictures (1, 3, h, w), and perhaps normals of the posed body, as ICON's does.
+    # A network, .onnx, that takes pictures (1, 3, h, w) and answers with normals.
     normals: Path | None = None
-    # Axes and view of the maps, or of the network's output; icon: a square crop.
+    # Axes and view of the network's output; icon: a square crop.
     normals_convention: Convention | None = None
 
     def __post_init__(self) -> None:
@@ -90,9 +88,8 @@ class PrepareOptions(MaskOptions):
 
     def normal_network(self) -> NormalNetwork | None:
         """Return the network that makes the normals, read before any work is done."""
-        if self.normals is None or self.normals.is_dir():
-            return None
-        return NormalNetwork(self.normals, NormalsSpec(self.normals_convention))
+        spec = NormalsSpec(self.normals_convention)
+        return None if self.normals is None else NormalNetwork(self.normals, spec)
 
 
 def prepare_folder(
@@ -113,7 +110,8 @@ def prepare_folder(
     body = body.for_source(source)
     kind, capture, size = _capture(kind, source, options, mask_network is not None, body)
     capture, of_numbers = _numbered(kind, capture)
-    capture, track, notes = _chosen(where, capture, options.person, body)
+    votes = lambda: joints_in_masks(capture.tracks, capture.read_masks(), body.joints)
+    track, notes = choose(where, capture.tracks, options.person, votes if capture.masks else None)
     views, notes = known_names(where, capture, options.views), [*notes, *of_numbers]
     others = [t for t in capture.tracks if t is not track]
     of_lens = []
@@ -138,9 +136,6 @@ def prepare_folder(
     pose, shape, of_body = _poses(track, body)
     if normal_network:
         more += write_normals(out, normal_network, count, progress)
-    elif options.normals:
-        maps = maps_of(options.normals, capture.frames, count, capture.loose)
-        more += write_maps(out, maps, options.normals_convention, cameras, straight)
     if views:
         seen = np.flatnonzero(inside).tolist()
         more += write_views(out, where, capture, views, seen, _T_CAMERA_WORLD)
@@ -202,23 +197,6 @@ def _numbered(kind: str, capture: Capture) -> tuple[Capture, list[str]]:
     first = footage.first_number(frames, count, KINDS[kind].first, names)
     moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
     return replace(capture, tracks=moved), [f"frames are numbered from {first}"] if first else []
-
-
-def _chosen(
-    where: str, capture: Capture, person: str | None, body: TargetBody
-) -> tuple[Capture, Track, list[str]]:
-    """Return the subject, notes, and the capture with the meaning of the subject's masks."""
-    tracks, meaning = capture.tracks, capture.meaning
-    labels = meaning.people if meaning else ()
-    votes = lambda: joints_in_masks(tracks, capture.read_masks(), body.joints)
-    track, notes = choose(where, tracks, person, votes if capture.masks and not labels else None)
-    if labels:
-        drawn = (mask for _, mask in footage.raw_masks(capture.masks))
-        where = str(footage.folder_of(capture.masks))
-        label = label_under(where, track, drawn, labels, body.joints)
-        capture = replace(capture, meaning=replace(meaning, label=label))
-        notes.append(f"masks are labels, of which {label} lies under the person's joints")
-    return capture, track, notes
 
 
 def _write_pictures(

@@ -123,7 +123,7 @@ INSIDE[10:40, 20:40] = 1
 NONE = {
     "labels of others": (
         INSIDE[:, ::-1] + 2 * INSIDE[::-1] * (1 - INSIDE[:, ::-1]) * (1 - INSIDE),
-        "none holds most joints of person 0: 0 (",
+        "masks of labels 0-2, and nothing says which is",
     ),
     "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "the greatest value is 110;"),
     "empty": (INSIDE * 0, "no pixel of any mask is above half, the greatest value is 0"),

@@ -153,10 +153,7 @@ def test_varying_betas_become_their_median(read, walk):
     betas[:, 0] += np.array([0, 0, 0, 0, 9, 0, 0])  # one frame that the estimator got wrong
     found = read(poses=rotations, trans=transl, betas=betas, fps=30)
     assert np.allclose(found.shape.betas, np.linspace(0, 1, 10))
-    assert any("betas differ by up to 3.1 from frame to frame; their median" in n
-               for n in found.notes)  # fmt: skip
-    even = read(poses=rotations, trans=transl, betas=betas[:4], fps=30)
-    assert not any("betas" in note for note in even.notes)
+    assert any("betas differ by up to 3.1 from frame to frame; their" in n for n in found.notes)
 
 
 POSES = {"poses": np.zeros((2, 72)), "fps": 30}
@@ -243,8 +240,6 @@ def test_a_tilted_world_is_said_from_20_degrees_on(read, walk, degrees):
     said = [note for note in found.notes if "leans" in note]
     assert len(said) == (degrees > 20)
     assert all(re.search("leans 3[678] degrees from that axis; --up takes", x) for x in said)
-    other = read(MotionOptions(fps=30, up="z"), poses=rotations, trans=transl, fps=30)
-    assert "z up" in other.notes[0] and re.search("leans 5[234]|7[456] deg", str(other.notes))
 
 
 def test_a_forms_own_axis_counts_also_for_who_lies(read, walk):

@@ -129,14 +129,6 @@ def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
         find_body("x", {"first": named, "second": named})
 
 
-def test_a_place_in_other_units_is_doubted(tmp_path, motion):
-    path = np.outer(np.arange(T), [40.0, 0, 0])  # 4 cm a frame, in millimetres
-    for scale, doubts in ((0.001, 0), (1, 1)):
-        np.savez(tmp_path / "m.npz", **motion[1], trans=scale * path, fps=30)
-        notes = read_motion(tmp_path / "m.npz", TargetBody.read(None), MotionOptions(fps=30)).notes
-        assert sum("doubtful: the pelvis goes 1200 m in a second" in n for n in notes) == doubts
-
-
 def test_what_is_not_used_is_named_and_a_missing_place_is_said(motion):
     _, named = motion
     more = {"dmpls": np.zeros((T, 8)), "markers": np.zeros((T, 41, 3)), "K": np.eye(3),

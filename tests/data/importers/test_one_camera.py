@@ -73,24 +73,16 @@ def straightened(K):
     return K[0, 0] * bent_x + K[0, 2] - 0.5, K[1, 1] * bent_y + K[1, 2] - 0.5
 
 
-def test_pictures_masks_and_normals_become_those_of_a_pinhole(tmp_path, thetas, world, prepared):
-    """Also normals that are arrays: they become pictures."""
+def test_pictures_and_masks_become_those_of_a_pinhole(tmp_path, thetas, world, prepared):
     distorted = {"D": D[:, None], "images": [ramp()] * FRAMES}
-    source, maps = filmed.zju(tmp_path / "x", thetas, world[1], **distorted), tmp_path / "maps"
-    for k in range(FRAMES):
-        write_image(maps / f"{k}.png", ramp())
-    (maps / "2.png").unlink()
-    np.save(maps / "2.npy", ramp() / np.float32(127.5) - 1)
-    folder, said = prepared(source, "--normals", maps, "--normals-convention", "perspective")
-    assert "normals of 5 frames from maps" in said
+    folder, _ = prepared(filmed.zju(tmp_path / "x", thetas, world[1], **distorted))
     u, v = straightened(filmed.K)
     assert max(np.abs(u - np.arange(WIDTH)).max(), np.abs(v.T - np.arange(HEIGHT)).max()) > 1
     seen = (u > 0) & (v > 0) & (u < WIDTH - 1) & (v < HEIGHT - 1)
     assert seen.mean() > 0.7
-    for name in ("frames/000002.png", "normals/000001.png", "normals/000002.png"):
-        found = read_image(folder / name, 3).astype(float)
-        assert np.abs(found[..., 0] - (3 * u + 20))[seen].max() <= 1
-        assert np.abs(found[..., 1] - (4 * v + 10))[seen].max() <= 1
+    found = read_image(folder / "frames/000002.png", 3).astype(float)
+    assert np.abs(found[..., 0] - (3 * u + 20))[seen].max() <= 1
+    assert np.abs(found[..., 1] - (4 * v + 10))[seen].max() <= 1
     video = load_video(folder)
     inside = (u > 19.5) & (u < 39.5) & (v > 9.5) & (v < 39.5)
     assert ((video[2].mask > 0.5) != inside).mean() < 0.01

@@ -13,6 +13,8 @@ import pytest
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
+from gva_mi.data.film import write_film
+from gva_mi.data.video import load_video
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
 from gva_mi.synthetic import SynthOptions, make_subject
@@ -152,26 +154,17 @@ def prepared(request, tmp_path_factory, subject, video, built_in_body):
         return folder
     (folder / "made").mkdir()
     (folder / "made/synth.json").write_text("{}")
-    (folder / "made/frames.txt").write_text("of another subject")
-    bare = SynthOptions(frames=2, size=32, samples=4, bare=True, novel_poses=0, novel_views=0)
-    make_subject(folder / "like", bare, built_in_body)
-    _refined_before(folder / "like", folder / "refined")
-    frames = len(video)
-    np.savez(
-        folder / "estimate.npz", global_orient=np.tile([np.pi, 0, 0], (frames, 1)),
-        body_pose=np.zeros((frames, 63)), transl=np.tile([0, 0.2, 3.5], (frames, 1)),
-        betas=np.zeros((1, 10)), focal=np.array(60.0),
-    )  # fmt: skip
+    shutil.copytree(folder / "subject", folder / "refined")  # as if with other results
+    for name, main in ABOUT.items():
+        shutil.copy(folder / "refined/poses.npz", folder / "refined" / main)
+        (folder / "refined" / name).write_text('{"test_frames": "held out", "figures": {}}')
+    few = {"frames": 5, "size": 192, "samples": 4, "novel_poses": 0, "novel_views": 0}
+    bare = SynthOptions(seed=151, bare=True, **few)
+    make_subject(folder / "taken", bare, built_in_body)
+    frames = load_video(folder / "taken").frames()
+    images = [np.round(255 * frame.image).astype(np.uint8) for frame in frames]
+    write_film(folder / "film.mp4", images, fps=10, way="playable")
     return folder
-
-
-def _refined_before(subject, refined):
-    """Copy a subject, as if it had been refined and tracked with other results."""
-    shutil.copytree(subject, refined)
-    for main in set(ABOUT.values()):
-        shutil.copy(subject / "poses.npz", refined / main)
-    for name in ABOUT:
-        (refined / name).write_text('{"test_frames": "held out", "figures": []}')
 
 
 @pytest.fixture

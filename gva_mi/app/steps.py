@@ -32,9 +32,6 @@ from gva_mi.fit.photometric import (
     TRACKED_POSES,
     PhotometricOptions,
     fit_poses,
-    known_poses,
-    lines_of,
-    measure_tracking,
     write_tracking,
 )
 from gva_mi.fit.train import fit as fit_avatar
@@ -259,18 +256,15 @@ def track(
             say(f"{run}: was fitted to another video (other {others}); its poses are not used")
         else:
             start, video = own, load_video(subject, own)
-    known = known_poses(video, model)
     with folder_lock(subject, "gva-mi track"):
         require_room(out, overwrite)
         with bar("track") as progress:
             found = fit_poses(avatar, video, options, progress=progress)
-        tracking = measure_tracking(video, model, found, known)
         sources = {"start": start, "avatar": run}
-        write_tracking(video, found, tracking, options, offsets, sources)
+        write_tracking(video, found, options, offsets, sources)
     for frame, reason in found.kept.items():
         say(f"{subject}: frame {frame} keeps its pose: {reason}")
-    for line in lines_of(tracking):
-        say(line)
+    say(f"loss {found.losses_before.nanmean():.4f} → {found.losses.nanmean():.4f}")
     say(f"poses: {out}")
     return found.pose
 

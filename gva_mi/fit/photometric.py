@@ -37,24 +37,24 @@ are as good, and take half the time or less. A long video is cut into overlappin
 Tracking writes two files into the subject's folder::
 
     poses_photometric.npz   poses of all frames, and the displaced surface's offsets
-    photometric.json        figures, errors, frames that keep their pose, options, versions
+    photometric.json        losses, frames that keep their pose, options, versions
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose, Shape, load_poses, save_poses
-from gva_mi.body.smplx import BodyModel, Rest
+from gva_mi.body.pose import Pose, save_poses
+from gva_mi.body.smplx import Rest
 from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_torch_thread
@@ -62,8 +62,6 @@ from gva_mi.core.options import Metres, PythonOnly, Turn, Weight, Within, option
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.data.crop import NoEvidence, gather, person_extent
-from gva_mi.data.folder import POSES
-from gva_mi.data.ground_truth import GroundTruth, truth_of
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Frame, Video
@@ -71,7 +69,6 @@ from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
 from gva_mi.fit.renders import DRAWN
 from gva_mi.pose.clips import cut, join
-from gva_mi.pose.errors import means, pose_errors
 from gva_mi.pose.optimize import (
     DescentOptions,
     Learn,
@@ -348,53 +345,11 @@ def _losses(
 
 
 TRACKED_POSES, TRACKING = "poses_photometric.npz", "photometric.json"
-REGIONS = {"vertices": "body", "hands": "hands", "feet": "feet", "aligned": "body_aligned"}
-
-
-def known_poses(video: Video, body: BodyModel) -> tuple[GroundTruth, tuple[Pose, Shape]] | None:
-    """Return ground truth and stage-1 poses of a video, before the work; None without truth."""
-    truth = truth_of(video, body)
-    return None if truth is None else (truth, load_poses(video.folder / POSES, len(video)))
-
-
-def measure_tracking(
-    video: Video,
-    body: BodyModel,
-    found: FittedPoses,
-    known: tuple[GroundTruth, tuple[Pose, Shape]] | None,
-) -> dict[str, Any]:
-    """Compare tracked poses with the initial ones of the video, and with ground truth if known.
-
-    Returns:
-        ``figures``: mean losses and seconds; ``errors_mm``: mean errors by stage and region.
-    """
-    stages: dict[str, tuple[Pose, Shape]] = {}
-    if known is not None:
-        truth, stage_1 = known
-        start, tracked = ((pose, video.shape) for pose in (video.pose, found.pose))
-        stages = {"stage 1": stage_1, "start": start, "tracked": tracked}
-    figures = {
-        "loss_start": float(found.losses_before.nanmean()),
-        "loss": float(found.losses.nanmean()),
-        "seconds_per_frame": found.seconds_per_frame,
-    }
-    errors = {k: means(pose_errors(body, poses, truth)) for k, poses in stages.items()}
-    return {"figures": figures, "errors_mm": errors}
-
-
-def lines_of(tracking: dict[str, Any]) -> Iterator[str]:
-    """Yield the main figures of :func:`measure_tracking`, one per line."""
-    figures, errors = tracking["figures"], tracking["errors_mm"]
-    for name, region in REGIONS.items() if errors else ():
-        lengths = (f"{stage} {mm[region]:.1f}" for stage, mm in errors.items())
-        yield f"{name:<11} {' → '.join(lengths)} mm"
-    yield f"loss        {figures['loss_start']:.4f} → {figures['loss']:.4f}"
 
 
 def write_tracking(
     video: Video,
     found: FittedPoses,
-    tracking: dict[str, Any],
     options: PhotometricOptions,
     offsets: Tensor | None,
     sources: dict[str, Path],
@@ -404,17 +359,15 @@ def write_tracking(
     ``offsets`` (V, 3) displace the rest surface that goes with the poses, metres; ``sources`` are
     the files used: ``start``, the initial poses, and ``avatar``.
     """
-    record = tracking | {
+    record = {
+        "loss_start": float(found.losses_before.nanmean()),
+        "loss": float(found.losses.nanmean()),
+        "seconds_per_frame": found.seconds_per_frame,
         "kept": found.kept,
         **{name: str(path) for name, path in sources.items()},
         "options": asdict(options),
     }
     with atomic_files(video.folder / TRACKED_POSES, TRACKING) as unfinished:
-        save_poses(
-            unfinished / TRACKED_POSES,
-            found.pose,
-            video.shape,
-            stage=2,
-            offsets=offsets,
-        )
+        path = unfinished / TRACKED_POSES
+        save_poses(path, found.pose, video.shape, stage=2, offsets=offsets)
         write_record(unfinished / TRACKING, record)

@@ -36,9 +36,3 @@ def test_an_empty_ball_rests_on_every_triangle_from_outside():
     centres = corners[:, 0] + across + height * mesh.face_normals
     nearest = cKDTree(points).query(centres)[0]
     assert nearest == pytest.approx(np.full(len(nearest), ALPHA), abs=1e-9)
-
-
-def test_a_hollow_shell_has_one_closed_surface_around_it():
-    mesh = as_trimesh(alpha_shape(shell(), ALPHA, smoothing=0))
-    assert mesh.is_watertight and mesh.body_count == 1
-    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.3**3, rel=0.04)

@@ -10,7 +10,6 @@ from gva_mi.avatar.canonical import (
     CanonicalGaussians,
     SeedOptions,
     seed_on_surface,
-    spread_over_faces,
 )
 from gva_mi.avatar.rig import Skin
 from gva_mi.mesh.surface import vertex_normals
@@ -38,17 +37,6 @@ def test_seeds_lie_on_the_surface(body, count):
     G = seed(body, count=count)
     assert len(G) == count
     assert distance_to_planes(G.means.detach(), body).max() < 1e-5
-
-
-def test_points_on_faces_follow_area(body):
-    count = 4 * len(body.faces)
-    chosen, barycentric = spread_over_faces(body.v_template, body.faces, count)
-    a, b, c = body.v_template[body.faces].unbind(1)
-    area = torch.linalg.cross(b - a, c - a).norm(dim=-1)
-    expected = count * area / area.sum()
-    assert (torch.bincount(chosen, minlength=len(area)) - expected).abs().max() <= 1 + 1e-3
-    assert barycentric.min() >= 0
-    assert torch.allclose(barycentric.sum(1), torch.ones(count))
 
 
 def test_discs_lie_flat_in_the_surface(body):

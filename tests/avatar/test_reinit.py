@@ -10,10 +10,8 @@ from scipy.spatial import cKDTree
 
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions
-from gva_mi.avatar.reinit import ReinitOptions, SurfaceMesh, reinitialise, wanted_density
-from gva_mi.avatar.rig import Rig
+from gva_mi.avatar.reinit import ReinitOptions, reinitialise
 from gva_mi.body.pose import JOINTS, Shape
-from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
 from gva_mi.splat.kernels.sh import C0
 
@@ -128,23 +126,6 @@ def test_fingers_follow_the_body(plain_body):
     on_finger = G.weights[:, 30].numpy() > 0.5
     assert on_finger.any() and np.percentile(distance[on_finger], 80) < 0.01
     assert np.median(distance[~on_finger]) > 0.045
-
-
-def test_a_face_gets_more_points_and_the_rest_of_the_head_does_not():
-    rig = Rig.of(load_body(), Shape(torch.zeros(10)))
-    surface = SurfaceMesh(rig.vertices.double().numpy(), rig.faces.numpy())
-    usual, more = (
-        wanted_density(surface, rig, ReinitOptions(face_gain=gain)) for gain in (0.0, 5.0)
-    )
-    head = rig.weights[:, JOINTS.index("head")].numpy() > 0.5
-    eyes = rig.weights[:, [JOINTS.index(f"{s}_eye_smplhf") for s in ("left", "right")]].numpy()
-    behind = surface.vertices[:, 2] < rig.joints[JOINTS.index("head"), 2].item()
-    assert more[eyes.sum(1) > 0.5] == pytest.approx(6 * usual[eyes.sum(1) > 0.5])
-    assert (head & behind).any() and (more == usual)[head & behind].all()
-    share = (more > usual).mean()  # of the vertices, which are denser in a face
-    assert 0.02 < share < 0.2
-    hands = np.abs(surface.vertices[:, 0]) > 0.5
-    assert hands.any() and (more == usual)[hands].all()
 
 
 def test_too_few_opaque_gaussians_are_refused(plain_body):

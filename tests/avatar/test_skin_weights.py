@@ -68,16 +68,6 @@ def test_weights_on_a_sheet_between_two_legs_are_blended():
     assert np.allclose(share, 1 - share[:, ::-1], atol=1e-2)  # left and right are alike
 
 
-def test_weights_do_not_jump_between_vertices():
-    vertices, faces = sheet()
-    skin = diffused(vertices, faces, legs(), torch.zeros(80))
-    x = torch.linspace(-0.15, 0.15, 3001)
-    points = torch.stack([x, torch.full_like(x, 0.123), torch.full_like(x, 0.004)], dim=1)
-    along = skin.bind(points).weights
-    assert (along[1:, LEFT] - along[:-1, LEFT]).abs().max() < 2e-3  # 0.1 mm apart
-    assert 0.4 < along[1500, LEFT] < 0.6
-
-
 def test_blend_shapes_are_those_of_the_vertex_beneath(body):
     """A hat on a ball: it takes the blend shapes of the vertices beneath."""
     directions = torch.zeros(642, 3, 2)

@@ -8,7 +8,6 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.fit.photometric import PhotometricOptions, PictureAndMask
-from gva_mi.splat import render
 
 BOTH = PhotometricOptions(alpha=0.5, ssim=0.1)
 PICTURE = PhotometricOptions(alpha=0.0, ssim=0.0)
@@ -46,21 +45,6 @@ def test_the_right_pose_has_the_smallest_loss(change, known, frame, seen):
     with torch.no_grad():
         wrong = seen.loss(known, moved(frame.pose, **change), BOTH)
         assert seen.loss(known, frame.pose, BOTH) < wrong
-
-
-def test_a_cut_frame_shows_the_same_from_the_same_camera(known, frame, seen):
-    top, left = (
-        round(a - b)
-        for a, b in ((frame.camera.cy, seen.camera.cy), (frame.camera.cx, seen.camera.cx))
-    )
-    height, width = seen.mask.shape
-    assert height < frame.mask.shape[0] or width < frame.mask.shape[1]
-    part = slice(top, top + height), slice(left, left + width)
-    assert frame.mask.sum() == pytest.approx(float(frame.mask[part].sum()))
-    np.testing.assert_array_equal(seen.picture, np.round(frame.image[part] * 255))
-    with torch.no_grad():
-        whole, cut = (render(known(frame.pose), c).color for c in (frame.camera, seen.camera))
-    torch.testing.assert_close(cut, whole[part], rtol=0, atol=1e-4)
 
 
 def test_outlines_do_not_follow_the_mask(known, frame, points, seen):

@@ -154,11 +154,3 @@ def test_a_resumed_training_ends_with_the_same_bits(turning, known, camera):
     assert torch.equal(resumed.all().expression, whole.all().expression)
     assert torch.equal(resumed.all().rotations, whole.all().rotations)
     assert torch.equal(resumed.all().transl, whole.all().transl)
-
-
-def test_a_long_video_is_trained_in_parts(truth, known, camera):
-    options = PoseOptions(every=3, part=5)
-    poses = trained_to(truth, off(truth, lasting()), known, camera, options, until=40)
-    assert len(poses.state()) == 2 and len(poses.all()) == FRAMES
-    for k in range(FRAMES):
-        torch.testing.assert_close(poses(k).transl, poses.all().transl[k : k + 1])

@@ -9,8 +9,6 @@ import torch
 from gva_mi.data.backdrop import behind, unsure
 from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
-from gva_mi.fit.options import FitOptions, Rates
-from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import (
     FrameSampler,
     box_of_gaussians,
@@ -102,19 +100,6 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
     gap = background[row, 14 + 5 * k : 16 + 5 * k]
     stripe_is_known = np.abs(gap - stripe).max() < 0.02
     assert stripe_is_known == still
-
-
-def test_options_for_a_film_keep_what_was_chosen():
-    usual = FitOptions(steps=9).of_film()
-    chosen = FitOptions(
-        steps=9, first_steps=2, mask_error=0.02, still_camera=True, complete=True,
-        rates=Rates(sh_decay=0.1), loss=LossOptions(alpha=0.3), poses=PoseOptions(wrists=False),
-    )  # fmt: skip
-    assert usual.complete and not usual.poses.wrists
-    assert (usual.first_steps, usual.mask_error, usual.still_camera) == (4, 0.003, True)
-    assert (usual.rates.sh_decay, usual.loss.alpha) == (0.01, 0.05)
-    assert chosen.of_film() == chosen
-    assert FitOptions(poses=PoseOptions(trained=False)).of_film().first_steps == 0
 
 
 def everywhere(camera):

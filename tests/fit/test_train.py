@@ -17,7 +17,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
+from gva_mi.fit.samples import RandomStream, torch_state
 from gva_mi.fit.train import fit, make_adam
 from gva_mi.study.evaluate import evaluate
 
@@ -236,21 +236,3 @@ def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp
     assert same(fit(video, body, options, tmp_path / "killed", resume=True), whole)
     (found,) = run_folder.load_snapshots(tmp_path / "whole")
     assert found.step == STEPS // 2 and len(found.before) > 0 and len(found.after) > 0
-
-
-def test_no_gaussian_is_finer_than_the_pictures(video, body, camera, tmp_path):
-    """Its pixel, at the distance of the nearest training frame, is one divided by the focal length
-    in metres for each metre of distance."""
-    to_the_end = replace(OPTIONS.schedule, densify_every=STEPS, densify_until=1.0)
-    splits = replace(OPTIONS.densify, grad_threshold=0.0, split_scale=1e-6)
-    options = replace(OPTIONS, min_scale=0.7, schedule=to_the_end, densify=splits)
-    rig = seed_of(body, video, options).rig
-    pixel = smallest_pixel(video, rig)
-    pelvis = (rig.joints[0] + video.pose.transl[video.splits.train]).numpy()
-    depth = [
-        float(c.T_camera_world[2, :3] @ x + c.T_camera_world[2, 3])
-        for c, x in zip([video.cameras[k] for k in video.splits.train], pelvis, strict=True)
-    ]
-    assert pixel == pytest.approx(min(depth) / camera.fx)
-    scales = fit(video, body, options, tmp_path / "run").canonical.scales
-    assert scales.min().item() == pytest.approx(0.7 * pixel)

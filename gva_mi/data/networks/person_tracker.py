@@ -11,7 +11,7 @@ people, so those who are known are painted over. It misses people who fill less 
 it sees, so parts of the picture are searched, too. A detected person is one if the body network
 agrees twice: on the picture and on its mirror image.
 
-Of several people, the one is followed who is near the last place, of the same size, in the same
+Of several people, the one is followed who is near the expected place, of the same size, in the same
 colours between shoulders and hips. While that person is hidden, nobody is found.
 """
 
@@ -46,9 +46,9 @@ _GREY, _AROUND = 128, 0.1  # what is painted over; of the radius: around the lan
 _SURROUNDINGS = 5.0  # of the radius: side of the square in which the person is searched
 
 _BINS = 4  # of each colour channel
-_MEMORY = 0.9  # share of the colours that stays in each picture
-# Of the radius: what a person hardly moves from one picture to the next, and in each picture
-# without a sight.
+_MEMORY, _STEADY = 0.9, 0.7  # shares of the colours and of the speed that stay in each picture
+# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
+# and in each picture without a sight.
 _STEP, _DRIFT = 1.0, 0.3
 _LEAST = -0.5  # least resemblance to the person
 _DOUBTFUL = 0.42  # overlap of colours: less is another person, if several are around
@@ -149,6 +149,7 @@ class PersonTracker:
         self._body: SeenBody | None = None  # when the person was last seen
         self._colours = np.zeros(_BINS**3)  # of the person's torso, of sum 1
         self._unseen = 0  # pictures since then
+        self._speed = np.zeros(2)  # pixels a picture
         self._number = -1
         self.crowded: list[int] = []  # pictures in which several people were seen
         self.lost: list[int] = []  # pictures in which the person was not found
@@ -157,6 +158,11 @@ class PersonTracker:
     def begun(self) -> bool:
         """Whether the person was chosen."""
         return self._body is not None
+
+    @property
+    def _expected(self) -> np.ndarray:
+        """Where the hips (2,) are now, if the person has gone on, pixels."""
+        return self._body.hips + self._unseen * self._speed
 
     @property
     def _several(self) -> bool:
@@ -184,8 +190,8 @@ class PersonTracker:
         due = self._number % _EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
         if self.begun and not seen:
-            last = tuple(self._body.hips.tolist())
-            squares.append(TurnedSquare(last, _SURROUNDINGS * self._body.radius))
+            middle = tuple(self._expected.tolist())
+            squares.append(TurnedSquare(middle, _SURROUNDINGS * self._body.radius))
         just_lost = self.begun and self._unseen < _EVERY
         if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
             squares += squares_over(image, min(image.shape[:2]))
@@ -223,8 +229,10 @@ class PersonTracker:
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
         if best.presence < FOUND:
             return None
-        if self.begun and _is_same(best, self._body):
-            return best
+        if self.begun:
+            off = np.linalg.norm(best.hips - self._expected) / self._body.radius
+            if off < _SAME:
+                return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
         return best if mirrored.presence >= FOUND and off < _AGREE else None
@@ -251,13 +259,15 @@ class PersonTracker:
             likeness = float(np.minimum(self._colours, colours).sum())
             if self._several and likeness < _DOUBTFUL:
                 continue
-            moved = np.linalg.norm(body.hips - last.hips) / last.radius
+            moved = np.linalg.norm(body.hips - self._expected) / last.radius
             grown = abs(np.log(body.radius / last.radius))
             resemblance = likeness - float(moved + grown) / (_STEP + _DRIFT * self._unseen)
             if resemblance > least:
                 least, found = resemblance, (body, colours)
         if found is None:
             return None
+        moved = (found[0].hips - last.hips) / self._unseen
+        self._speed = _STEADY * self._speed + (1 - _STEADY) * moved
         self._body, self._unseen = found[0], 0
         self._colours = _MEMORY * self._colours + (1 - _MEMORY) * found[1]
         return self._body

@@ -11,8 +11,7 @@ mask alone says little: a person who has left the picture has an empty one, and 
 of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
 
 Few whole numbers that never come near the unit are labels, and so are those beside a border of 255,
-which is nobody's. The only label beside 0 is the person's; of several, the one under the person's
-joints: :func:`gva_mi.data.importers.people.label_under`.
+which is nobody's. The only label beside 0 is the person's; several are refused.
 """
 
 from __future__ import annotations
@@ -71,20 +70,15 @@ class MaskMeaning:
     """What the values of a video's masks mean."""
 
     full: int = 255  # the value that is fully inside: 1, 255 or 65535
-    labels: tuple[int, ...] = ()  # of which the masks are drawings; empty: shares of ``full``
-    label: int | None = None  # the person's
+    label: int | None = None  # the person's, the only one beside 0
+    labels: tuple[int, ...] = ()  # several, of which nothing says whose they are
     parts: bool = False  # labels are parts of the person: whatever is not zero is inside
-
-    @property
-    def people(self) -> tuple[int, ...]:
-        """Labels of which one has to be the person's."""
-        return () if self.parts or self.label is not None else self.labels
 
     def inside(self, where: str, mask: np.ndarray) -> np.ndarray:
         """Convert a mask (H, W) to 8 bits, 255 inside."""
         if self.parts:
             return (mask > 0) * np.uint8(255)
-        if self.people:
+        if self.labels:
             raise InputError(
                 f"{where}: masks of labels {listed(self.labels)}, and nothing says which is the "
                 "person; save (label == the person's) * 255"
@@ -121,8 +115,9 @@ def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
     if full == 1 or found is None:
         return MaskMeaning(full)
     labels = tuple(sorted(found))
-    people = tuple(x for x in labels if x) if 0 in labels and len(labels) == 2 else labels
-    return MaskMeaning(255, labels, people[0] if len(people) == 1 else None)
+    if 0 in labels and len(labels) == 2:
+        return MaskMeaning(label=labels[1])
+    return MaskMeaning(label=labels[0]) if len(labels) == 1 else MaskMeaning(labels=labels)
 
 
 def _drop_border(counts: dict[int, int]) -> bool:

@@ -27,7 +27,6 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
-from gva_mi.pose.prior.frame_matrices import FrameMatrices
 from gva_mi.pose.prior.ground import Ground, Soles
 from gva_mi.pose.prior.inference import (
     JOINTS,
@@ -57,9 +56,9 @@ class Corrections:
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
         spread = torch.zeros(joints, n, n)  # the face stays
-        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS]).M
-        spread[JOINTS] = prior.joints.spread(own[:, JOINTS]).M
-        self._spread = FrameMatrices.of(spread)
+        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS])
+        spread[JOINTS] = prior.joints.spread(own[:, JOINTS])
+        self._spread = spread
         self._spread_moves = prior.place.spread(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
         self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
@@ -92,7 +91,7 @@ class Corrections:
     @torch.no_grad()
     def found(self) -> tuple[Tensor, Tensor]:
         """Return the current ``A δ`` (n, J, 3) and ``τ`` (n, 3), in the camera's axes."""
-        return self._at(range(len(self.moves)))
+        return self._at(slice(None))
 
     @torch.no_grad()
     def centre(self) -> None:
@@ -123,14 +122,14 @@ class Corrections:
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Return eq. 1 for some of the n frames by index, differentiable in the leaves."""
-        return self._stage1.corrected(which, *self._at(which))
+        return self._stage1.corrected(which, *self._at(list(which)))
 
     def energy(self, distance_shown: bool = False) -> Tensor:
         """Return the corrections' prior energy in nats, a mean over the frames.
 
         ``distance_shown``: whether the evidence shows how far away the person stands.
         """
-        turns, moves = self._at(range(len(self.moves)))
+        turns, moves = self._at(slice(None))
         own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
         places = moves[..., None]
@@ -154,7 +153,7 @@ class Corrections:
         images determine such a tilt no better than one, so the errors' size is a prior in every
         frame. Its weight is how far the person turns: 1 for a full turn, 0 for none.
         """
-        mean = self._at(range(len(self.moves)))[0][:, JOINTS].mean(0)
+        mean = self._at(slice(None))[0][:, JOINTS].mean(0)
         variance = self.prior.joints.variance_of_mean(bias=True)
         return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
 
@@ -174,11 +173,10 @@ class Corrections:
             nats = nats + (shift.square() / variance).sum() / 2
         return nats
 
-    def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
+    def _at(self, which: list[int] | slice) -> tuple[Tensor, Tensor]:
         """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
-        which = list(which)
-        turns = self._spread.product(self.turns[..., 0].transpose(0, 1), which).transpose(0, 1)
-        moves = self._spread_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
+        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
+        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
 

@@ -72,11 +72,7 @@ def with_height(
     """Return T poses and a shape of a known height, in metres, at the same place in the images.
 
     Rotations stay as they are, distances follow eq. 3.
-
-    Raises:
-        InputError: no person has that height.
     """
-    PERSON_HEIGHTS.require("with_height()", "height", height)
     stature = Stature.of(body)
     taller = stature.nearest(shape, height)
     factor = height / float(stature.height(shape))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import Shape
 from gva_mi.data.video import Outline
 from gva_mi.pose import evidence
 from gva_mi.pose.evidence import (
@@ -16,7 +16,6 @@ from gva_mi.pose.evidence import (
     close_up_scale,
     close_ups,
     frame_loss,
-    mean_of_losses,
     parts_of,
 )
 from gva_mi.pose.refine import refine
@@ -47,20 +46,6 @@ def seen(scene, fine, vertices, true_pose):
     return MaskAndNormals.of(outline, 1 / 3, vertices), FinePicture.of(outline, 1, vertices)
 
 
-@pytest.fixture(scope="module")
-def close_up_loss(scene, seen, body):
-    """The loss of the close-ups alone."""
-    (person, picture), parts = seen, dict.fromkeys(parts_of(body), 1.0)
-
-    def loss(vertices):
-        closer = close_ups(picture, parts, vertices.detach(), person)
-        views = [(0.0, person), *closer]
-        of_parts = lambda bodies: [frame_loss(scene, bodies[0], views, 1.0, True)]
-        return mean_of_losses(vertices[None], of_parts)
-
-    return loss
-
-
 def test_a_close_up_contains_its_part_and_a_border(body, seen, vertices):
     (person, picture), parts = seen, dict.fromkeys(parts_of(body), 1.0)
     closer = close_ups(picture, parts, vertices, person)
@@ -77,27 +62,6 @@ def test_a_close_up_contains_its_part_and_a_border(body, seen, vertices):
         assert view.mask.shape == view.normals.shape[:2] == (view.camera.height, view.camera.width)
         covered = float(view.mask.sum())  # with a piece of the arm or the leg
         assert 0.3 * view.area < covered < 4 * view.area
-
-
-def test_an_error_of_a_wrist_weighs_several_times_more(
-    body, scene, seen, vertices, true_pose, close_up_loss
-):
-    rotations = true_pose[1].rotations.clone()
-    rotations[:, JOINTS.index("left_wrist"), 1] += 0.5
-    moved = Pose(rotations, true_pose[1].transl, true_pose[1].expression)
-    bent = body(moved, SHAPE).vertices[0].detach()
-    whole = [frame_loss(scene, x, [(1.0, seen[0])], 1.0, False)[0] for x in (vertices, bent)]
-    closer = [float(close_up_loss(x)) for x in (vertices, bent)]
-    assert closer[0] < 0.2 * closer[1]
-    assert closer[1] - closer[0] > 4 * (whole[1] - whole[0])
-
-
-def test_the_gradient_points_uphill(vertices, close_up_loss):
-    x = (vertices + torch.tensor([0.013, 0.008, 0.0])).requires_grad_()
-    (grad,) = torch.autograd.grad(close_up_loss(x), x)
-    assert bool(grad.isfinite().all()) and float(grad.norm()) > 0
-    downhill = x.detach() - 0.003 * grad.sum(0) / grad.sum(0).norm()
-    assert float(close_up_loss(downhill)) < float(close_up_loss(x.detach()))
 
 
 def test_a_hand_that_a_films_mask_misses_hardly_pulls(body, scene, seen, vertices):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.surface import CoarseBody
-from gva_mi.pose.evidence import MaskAndNormals, parts_of
+from gva_mi.pose.evidence import parts_of
 from gva_mi.pose.sequence import SequenceOptions
 
 FACES = SequenceOptions.faces
@@ -31,24 +30,6 @@ def test_it_is_closed(coarse):
     directed = {tuple(edge) for edge in edges.tolist()}
     assert len(directed) == len(edges)
     assert {(b, a) for a, b in directed} == directed
-
-
-def test_it_looks_the_same(coarse, body, clip):
-    """Within 2 % of the loss of an image that shows another pose."""
-    outline = next(clip.outlines([1]))
-    whole = body(clip.pose[0:1], clip.shape).vertices[0]
-    seen, losses = MaskAndNormals.of(outline, 1, whole), []
-    for model in (body, coarse.body):
-        vertices = model(clip.pose[0:1], clip.shape).vertices[0]
-        image = MeshScene(model.faces, vertices).render(vertices, seen.camera)
-        losses.append(float(seen.loss(image, silhouette=1.0)))
-    assert losses[1] == pytest.approx(losses[0], rel=0.02)
-
-
-def test_a_small_body_stays_as_it_is(body):
-    whole = CoarseBody(body, len(body.faces))
-    offsets = torch.ones_like(body.v_template)
-    assert whole.body is body and whole.spread(offsets) is offsets
 
 
 def test_a_displacement_is_extended_smoothly(coarse, body):

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-import torch
 
-from gva_mi.data.crop import Box, Extent, NoEvidence, ScaledCrop, person_extent
+from gva_mi.data.crop import Box, NoEvidence, ScaledCrop, person_extent
 from gva_mi.splat import Camera, look_at
 
 CAMERA = Camera(100, 100, 50, 40, look_at((0, 0, 5), (0, 0, 0)), 100, 80)
@@ -39,17 +38,6 @@ def test_the_box_contains_mask_points_and_margin_and_ends_with_the_image():
     assert edges(box_around(*wide)) == (0, 0, 100, 80)
 
 
-def test_the_cropped_camera_sees_the_cropped_image():
-    points = at((41, 31), (66, 47))
-    box = box_around(MASK, points, 0.2)
-    picture = np.random.default_rng(0).random((80, 100, 3))
-    camera = box.cut_camera(CAMERA)
-    assert box.cut(picture).shape[:2] == (camera.height, camera.width)
-    moved = CAMERA.project(points) - camera.project(points)
-    np.testing.assert_allclose(moved, [[box.left, box.top]] * 2, atol=1e-9)
-    assert box.cut(picture)[0, 0, 0] == picture[box.top, box.left, 0]
-
-
 @pytest.mark.parametrize(
     ("mask", "points", "sentence"),
     [
@@ -78,21 +66,3 @@ def test_pixels_count_by_the_part_that_a_coarser_one_covers(times, ratio):
     means = finer.reshape(box.height, ratio, box.width, ratio, 3).mean((1, 3))
     found = coarser(picture, ScaledCrop(times / ratio, box))
     np.testing.assert_allclose(found, means, atol=1e-12)
-
-
-def test_a_shrunken_mask_is_the_mask_of_the_shrunken_camera(body, scene):
-    """The mean outlines of the two differ by less than a tenth of a pixel."""
-    up = (0.3, 1, 0)  # so that no outline runs along the pixels
-    fine = Camera(400, 420, 250.4, 260.2, look_at((0.2, 0.1, 3), (0, -0.1, 0), up), 480, 520)
-    extent = Extent(np.array([120.0, 40]), np.array([380.0, 500]))
-    crop = ScaledCrop.around(extent, fine, 0.37, 0.1)
-    with torch.no_grad():
-        shrunk = coarser(scene.render(body.v_template, fine)[..., 3].numpy(), crop)
-        seen = scene.render(body.v_template, crop.cut_camera(fine))[..., 3]
-    assert seen.shape == shrunk.shape
-    outline = float((shrunk[:, 1:] - shrunk[:, :-1]).abs().sum())  # pixels, by its height
-    assert abs(float((seen - shrunk).sum())) / outline < 0.1  # it is not wider,
-    for axis in (0, 1):  # and it is not moved
-        place = torch.arange(shrunk.shape[axis])
-        means = [(x.sum(1 - axis) * place).sum() / x.sum() for x in (seen, shrunk)]
-        assert abs(float(means[0] - means[1])) < 0.1

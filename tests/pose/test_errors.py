@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gva_mi.body.body_file import BUILT_IN_BODY
-from gva_mi.body.pose import JOINTS, LEFT_HAND, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.data.ground_truth import GroundTruth
 from gva_mi.pose.errors import means, pose_errors
@@ -53,15 +53,6 @@ def test_a_shift_is_an_error_but_not_pelvis_aligned(body, truth):
         assert errors[name].max() < 1e-3, name
 
 
-def test_a_turned_wrist_is_no_finger_error(body, truth):
-    errors = pose_errors(body, (turned(truth.pose, "left_wrist", (0.0, 0.5, 0.3)), SHAPE), truth)
-    assert errors["hands"].min() > 10 and errors["hands_aligned"].min() > 10
-    assert (
-        errors["fingers"].max() < 0.005 * errors["hands"].min()
-    )  # but for skin that bends with it
-    assert errors["feet"].max() == 0 and errors["joints"].max() < 1e-4
-
-
 def test_a_bent_finger_is_the_same_error_wherever_the_arm_is(body, truth):
     rotations = truth.pose.rotations.clone()
     rotations[:, LEFT_HAND, 2] += 0.4
@@ -80,18 +71,6 @@ def test_depth_is_positive_if_a_limb_is_too_far_away(body, truth, camera):
         errors = pose_errors(body, (moved(truth.pose, vector), SHAPE), truth)
         for name in depths:
             torch.testing.assert_close(errors[name], torch.full((3,), mm), atol=1e-3, rtol=0)
-
-
-def test_opposite_depths_of_both_sides_cancel(body, camera):
-    """Arms stretched sideways, the whole person turned about the pelvis: one near, one far."""
-    rest = Pose.rest(1)
-    facing = replace(camera, T_camera_world=np.diag([1.0, -1, -1, 1]))
-    truth = GroundTruth(body, rest, SHAPE, [facing])
-    leaning = pose_errors(body, (turned(rest, "pelvis", (0, 0.2, 0)), SHAPE), truth)
-    assert leaning["wrists_depth"].abs() < 0.2 * leaning["hands"]
-    both = turned(turned(rest, "left_hip", (-0.2, 0, 0)), "right_hip", (-0.2, 0, 0))
-    kicked = pose_errors(body, (both, SHAPE), truth)
-    assert kicked["ankles_depth"] < -0.5 * kicked["feet"]  # both legs toward the camera
 
 
 def test_a_foreign_body_is_compared_by_its_joints(body, giant, truth):

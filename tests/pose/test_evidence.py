@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.data.crop import NoEvidence, mask_extent, points_extent
@@ -44,15 +45,6 @@ def test_the_crop_contains_the_person_and_its_camera_agrees(cut, frame, points):
     assert (seen.camera.height, seen.camera.width) == (rows, columns)
     part = frame.mask[top : top + rows, left : left + columns]
     np.testing.assert_array_equal(seen.mask.numpy(), part)
-
-
-def test_losses_vanish_at_the_target_and_do_not_depend_on_its_size(cut, frame, points):
-    for scale in (1, 0.5, 0.37):
-        seen = cut(frame, scale, points)
-        assert float(seen.silhouette_loss(shown(seen))) == 0
-        assert float(seen.normal_loss(shown(seen))) == 0
-        nothing = torch.zeros_like(shown(seen))
-        assert float(seen.silhouette_loss(nothing)) == pytest.approx(1, abs=1e-5)
 
 
 def test_normals_are_compared_where_they_are_known(cut, frame, points):
@@ -115,26 +107,10 @@ def blurred(mask, width):
     return torch.nn.functional.conv2d(mask[None, None], kernel, padding=width // 2)[0, 0]
 
 
-def ball(rings=24):
+def ball():
     """A sphere of radius 0.5: vertices (V, 3) and triangles (F, 3), closed and without seams."""
-    polar, around = torch.meshgrid(
-        torch.pi * torch.arange(1, rings) / rings,
-        2 * torch.pi * torch.arange(2 * rings) / (2 * rings),
-        indexing="ij",
-    )
-    places = [polar.sin() * around.cos(), polar.cos(), polar.sin() * around.sin()]
-    vertices = torch.stack(places, -1).view(-1, 3)
-    vertices = 0.5 * torch.cat([vertices, torch.tensor([[0.0, 1, 0], [0.0, -1, 0]])])
-    here = torch.arange(2 * rings)
-    there, top = (here + 1) % (2 * rings), torch.full_like(here, len(vertices) - 2)
-    faces = [torch.stack([here, top, there], 1)]
-    for a in range(0, 2 * rings * (rings - 2), 2 * rings):
-        b = a + 2 * rings
-        faces += [torch.stack([a + here, a + there, b + here], 1)]
-        faces += [torch.stack([a + there, b + there, b + here], 1)]
-    last = 2 * rings * (rings - 2)
-    faces += [torch.stack([last + here, last + there, top + 1], 1)]
-    return vertices, torch.cat(faces)
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
+    return torch.tensor(sphere.vertices).float(), torch.tensor(sphere.faces)
 
 
 def fractions_of_the_slope(soften, between):

@@ -6,10 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.pose.prior.error_model import GROUPS, Stage1ErrorModel
-from gva_mi.pose.prior.ground import ContactStats, Ground, Soles
-from gva_mi.pose.prior.inference import AXES
-from gva_mi.study.refinement import describe_prior
+from gva_mi.pose.prior.ground import Ground, Soles
 from gva_mi.synthetic.motion import perform, times
 
 MEAN = Shape(torch.zeros(10))
@@ -122,22 +119,3 @@ def test_rotating_the_world_changes_nothing(soles, moving, turn):
     other = Pose(rotations, (pelvis + pose.transl) @ R.T - pelvis, pose.expression)
     ground = under(soles, other, CAMERA @ R.T)
     assert nats(soles, other, ground) == pytest.approx(nats(soles, pose), abs=2e-3)
-
-
-def test_on_stairs_the_term_is_weak(soles, moving):
-    pose = moving("walk")
-    up = 0.17 * torch.arange(FRAMES).div(6, rounding_mode="floor")[:, None]
-    climbing = Pose(pose.rotations, pose.transl + up * torch.tensor([0, 1.0, 0]), pose.expression)
-    held = []
-    for p in (pose, climbing):
-        ground = under(soles, p)
-        held += [nats(soles, turned(p, "left_ankle", 0, 5.0), ground) - nats(soles, p, ground)]
-    assert held[0] > 5 * abs(held[1])
-
-
-def test_the_user_is_told_what_was_inferred():
-    assert not list(describe_prior({}, ContactStats(0.004, 0.6, 0.05)))
-    noise = {name: Stage1ErrorModel(0.01, 0.02, 6.0) for name in (*GROUPS, *AXES)}
-    assert len(list(describe_prior(noise, None))) == 2
-    *_, ground = describe_prior(noise, ContactStats(spread=0.0072, share=0.613, lift=0.05))
-    assert ground == "ground      soles stand 61% of the time, within 7 mm of one plane"

@@ -9,12 +9,9 @@ from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.optimize import descend, worse_frames
 from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.stage1 import Stage1, turns_between
 
 ARMS = torch.full((55,), 0.3)
 ELBOW = JOINTS.index("left_elbow")
-HIP = JOINTS.index("left_hip")
-FRAMES = 24
 FREE = SequenceOptions(
     prior_weight=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
 )  # nothing but the evidence counts
@@ -77,18 +74,6 @@ def test_a_pass_visits_every_frame_once_in_an_order_of_the_seed(camera):
     assert calls[:9] == [(step, 9) for step in range(1, 10)]
 
 
-@pytest.mark.parametrize("frames", [[], [0, 2]])
-def test_with_frames_replaces_the_given_frames(frames):
-    start = Pose.rest(3)
-    found = Pose(torch.ones(3, 55, 3), torch.ones(3, 3), torch.ones(3, 10))
-    mixed = start.with_frames(frames, found[frames])
-    for k in range(3):
-        source = found if k in frames else start
-        assert torch.equal(mixed.rotations[k], source.rotations[k])
-        assert torch.equal(mixed.transl[k], source.transl[k])
-        assert torch.equal(mixed.expression[k], source.expression[k])
-
-
 def test_a_loss_that_grew_or_is_nan_is_worse():
     before, after = torch.tensor([1.0, 1.0, 1.0, 2.0]), torch.tensor([1.0, 1.5, torch.nan, 1.0])
     assert worse_frames([0, 1, 2, 3], before, after) == {
@@ -142,40 +127,3 @@ def test_start_poses_that_agree_better_than_the_map_estimate_are_kept(camera):
     smooth = right * 0  # the jumps are errors
     assert torch.equal(first(smooth, try_uncorrected=True), first(smooth))
     assert away(first(smooth), smooth) < away(start.transl, smooth)
-
-
-class TiltedLeg(Places):
-    """Evidence that wants a swinging leg tilted toward the camera in every frame."""
-
-    def __init__(self, camera, known):
-        super().__init__(camera, range(FRAMES))
-        self.surface_known, self.seen = known, []
-        phase = 2 * torch.pi * torch.arange(FRAMES) / FRAMES
-        self.start = Pose.rest(FRAMES)
-        self.start.rotations[:, 0] = 0
-        self.start.rotations[:, 0, 1] = phase
-        self.start.rotations[:, HIP, 0] = 0.4 * (3 * phase).sin()
-        tilt = torch.zeros(FRAMES, len(JOINTS), 3)
-        tilt[:, HIP, 0] = 0.2
-        self.tilt = Stage1.of(self.start, range(FRAMES), camera).in_joints(tilt)[:, HIP]
-
-    def loss(self, frames, pose):
-        turned = turns_between(self.start.rotations[list(frames), HIP], pose.rotations[:, HIP])
-        tilt = self.tilt[list(frames)]
-        self.seen.append(float((turned.detach() * tilt).sum(1).mean() / 0.2**2))
-        return (turned - tilt).square().sum(1).mean()
-
-
-def test_constant_turns_wait_while_the_clothes_are_unknown(camera):
-    """If a person turns round, a leg tilted from every side may be a skirt."""
-    options = replace(FREE, prior_weight=1e-2, passes=40, learn=20, batch=4)
-    half = options.learn // 2 * FRAMES // options.batch  # of the learning passes' steps
-
-    def tilts(known):
-        """How far after the first half, and after the second; 1: as far as the evidence wants."""
-        evidence = TiltedLeg(camera, known)
-        descend(evidence, evidence.start, ARMS, options)
-        return [sum(evidence.seen[end - 6 : end]) / 6 for end in (half, 2 * half)]
-
-    waits, then = tilts(False)
-    assert waits < 0.5 < 0.9 < min(tilts(True)[0], then)

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from gva_mi.pose.prior.error_model import Stage1ErrorModel
-from gva_mi.pose.prior.frame_matrices import FrameMatrices
 from gva_mi.pose.prior.inference import updated_process
 from gva_mi.pose.prior.process import ProcessPrior
 
@@ -29,11 +28,6 @@ def estimate(y, white, steady=False):
 
 def rms(x):
     return float(x.square().mean().sqrt())
-
-
-def test_a_joint_at_rest_stays_at_rest():
-    found, _ = estimate(noisy(torch.zeros(N, 4, 3), 0.1), 0.1)
-    assert rms(found.diff(dim=0)) < 0.01
 
 
 def test_a_fast_motion_survives():
@@ -86,7 +80,7 @@ def test_the_map_estimate_minimises_the_energy():
         return torch.autograd.grad(process.energy(precision, leaf, leaf), leaf)[0]
 
     P = process.precision()
-    of_motion = slope(corrections, FrameMatrices.of(0 * P.M)).norm()
+    of_motion = slope(corrections, 0 * P).norm()
     assert slope(corrections, P).norm() < 1e-2 * of_motion
     assert slope(0.9 * corrections, P).norm() > 0.05 * of_motion
 

@@ -2,7 +2,7 @@
 
 1. Every joint is near a relaxed pose, arms down and fingers half bent, within ``SPREAD``.
 2. Hinges bend about one axis and within a range (:mod:`gva_mi.pose.prior.anatomy`). The constant
-   offsets of their angles are unknowns of the film, ``habits``.
+   offsets of their angles are unknowns of the film, ``angle_offsets``.
 3. Landmarks' constant offsets are near zero, and nearly those of the other side, mirrored. Betas
    are near the mean person's of the given height, or of an average one, which they keep.
 4. Up is where the lines of the room say (:mod:`gva_mi.pose.film.upright`); without any, a
@@ -79,7 +79,7 @@ def relaxed_pose(anatomy: Anatomy) -> Tensor:
     return relaxed
 
 
-def habits_of(anatomy: Anatomy, joints: Sequence[int]) -> list[int]:
+def angles_of(anatomy: Anatomy, joints: Sequence[int]) -> list[int]:
     """Return the angles of an anatomy that only some joints form."""
     others = [j for j in range(len(JOINTS)) if j not in joints or j == 0]
     return [q for q, row in enumerate(anatomy.A) if not bool(row[others].any())]
@@ -124,15 +124,15 @@ class BodyPrior:
             (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
         )
 
-        angles = habits_of(self.anatomy, self.free.joints)
+        angles = angles_of(self.anatomy, self.free.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
         by_frame, by_shared = some(len(A)), state.place.new_zeros(len(A), shared)
         by_frame[:, first:] = A
-        if self.free.habits:
-            by_shared[:, self.free.first_of_habits :] = -torch.eye(len(A))
+        if self.free.angle_offsets:
+            by_shared[:, self.free.first_of_angle_offsets :] = -torch.eye(len(A))
         varying = torch.tensor([self.anatomy.freedoms[q].varying for q in angles]).double()
         weights = torch.deg2rad(varying) ** -2 / memory
-        yield Rows(r.flatten(1) @ A.T - state.habits[angles], weights, by_frame, by_shared)
+        yield Rows(r.flatten(1) @ A.T - state.angle_offsets[angles], weights, by_frame, by_shared)
 
         mine = self.anatomy.bends[:, joints].flatten(1).any(1)
         bends = self.anatomy.bends[mine][:, joints].double().flatten(1)
@@ -152,8 +152,8 @@ class SharedPrior:
     Attributes:
         free: the unknowns.
         names: P landmarks.
-        loose: (P,) standard deviation of their offsets, metres.
-        always: (Q,) of habits, radians.
+        offset_spread: (P,) standard deviation of their offsets, metres.
+        always: (Q,) of angle_offsets, radians.
         betas: (B,) the mean person of the given height.
         stature: of the body.
         height: of the person, metres.
@@ -164,7 +164,7 @@ class SharedPrior:
 
     free: Free
     names: Sequence[str]
-    loose: Tensor
+    offset_spread: Tensor
     always: Tensor
     betas: Tensor
     stature: Stature
@@ -186,14 +186,14 @@ class SharedPrior:
             known = CAMERA_ANYWHERE if self.camera_height is None else CAMERA_KNOWN
             found += [state.focal[None], state.up - up, above]
             spread += [state.up.new_tensor([self.focal, *deviations, known])]
-        offsets, habits = list(self.free.offsets), list(self.free.habits)
-        found += [(self._sides() @ state.offsets[offsets].flatten()), state.habits[habits]]
-        likely = self.loose[offsets].double()
+        offsets, angles = list(self.free.offsets), list(self.free.angle_offsets)
+        found += [self._sides() @ state.offsets[offsets].flatten(), state.angle_offsets[angles]]
+        likely = self.offset_spread[offsets].double()
         at = {self.names[p]: k for k, p in enumerate(offsets)}
         for name, k in at.items():
             if "right" in name and _left(name) in at:
                 likely[k] = UNLIKE * likely[k]
-        spread += [likely.repeat_interleave(3), self.always[habits]]
+        spread += [likely.repeat_interleave(3), self.always[angles]]
         return torch.cat(found), torch.cat(spread)
 
     def _up(self, state: FilmState) -> tuple[Tensor, Sequence[float]]:
@@ -245,7 +245,7 @@ class SharedPrior:
             return
         apart, spread = self.parts(state)
         turn = torch.eye(len(apart), dtype=apart.dtype)
-        some = slice(self.free.first_of_offsets, self.free.first_of_habits)
+        some = slice(self.free.first_of_offsets, self.free.first_of_angle_offsets)
         turn[some, some] = self._sides()
         if self.free.camera and self.lines is not None:
             focal = self.free.first_of_camera

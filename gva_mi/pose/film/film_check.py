@@ -1,21 +1,13 @@
 """What a video does not show, or shows badly, and how to film it better.
 
 An avatar knows only what its video shows. These findings compare the video with what a good one
-has: a person seen from all sides, from head to feet, large, sharp and in enough light, with both
+has: a person seen from all sides, from head to feet, large and in enough light, with both
 hands, alone, before a camera that stands still.
-
-Sharpness is measured by blurring again, as of Crete et al., "The blur effect" (2007): a Gaussian
-blur G takes away most gradients of a sharp picture I, and few of a picture that is blurred already,
-
-    1. b = max over x and y of  Σ |∂ (G I)|² / Σ |∂ I|²       over the person's pixels
-
-so that b depends little on what is in the picture. The larger of both directions shows the motion
-blur of a hand or of the camera.
 
 The camera's motion from the first picture to another is the shift that makes their backgrounds most
 alike, by phase correlation of the luma ``I`` and ``I'`` without the person:
 
-    2. s = argmax of  F⁻¹( F(I)* F(I') / |F(I)* F(I')| )
+    1. s = argmax of  F⁻¹( F(I)* F(I') / |F(I)* F(I')| )
 """
 
 from __future__ import annotations
@@ -41,12 +33,10 @@ OFTEN = 0.1  # share of the frames in which something is wrong
 FEWEST, SHORTEST = 40, 2.0  # frames, seconds
 SMALL = 250  # pixels of a person's height
 DARK = 0.25  # luma of the brighter parts of a person
-BLURRED = 0.85  # eq. 1: as by a Gaussian of 1.7 pixels
-SHOWN = 24  # pictures whose light, sharpness and background are measured
-TALL = 400  # pixels: taller people are measured at about this height, so fine detail is no matter
+SHOWN = 24  # pictures whose light and background are measured
 WIDE = 240  # pixels, width at which the camera's motion is measured
 MOVES = 0.008  # share of the picture's width
-ALIKE = 0.1  # least peak of eq. 2, which is 1 for equal pictures; of noise it is 0.03
+ALIKE = 0.1  # least peak of eq. 1, which is 1 for equal pictures; of noise it is 0.03
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _SIDES = {0: "front", 90: "left side", 180: "back", 270: "right side"}  # degrees to the left
 
@@ -154,12 +144,11 @@ def _hands(landmarks: Landmarks) -> Iterator[Problem]:
 
 
 def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) -> Iterator[Problem]:
-    """Find dark and blurred pictures, and a camera that moves."""
-    light, blur, backgrounds = [], {}, []
+    """Find dark pictures, and a camera that moves."""
+    light, backgrounds = [], []
     for done, frame in enumerate(video.frames(frames), 1):
         luma = frame.image @ LUMA
         light.append(np.quantile(luma[frame.mask > 0.5], 0.9))
-        blur[frame.index] = _blur(luma, frame.mask)
         backgrounds.append(_background(luma, frame.mask))
         if progress:
             progress(done, len(frames))
@@ -169,15 +158,6 @@ def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) ->
             f"the brighter parts of the person have {np.median(light):.0%} of white",
             "too little light, or a bright background",
             "film by daylight or with all lamps on, not against a window",
-        )
-    blurred = [k for k, b in blur.items() if b > BLURRED]
-    if len(blurred) > OFTEN * len(frames):
-        yield doubt(
-            "blurred",
-            f"{len(blurred)} of {len(frames)} frames that were looked at",
-            "fast motion in little light, or the wrong distance in focus",
-            "move slowly, in more light; tap on the person so that the phone keeps its focus",
-            blurred,
         )
     moved = max((_shift(backgrounds[0], other) for other in backgrounds[1:]), default=0.0)
     if moved > MOVES:
@@ -216,22 +196,6 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
         )
 
 
-def _blur(luma: np.ndarray, mask: np.ndarray) -> float:
-    """Return eq. 1 of a person in a picture (H, W); 0 if there are too few pixels."""
-    from scipy.ndimage import gaussian_filter
-
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    times = max(1, len(rows) // TALL)
-    luma, mask = _shrunk(luma[box], times), _shrunk(mask[box], times)
-    again, found = gaussian_filter(luma, 1.0), []
-    for axis in (0, 1):
-        inside = np.minimum(*(np.delete(mask, k, axis) for k in (0, -1))) > 0.9
-        before, after = (np.square(np.diff(x, axis=axis))[inside].sum() for x in (luma, again))
-        found.append(after / before if before > 0 else 0.0)
-    return float(max(found))
-
-
 def _background(luma: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the fine structure of a background (h, w), about :data:`WIDE` pixels wide.
 
@@ -245,7 +209,7 @@ def _background(luma: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def _shift(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the length of eq. 2, a share of the picture's width; 0 for unlike backgrounds."""
+    """Return the length of eq. 1, a share of the picture's width; 0 for unlike backgrounds."""
     product = np.fft.rfft2(one).conj() * np.fft.rfft2(other)
     alike = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), one.shape)
     if alike.max() < ALIKE:

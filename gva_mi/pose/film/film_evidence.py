@@ -10,9 +10,9 @@ of their standard deviations (:mod:`gva_mi.pose.film.landmark_noise`), a frame c
 5. ``min_s t_2(off_balance / σ_b, s / σ_s)``                     the body's mass is above the feet
 
 divided by ``m``, the frames that count as one
-(:func:`gva_mi.pose.film.landmark_noise.frames_alike`). ``S`` is the aspect of that noise, ``off``
-and ``s`` are those of :class:`gva_mi.pose.film.upright.Leaning`, ``t_d`` is that of Student's t
-distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
+(:func:`gva_mi.pose.film.landmark_noise.correlated_frames`). ``S`` is the aspect of that noise,
+``off`` and ``s`` are those of :class:`gva_mi.pose.film.upright.Leaning`, ``t_d`` is that of
+Student's t distribution in d dimensions, ``(ν + d)/2 log(1 + |r|²/ν)``, and ``p`` that of eq. 2 of
 :mod:`gva_mi.pose.prior.ground`.
 
 To start with, landmarks in metres take the place of (1) and (2), because 3D points leave no doubt

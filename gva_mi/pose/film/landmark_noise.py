@@ -3,13 +3,14 @@
 In the picture a landmark is off by a share of the person's size, because networks see people scaled
 to one size. The spread between passes adds to it, and a low confidence widens it:
 
-1. ``σ² = ((share · S)² + spread²) / confidence² + astray²``,   ``S``: pixels of a person of 1.7 m
+1. ``σ² = ((share · S)² + spread²) / confidence² + hand_offset²``
+   with ``S`` pixels for a person of 1.7 m
 
 A hand is found by a tracker that may stay where the hand was, or jump to another one, without
 saying so. Of the two wrists, that of the hand and that of the body, then the body's is right: on
 rendered people a hand errs by as much as its wrist is away from the body's, and the body's wrist by
 no more than usual. So this distance, beyond what the body's wrist may be off, is the hand's
-``astray``, of its points and of their depths; it is zero for other points.
+``hand_offset``, of its points and of their depths; it is zero for other points.
 
 A knee may be taken for a point higher or lower on the leg, but hardly for one beside the leg: on
 rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
@@ -139,15 +140,15 @@ class LandmarkNoise:
         sizes = person_sizes(landmarks)
         share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
-        astray = _astray(landmarks, names, sizes / PERSON)
+        hand_offset = _hand_offsets(landmarks, names, sizes / PERSON)
         square = square / np.clip(confidence, LEAST_CONFIDENCE, 1) ** 2
-        pixels = np.sqrt(square + (astray * sizes[:, None] / PERSON) ** 2)
+        pixels = np.sqrt(square + (hand_offset * sizes[:, None] / PERSON) ** 2)
         pixels = np.where(found, pixels, np.inf)
         known = list(_bones(names))
         bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
         has_depth = found & np.isfinite(landmarks.metric[:, at]).all(2)
         both = has_depth[:, bones].all(2)
-        sigma = np.hypot([bone.sigma for _, bone in known], astray[:, bones].max(2))
+        sigma = np.hypot([bone.sigma for _, bone in known], hand_offset[:, bones].max(2))
         depth = np.where(both, sigma, np.inf)
         tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
         return LandmarkNoise(
@@ -175,8 +176,8 @@ def _aspect(x: np.ndarray, sigma: np.ndarray, names: Sequence[str]) -> np.ndarra
     return aspect
 
 
-def _astray(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray) -> np.ndarray:
-    """Return ``astray`` (T, P) of eq. 1, metres; ``metre`` (T,) is in pixels."""
+def _hand_offsets(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray) -> np.ndarray:
+    """Return ``hand_offset`` (T, P) of eq. 1, metres; ``metre`` (T,) is in pixels."""
     found, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
     for side in ("left", "right"):
         pair = f"{side}_wrist", f"{side}_hand_wrist"
@@ -214,7 +215,7 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
     return np.where(usable, sizes, np.median(sizes[usable]))
 
 
-def frames_alike(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:
+def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:
     """Return eq. 4, by the landmarks of the body: how many frames (T,) count as one.
 
     Frames are ``dt`` seconds apart. ``hand``, left or right: by those of that hand instead.

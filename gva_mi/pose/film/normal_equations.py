@@ -39,7 +39,7 @@ class FilmState:
         up: (2,) the world's upward direction is that of ``(up_0, -1, up_1)``.
         floor: () height of the camera above the floor, metres.
         offsets: (P, 3) constant offsets of the landmarks, metres.
-        habits: (Q,) constant offsets of the angles that anatomy holds at zero, radians.
+        angle_offsets: (Q,) constant offsets of the angles that anatomy holds at zero, radians.
     """
 
     rotations: Tensor
@@ -49,7 +49,7 @@ class FilmState:
     up: Tensor
     floor: Tensor
     offsets: Tensor
-    habits: Tensor
+    angle_offsets: Tensor
 
     def upward(self) -> tuple[Tensor, Tensor]:
         """Return the unit vector upward (3,), and its derivative (3, 2) by ``up``."""
@@ -70,14 +70,14 @@ class Free:
         betas: number of them.
         camera: whether focal length, upward direction and floor are unknown.
         offsets: landmarks whose offsets are unknown.
-        habits: angles whose offsets are unknown.
+        angle_offsets: angles whose offsets are unknown.
     """
 
     joints: Sequence[int]
     betas: int = 0
     camera: bool = False
     offsets: Sequence[int] = ()
-    habits: Sequence[int] = ()
+    angle_offsets: Sequence[int] = ()
 
     @property
     def travels(self) -> bool:
@@ -91,7 +91,7 @@ class Free:
     @property
     def shared(self) -> int:
         """S."""
-        return self.betas + 4 * self.camera + 3 * len(self.offsets) + len(self.habits)
+        return self.betas + 4 * self.camera + 3 * len(self.offsets) + len(self.angle_offsets)
 
     @property
     def first_of_camera(self) -> int:
@@ -103,7 +103,7 @@ class Free:
         return self.first_of_camera + 4 * self.camera
 
     @property
-    def first_of_habits(self) -> int:
+    def first_of_angle_offsets(self) -> int:
         return self.first_of_offsets + 3 * len(self.offsets)
 
     def moved(self, state: FilmState, step: Tensor, shared: Tensor) -> FilmState:
@@ -116,13 +116,13 @@ class Free:
             rotations[:, list(self.joints[1:])] += turns[:, 1:]
         else:
             rotations[:, list(self.joints)] += turns
-        camera, habits = self.first_of_camera, self.first_of_habits
-        betas, moved, held = state.betas.clone(), state.offsets.clone(), state.habits.clone()
+        camera, angle_offsets = self.first_of_camera, self.first_of_angle_offsets
+        betas, moved, held = state.betas.clone(), state.offsets.clone(), state.angle_offsets.clone()
         betas[: self.betas] += shared[: self.betas]
-        moved[list(self.offsets)] += shared[self.first_of_offsets : habits].view(-1, 3)
-        held[list(self.habits)] += shared[habits:]
+        moved[list(self.offsets)] += shared[self.first_of_offsets : angle_offsets].view(-1, 3)
+        held[list(self.angle_offsets)] += shared[angle_offsets:]
         found = replace(
-            state, rotations=rotations, place=place, betas=betas, offsets=moved, habits=held
+            state, rotations=rotations, place=place, betas=betas, offsets=moved, angle_offsets=held
         )
         if not self.camera:
             return found

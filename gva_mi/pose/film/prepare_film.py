@@ -39,7 +39,7 @@ from gva_mi.data.networks.watch import WatchedFilm, watch_film
 from gva_mi.data.pictures import in_8_bits, read_image, write_image
 from gva_mi.data.splits import Splits
 from gva_mi.pose.film.face import with_face
-from gva_mi.pose.film.solver import CAMERA_HEIGHTS, KnownOfFilm, SolvedFilm, solve_film
+from gva_mi.pose.film.solver import KnownOfFilm, SolvedFilm, solve_film
 from gva_mi.pose.film.upright import vertical_of
 from gva_mi.pose.stature import PERSON_HEIGHTS
 from gva_mi.pose.swaps import with_backs
@@ -63,7 +63,7 @@ class FilmSource:
     # and so are all distances.
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
-    camera_height: Annotated[float, CAMERA_HEIGHTS] | None = None
+    camera_height: Annotated[float, Within(0.05, 20, unit="metres")] | None = None
     # Where the used part of the film starts, and where it ends; None: with the film.
     start: PythonOnly[Annotated[float, Within(0, 86_400, unit="seconds")]] = 0.0
     end: PythonOnly[Annotated[float, Within(0, 86_400, "low", "seconds")] | None] = None

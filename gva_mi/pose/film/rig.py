@@ -6,7 +6,8 @@ a joint or a vertex of the body and linear in the shape, and the transform of it
 1. ``y_p = T_world_rest[joint(p)] (x_p(β) + o_p)``.
 
 People who label pictures mark a hip, a shoulder or a knuckle a few centimetres off the joint of a
-body model. ``o_p`` is that difference: constant in a film, with the standard deviation ``loose_p``.
+body model. ``o_p`` is that difference: constant in a film, with the standard deviation
+``spread_p``.
 
 As evidence of stage 2 they compare where the body's points lie in the picture:
 
@@ -64,8 +65,8 @@ _FACE = {
     "nose": (0.0, -0.65), "eye_inner": (0.28, 0.0), "eye": (0.5, 0.0), "eye_outer": (0.75, 0.0),
     "mouth": (0.4, -1.15),
 }  # fmt: skip
-_FACE_LOOSE, _EAR_LOOSE, _FOOT_LOOSE = 0.015, 0.030, 0.015  # metres
-_KNUCKLE_LOOSE, _TIP_LOOSE = 0.006, 0.005
+_FACE_SPREAD, _EAR_SPREAD, _FOOT_SPREAD = 0.015, 0.030, 0.015  # metres
+_KNUCKLE_SPREAD, _TIP_SPREAD = 0.006, 0.005
 _FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 # Bones by which two skeletons' sizes are compared.
 _LONG = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -86,21 +87,21 @@ class LandmarkRig:
         joints: (P,) the joint that each moves with, an index of ``JOINTS``.
         rest: (P, 3) metres, in the T-pose of the mean person.
         directions: (B, P, 3) metres, what one standard deviation of each beta adds.
-        loose: (P,) standard deviation of the constant offset's coordinates, metres.
+        offset_spread: (P,) standard deviation of the constant offset's coordinates, metres.
     """
 
     names: tuple[str, ...]
     joints: Tensor
     rest: Tensor
     directions: Tensor
-    loose: Tensor
+    offset_spread: Tensor
 
     @staticmethod
     def of(body: BodyModel, names: Sequence[str]) -> LandmarkRig:
         """Find landmarks on a body; ``names`` that are not known are left out."""
         points = dict(_points(body))
         known = tuple(name for name in names if name in points)
-        joints, vertices, loose = zip(*(points[name] for name in known), strict=True)
+        joints, vertices, offset_spread = zip(*(points[name] for name in known), strict=True)
         at = torch.tensor([max(v, 0) for v in vertices])
         of_surface = torch.tensor([v >= 0 for v in vertices])[:, None]
         joints = torch.tensor(joints)
@@ -114,7 +115,7 @@ class LandmarkRig:
             joints,
             torch.where(of_surface, body.v_template[at], body.j_template[joints]) + marked,
             torch.where(of_surface, moves, joint_moves),
-            torch.tensor(loose).to(body.v_template),
+            torch.tensor(offset_spread).to(body.v_template),
         )
 
     def at_rest(self, betas: Tensor) -> Tensor:
@@ -248,7 +249,7 @@ class SeenLandmarks:
 
     def energy(self, offsets: Tensor) -> Tensor:
         """Return eq. 4 of offsets (P, 3), nats."""
-        return (offsets / self.rig.loose[:, None]).square().sum() / 2
+        return (offsets / self.rig.offset_spread[:, None]).square().sum() / 2
 
 
 def _heads(
@@ -285,25 +286,25 @@ def _without_side(name: str) -> str:
 
 
 def _points(body: BodyModel) -> Iterator[tuple[str, tuple[int, int, float]]]:
-    """Yield names with the joint, the vertex or -1 for the joint itself, and ``loose``."""
-    for name, (vertex, loose) in _face(body).items():
-        yield name, (JOINTS.index("head"), vertex, loose)
+    """Yield names with the joint, the vertex or -1 for the joint itself, and ``offset_spread``."""
+    for name, (vertex, offset_spread) in _face(body).items():
+        yield name, (JOINTS.index("head"), vertex, offset_spread)
     for side in SIDES:
-        for name, (joint, loose) in _JOINTS.items():
-            yield f"{side}_{name}", (JOINTS.index(f"{side}_{joint}"), -1, loose)
+        for name, (joint, offset_spread) in _JOINTS.items():
+            yield f"{side}_{name}", (JOINTS.index(f"{side}_{joint}"), -1, offset_spread)
         yield from _foot(body, side)
         names = iter(hand_names(side)[1:])
         for finger in _FINGERS:
             for k in (1, 2, 3):
-                yield next(names), (JOINTS.index(f"{side}_{finger}{k}"), -1, _KNUCKLE_LOOSE)
+                yield next(names), (JOINTS.index(f"{side}_{finger}{k}"), -1, _KNUCKLE_SPREAD)
             bone = [JOINTS.index(f"{side}_{finger}{k}") for k in (2, 3)]
             along = body.j_template[bone[1]] - body.j_template[bone[0]]
             own = body.weights[:, bone[1]] > 0.5
-            yield next(names), (bone[1], _farthest(own, body.v_template @ along), _TIP_LOOSE)
+            yield next(names), (bone[1], _farthest(own, body.v_template @ along), _TIP_SPREAD)
 
 
 def _face(body: BodyModel) -> dict[str, tuple[int, float]]:
-    """Return the vertex and ``loose`` of every landmark of the face."""
+    """Return the vertex and ``offset_spread`` of every landmark of the face."""
     v, at = body.v_template, {name: body.j_template[k] for k, name in enumerate(JOINTS)}
     eyes = [at[f"{side}_eye_smplhf"] for side in SIDES]
     middle, wide = (eyes[0] + eyes[1]) / 2, (eyes[0] - eyes[1]).norm()
@@ -316,13 +317,13 @@ def _face(body: BodyModel) -> dict[str, tuple[int, float]]:
             beside = v - (middle * v.new_tensor([1, 1, 0]) + at["head"] * v.new_tensor([0, 0, 1]))
             beside = beside + v.new_tensor([0, 0.3, 0]) * wide
             near = (own > 0.5) & (beside[:, 1:].abs() < 0.8 * wide).all(1)
-            found[name] = _farthest(near, sign * v[:, 0]), _EAR_LOOSE
+            found[name] = _farthest(near, sign * v[:, 0]), _EAR_SPREAD
             continue
         x, y = _FACE[_without_side(name)]
         goal = middle[:2] + wide * v.new_tensor([sign * x, y])
         apart = (v[:, :2] - goal).norm(dim=1)
         # Of the points in front, the nearest; of equally near ones, the one farther in front.
-        found[name] = _farthest(front, 0.2 * v[:, 2] - apart), _FACE_LOOSE
+        found[name] = _farthest(front, 0.2 * v[:, 2] - apart), _FACE_SPREAD
     return found
 
 
@@ -332,8 +333,8 @@ def _foot(body: BodyModel, side: str) -> Iterator[tuple[str, tuple[int, int, flo
     ankle, ball = (JOINTS.index(f"{side}_{name}") for name in ("ankle", "foot"))
     low = (body.j_template[ankle, 1] + v[:, 1].min()) / 2
     sole = (body.weights[:, [ankle, ball]].sum(1) > 0.6) & (v[:, 1] < low)
-    yield f"{side}_heel", (ankle, _farthest(sole, -v[:, 2]), _FOOT_LOOSE)
-    yield f"{side}_foot_index", (ball, _farthest(sole, v[:, 2]), _FOOT_LOOSE)
+    yield f"{side}_heel", (ankle, _farthest(sole, -v[:, 2]), _FOOT_SPREAD)
+    yield f"{side}_foot_index", (ball, _farthest(sole, v[:, 2]), _FOOT_SPREAD)
 
 
 def _farthest(which: Tensor, score: Tensor) -> int:

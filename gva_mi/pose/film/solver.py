@@ -27,8 +27,6 @@ from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.core.errors import InputError
-from gva_mi.core.options import Within
 from gva_mi.data.importers.lens import centred, in_pixels
 from gva_mi.data.landmarks import Landmarks
 from gva_mi.pose.film.arm_depths import with_arm_depths
@@ -38,19 +36,18 @@ from gva_mi.pose.film.body_prior import (
     BodyPrior,
     SharedPrior,
     Smoothness,
-    habits_of,
+    angles_of,
     relaxed_pose,
 )
 from gva_mi.pose.film.film_evidence import FilmEvidence, film_evidence
-from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, frames_alike, person_sizes
+from gva_mi.pose.film.landmark_noise import PERSON, LandmarkNoise, correlated_frames, person_sizes
 from gva_mi.pose.film.normal_equations import FRAMES_AT_ONCE, FilmState, Free, NormalEquations
 from gva_mi.pose.film.rig import LandmarkRig
 from gva_mi.pose.film.upright import Vertical
 from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.stature import PERSON_HEIGHTS, Stature
+from gva_mi.pose.stature import Stature
 from gva_mi.splat import Camera
 
-CAMERA_HEIGHTS = Within(0.05, 20, unit="metres")  # above the floor
 LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
 FOCAL_KNOWN = 1e-4  # of its logarithm
 START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # steps, at most
@@ -94,13 +91,6 @@ class KnownOfFilm:
     lines: Vertical | None = None
     camera_height: float | None = None
 
-    def __post_init__(self) -> None:
-        for name, range_ in (("height", PERSON_HEIGHTS), ("camera_height", CAMERA_HEIGHTS)):
-            if getattr(self, name) is not None:
-                range_.require("a film", name, getattr(self, name))
-        if self.focal is not None and not (np.isfinite(self.focal) and self.focal > 0):
-            raise InputError(f"a film: focal must be positive, got {self.focal}")
-
     def K(self, size: tuple[int, int]) -> np.ndarray:
         """Return the camera to start from, for pictures of a width and height, pixels."""
         return centred(self.focal or in_pixels(LENS, size), size)
@@ -125,10 +115,8 @@ def solve_film(
         progress: called as ``progress(done, total)``.
 
     Raises:
-        InputError: no frame has a person, or a number is out of range.
+        InputError: no frame has a person.
     """
-    if not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"solve_film(): fps must be positive, got {fps}")
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
         film = _Film.of(landmarks, body, size, fps, known)
@@ -247,9 +235,10 @@ class _Film:
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
         up = zero(2)
         floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT)
-        habits = zero(len(self.anatomy.freedoms))
+        angle_offsets = zero(len(self.anatomy.freedoms))
         offsets = zero(len(self.rig.names), 3)
-        return FilmState(rotations, place, shape.betas.double(), zero(), up, floor, offsets, habits)
+        shared = shape.betas.double(), zero(), up, floor, offsets, angle_offsets
+        return FilmState(rotations, place, *shared)
 
     def mean_shape(self) -> Shape:
         """Return the mean person of the given height."""
@@ -263,8 +252,8 @@ class _Film:
         if starting:
             problem = self._problem(Free(_BODY), which, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
-        habits = habits_of(self.anatomy, _BODY)
-        free = Free(_BODY, len(state.betas), True, range(len(which)), habits)
+        angle_offsets = angles_of(self.anatomy, _BODY)
+        free = Free(_BODY, len(state.betas), True, range(len(which)), angle_offsets)
         return self._problem(free, which, state)
 
     def with_arm_depths(self, problem: FilmProblem, state: FilmState) -> FilmProblem:
@@ -279,7 +268,7 @@ class _Film:
         joints = range(len(JOINTS))[HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
         of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
-        free = Free(joints, 0, False, of_fingers, habits_of(self.anatomy, joints))
+        free = Free(joints, 0, False, of_fingers, angles_of(self.anatomy, joints))
         return self._problem(free, which, state, side)
 
     def _problem(
@@ -291,7 +280,7 @@ class _Film:
         pixels = torch.from_numpy(self.landmarks.pixels[:, at])
         scale = self.rig.scale(self.landmarks, state.betas.float())
         metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
-        memory, K = frames_alike(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
+        memory, K = correlated_frames(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
         evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
         prior = BodyPrior.of(free, self.anatomy, memory)
         always = torch.tensor([f.always for f in self.anatomy.freedoms]).double()
@@ -299,7 +288,7 @@ class _Film:
         shared = SharedPrior(
             free,
             rig.names,
-            rig.loose,
+            rig.offset_spread,
             torch.deg2rad(always),
             self.mean_shape().betas.double(),
             Stature.of(self.body),

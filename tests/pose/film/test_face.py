@@ -9,7 +9,7 @@ import torch
 
 from gva_mi.body.body_file import BUILT_IN_BODY, EXPRESSIONS, read_body
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.body.smplx import BodyModel
 from gva_mi.data.landmarks import FACE, Landmarks
 from gva_mi.pose.film.face import NO_FACE, FacePoints, with_face
 from gva_mi.pose.film.solver import SolvedFilm
@@ -99,12 +99,6 @@ def test_without_a_face_the_body_s_solution_returns_and_nothing_jumps(talk, buil
     assert found.pose.rotations[:, JAW, 0].diff().abs().max() < 0.1
 
 
-def test_same_film_same_bits(talk, built_in_body):
-    one, other = (with_face(talk.solved, talk.landmarks, built_in_body, FPS)[0] for _ in range(2))
-    assert torch.equal(one.pose.rotations, other.pose.rotations)
-    assert torch.equal(one.pose.expression, other.pose.expression)
-
-
 def test_a_film_without_a_face_and_a_body_without_one_stay_as_they_are(talk, built_in_body):
     nobody = replace(talk.landmarks, confidence=0 * talk.landmarks.confidence)
     assert with_face(talk.solved, nobody, built_in_body, FPS) == (talk.solved, [])
@@ -112,41 +106,3 @@ def test_a_film_without_a_face_and_a_body_without_one_stay_as_they_are(talk, bui
     assert with_face(talk.solved, others, built_in_body, FPS) == (talk.solved, [])
     plain = BodyModel(read_body(BUILT_IN_BODY) | {"num_expressions": np.array(0)})
     assert with_face(talk.solved, talk.landmarks, plain, FPS) == (talk.solved, [NO_FACE])
-
-
-def test_landmarks_lie_on_brows_lips_and_nose(built_in_body):
-    """An open jaw parts the lips and leaves the rest; brows rise with their coefficient."""
-    points, at = FacePoints.of(built_in_body), nearest_vertices(built_in_body)
-    number = {name: k for k, name in enumerate(FACE)}
-    y = lambda n, x=points.rest: x[number[f"face_{n}"], 1]
-    assert y(19) > y(37) > y(30) > y(33) > y(51) > y(62) > y(66) > y(57)
-    mirrored = points.rest[[number[f"face_{n}"] for n in (26, 45, 35, 54)]] * torch.tensor(
-        [-1, 1, 1]
-    )
-    right = points.rest[[number[f"face_{n}"] for n in (17, 36, 31, 48)]]
-    assert (mirrored - right).abs().max() < 0.002
-    pose = Pose.rest(3)
-    pose.rotations[1, JAW, 0] = 0.2
-    pose.expression[2, EXPRESSIONS.index("brows up")] = 2
-    rest, opened, raised = built_in_body(pose, Shape(torch.zeros(10))).vertices[:, at]
-    assert y(62, opened) - y(66, opened) > y(62, rest) - y(66, rest) + 0.008
-    assert (opened - rest)[: number["face_48"]].norm(dim=1).max() < 0.002
-    assert (raised - rest)[: number["face_27"], 1].mean() > 0.004
-    assert (raised - rest)[number["face_48"] :].norm(dim=1).max() < 0.002
-
-
-def test_marks_of_a_file_of_smplx_are_taken(built_in_body, tmp_path):
-    """Points inside of triangles, by SMPL-X's keys; marks of another number are ignored."""
-    random = np.random.default_rng(1)
-    triangles = random.choice(len(built_in_body.faces), 51, replace=False)
-    shares = random.dirichlet(np.ones(3), 51)
-    given = {"lmk_faces_idx": triangles.astype(np.uint32), "lmk_bary_coords": shares}
-    arrays = dict(np.load(BUILT_IN_BODY))
-    np.savez(tmp_path / "marked.npz", **arrays, **given)
-    np.savez(tmp_path / "other.npz", **arrays, lmk_faces_idx=triangles[:5])
-    assert load_body(tmp_path / "other.npz").mark_corners is None
-    body = load_body(tmp_path / "marked.npz")
-    points, shape = FacePoints.of(body), Shape(torch.linspace(1, -1, 10))
-    corners = body.rest(shape).vertices.numpy()[body.faces[triangles]]
-    expected = np.einsum("pk,pkc->pc", shares, corners)
-    assert np.abs(points.at_rest(shape.betas.double()).numpy() - expected).max() < 1e-6

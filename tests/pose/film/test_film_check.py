@@ -1,7 +1,5 @@
 """What a film lacks is named, with a figure and what to do; a good film has no findings."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,7 @@ from gva_mi.data.cameras import save_cameras
 from gva_mi.data.landmarks import Landmarks, hand_names
 from gva_mi.data.pictures import write_image
 from gva_mi.data.video import load_video
-from gva_mi.pose.film.film_check import check_film, seen_from
+from gva_mi.pose.film.film_check import check_film
 from gva_mi.splat import Camera, look_at
 
 FRAMES, WIDE, TALL = 40, 320, 320
@@ -58,12 +56,6 @@ def film(tmp_path, body):
     return checked
 
 
-def blurred(image, k):
-    from scipy.ndimage import gaussian_filter
-
-    return gaussian_filter(image, (3, 3, 0))
-
-
 FAULTS = {  # of one film: what it is called, and what its figure says
     "never turned, too near, dark, in a crowd": (
         {"turn": 0.0, "person": np.s_[60:320, 120:200], "change": lambda image, k: image / 8,
@@ -72,11 +64,10 @@ FAULTS = {  # of one film: what it is called, and what its figure says
          "feet or legs cut off": "40 of 40 frames", "too dark": "of white",
          "several people": "2 of 40 frames"},
     ),
-    "half turned, far away, blurred, short": (
-        {"turn": 0.5, "person": np.s_[20:120, 120:160], "change": blurred, "fps": 30.0},
+    "half turned, far away, short": (
+        {"turn": 0.5, "person": np.s_[20:120, 120:160], "fps": 30.0},
         {"not seen from all sides": "240 of 360 degrees; never its left side",
-         "few pixels": "100 pixels tall", "blurred": "24 of 24 frames",
-         "short": "40 frames, 1.3 s"},
+         "few pixels": "100 pixels tall", "short": "40 frames, 1.3 s"},
     ),
     "from a hand, without a hand": (
         {"slide": 9, "hands": 0.0},
@@ -95,13 +86,3 @@ def test_each_fault_is_named_with_its_figure(film, name):
     found = film(**how)
     assert found.keys() == expected.keys()
     assert all(expected[what] in figure for what, figure in found.items())
-
-
-def test_the_side_that_is_seen_is_counted_to_the_left(film, body, tmp_path):
-    """Who turns to the right shows first the front, then the left side."""
-    film(turn=-0.5)
-    seen = seen_from(load_video(tmp_path), body, [0, 20])
-    assert ((seen + 1) % 360 - 1).tolist() == pytest.approx([0, 90], abs=0.1)
-    moved = load_video(tmp_path)
-    aside = [c.with_matrices(T_camera_world=look_at((3, 0, 0), (0, 0, 0))) for c in moved.cameras]
-    assert seen_from(replace(moved, cameras=aside), body, [0])[0] == pytest.approx(90, abs=1)

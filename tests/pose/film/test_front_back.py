@@ -71,15 +71,6 @@ def test_a_person_who_turns_even_quickly_stays_as_seen(rounds):
     assert mistaken == [] and found is true
 
 
-def test_lost_frames_stay_and_the_frames_around_them_are_compared():
-    true = turning()
-    true.pixels[[5, 30, 31]] = np.nan
-    seen = [k for k in BACK if k not in (30, 31)]
-    found, mistaken = with_backs(exchanged(true, list(BACK)), FPS)
-    assert mistaken == seen
-    np.testing.assert_array_equal(found.pixels[seen], true.pixels[seen])
-
-
 @pytest.mark.parametrize("fps", [10.0, 30.0, 60.0])
 def test_the_face_tells_where_no_limb_jumps(fps):
     """From one profile on, and in most frames, the network sees a front that has no face."""
@@ -96,14 +87,6 @@ def test_a_film_that_never_shows_a_face_says_nothing_by_its_absence():
     true = turning(0.0)
     true.pixels[:, [NAMES.index(name) for name in FACE]] = np.nan
     assert with_backs(true, FPS)[1] == []
-
-
-def test_points_without_limbs_stay():
-    true = turning()
-    few = [NAMES.index(name) for name in FACE]
-    face = Landmarks(FACE, *(getattr(true, f)[:, few] for f in ("pixels", "confidence")),
-                     true.spread[:, few], true.metric[:, few])  # fmt: skip
-    assert with_backs(face, FPS) == (face, [])
 
 
 def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):

@@ -10,9 +10,8 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import (
     LONG,
-    PERSON,
     LandmarkNoise,
-    frames_alike,
+    correlated_frames,
     person_sizes,
 )
 from gva_mi.pose.film.rig import LandmarkRig
@@ -25,13 +24,6 @@ def standing(built_in_body):
     metric = (rig.rest * torch.tensor([1.0, -1, -1])).numpy()[None].repeat(3, 0)
     ones = np.ones(metric.shape[:2])
     return Landmarks(rig.names, 200 * metric[..., :2] + 300, ones, 0 * ones, metric)
-
-
-def test_size_of_the_person_is_found_in_any_frame(standing):
-    assert person_sizes(standing) == pytest.approx([200 * PERSON] * 3)
-    lost = replace(standing, pixels=standing.pixels.copy())
-    lost.pixels[1] = np.nan
-    assert person_sizes(lost) == pytest.approx([200 * PERSON] * 3)
 
 
 def test_a_film_without_a_person_is_refused(standing):
@@ -62,11 +54,6 @@ def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standin
     touching = (noise.bones == k).any(1)
     assert touching.sum() == 3
     assert torch.equal(noise.depth[1].isinf(), touching) and noise.depth[[0, 2]].isfinite().all()
-
-
-def test_names_may_be_few(standing):
-    noise = LandmarkNoise.of(standing, ["left_hip", "nose"])
-    assert noise.pixels.shape == (3, 2) and noise.bones.shape == (0, 2)
 
 
 def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):
@@ -115,20 +102,7 @@ def test_frames_that_look_alike_count_as_one(standing):
         spread=standing.spread.repeat(2, 0),
         metric=standing.metric.repeat(2, 0),
     )
-    alike = frames_alike(film, dt=1.0)
+    alike = correlated_frames(film, dt=1.0)
     assert alike[:3].numpy() == pytest.approx([3, 3, 3], abs=1e-3)
     assert alike[3:5].numpy() == pytest.approx([2, 2], abs=1e-3)
-    assert frames_alike(film, dt=0.02)[3] == 5  # a tenth of a second
-
-
-def test_fingers_of_a_person_who_stands_still_count_by_themselves(standing):
-    """One finger moves by 3 cm from frame to frame, all else stays."""
-    pixels = standing.pixels.copy()
-    metre = person_sizes(standing)[0] / PERSON
-    finger = [k for k, name in enumerate(standing.names) if "left_hand_index" in name]
-    pixels[:, finger, 0] += 0.03 * metre * np.arange(len(pixels))[:, None]
-    film = replace(standing, pixels=pixels)
-    alike = lambda hand: frames_alike(film, dt=1.0, hand=hand).numpy()
-    assert alike(None) == pytest.approx(len(pixels), abs=1e-3)
-    assert alike("right") == pytest.approx(len(pixels), abs=1e-3)
-    assert (alike("left") < 0.7 * len(pixels)).all()
+    assert correlated_frames(film, dt=0.02)[3] == 5  # a tenth of a second

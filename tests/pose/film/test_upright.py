@@ -44,18 +44,6 @@ def test_the_axes_of_any_shape_are_upright_at_rest(built_in_body):
         assert (axes[:, 1] > 0.3).all()
 
 
-@pytest.mark.parametrize("lean", [-0.2, 0.1])
-def test_the_axes_lean_with_the_person_and_the_trunk_alone(built_in_body, lean):
-    angle = lambda axis: torch.atan2(*axis[[2, 1]])
-    person = axes_of(built_in_body, torch.zeros(10), {"pelvis": (lean, 0, 0)})
-    trunk = axes_of(built_in_body, torch.zeros(10), {"spine1": (lean, 0, 0)})
-    assert angle(person[0]) == pytest.approx(lean, rel=1e-6)
-    assert angle(person[1]) == pytest.approx(lean, rel=1e-6)
-    # The lowest spine is a little above the pelvis.
-    assert angle(trunk[0]) == pytest.approx(lean, rel=0.35)
-    assert 0 < angle(trunk[1]) / lean < 0.5
-
-
 def test_who_crouches_in_balance_leans_forward(built_in_body):
     """Knees, hips and ankles bent: only with the trunk forward the mass stays above the feet."""
     crouch = both("hip", -1.4) | both("knee", 1.6) | both("ankle", -0.4)
@@ -75,11 +63,3 @@ def test_the_mass_may_be_above_either_foot(built_in_body, lean):
     assert abs(middle[0] / middle.norm()) > 0.1
     assert leaning.off[0, 1].norm() < 0.02
     assert -0.5 < float(leaning.share) < 0
-
-
-def test_the_mass_is_not_beyond_the_foot_that_carries_it(built_in_body):
-    turns = {"left_hip": (0, 0, 0.9), "pelvis": (0, 0, 0.4)}
-    X = joints_of(built_in_body, torch.zeros(10), turns)
-    leaning = Leaning.of(X[None], torch.tensor([0.0, 1, 0]).double(), 0.05)
-    assert float(leaning.share) == -0.5
-    assert leaning.off[0, 1].norm() > 0.2

@@ -63,14 +63,6 @@ def test_a_picture_without_upright_lines_shows_nothing(rng):
     assert vertical_of([flat], person(), K) is None
 
 
-def test_lines_of_the_person_do_not_count(rng):
-    picture = room(up_of(10, 0), rng)
-    around = person([[[40, 0], [280, 320]]])
-    covered = picture.copy()
-    covered[:, 8:312] = room(up_of(-20, 5), rng)[:, 8:312]
-    assert vertical_of([covered], around, K) is None
-
-
 def test_lines_lower_than_the_feet_do_not_count(rng):
     """They lie on the floor, and there are more of them than upright ones."""
     true, of_floor = up_of(10, 0), up_of(-20, 5)

@@ -122,9 +122,11 @@ class ObservedVideo:
             seen = video.landmarks, self.coarse.body, video.cameras, fps, stage1
             found = replace(self, landmarks=SeenLandmarks.of(*seen))
         errors = film_errors(fps) if video.kind == FILM else None
-        bare = Solution(self.pose, self.shape, torch.zeros_like(self.coarse.body.v_template))
+        stage1_person = Solution(
+            self.pose, self.shape, torch.zeros_like(self.coarse.body.v_template)
+        )
         stage1 = Stage1.of(self.pose, range(len(self.pose)), video.cameras[0])
-        losses = lambda pose: found.losses(pose, bare)
+        losses = lambda pose: found.losses(pose, stage1_person)
         pose, swapped = fix_swaps(stage1, losses, self.options.prior_weight)
         return replace(found, pose=pose, errors=errors, swapped=swapped)
 

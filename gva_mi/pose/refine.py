@@ -142,16 +142,16 @@ class _ClipJob:
 
     def solve(self, progress: Progress | None = None) -> Solution:
         clip, options = self.clip, self.options
-        bare = Solution(clip.pose, clip.shape, torch.zeros_like(clip.body.v_template))
+        unchanged = Solution(clip.pose, clip.shape, torch.zeros_like(clip.body.v_template))
         if not clip.evidence:
-            return bare
+            return unchanged
         clip = replace(clip, evidence=dict(clip.evidence), fine=dict(clip.fine))  # into memory
         with one_thread():
             if isinstance(options, SequenceOptions):
                 return refine_sequence(clip, options, progress)
             person = clip.body, clip.pose, clip.shape
             pose = refine_single_frames(clip.evidence, *person, options, progress)
-            return replace(bare, pose=pose)
+            return replace(unchanged, pose=pose)
 
 
 def _solved(

@@ -5,7 +5,7 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, mirrored_name
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.stage1 import turns_between
 from gva_mi.synthetic.motion import perform
@@ -109,9 +109,7 @@ def test_the_last_joint_of_a_finger_follows_the_middle_one(side, axis):
 @pytest.mark.parametrize("size", [0.02, 0.5])
 def test_left_and_right_are_symmetric(anatomy, size):
     rotations = noise(size)
-    other = {"left": "right", "right": "left"}
-    names = (name.split("_") for name in JOINTS)
-    order = [joint("_".join([other.get(side, side), *rest])) for side, *rest in names]
+    order = [joint(mirrored_name(name)) for name in JOINTS]
     mirrored = rotations[:, order] * torch.tensor([1.0, -1.0, -1.0])
     energies = [float(energy(anatomy, x)) for x in (rotations, mirrored)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-3)

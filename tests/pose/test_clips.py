@@ -62,11 +62,3 @@ def test_a_disagreement_is_spread_over_the_overlap():
     assert float(jumps.max()) < 0.1 / 9 and float(jumps.min()) > -1e-6
     angles = apart(found.rotations, pose.rotations)[:, 0]
     torch.testing.assert_close(angles, steps, atol=2e-3, rtol=0)
-
-
-def test_opposite_axis_angles_are_blended_the_short_way():
-    """Axis-angle vectors near half a turn may be opposite; their mean is another rotation."""
-    half = torch.tensor([0.0, 3.1, 0.0]).expand(6, 55, 3)
-    pose = lambda rotations: Pose(rotations, torch.zeros(6, 3), torch.zeros(6, 10))
-    found = join([range(0, 6), range(2, 8)], [pose(half), pose(-half)])
-    assert float(apart(found.rotations[2:6], half[:4]).max()) < 0.09

@@ -10,7 +10,6 @@ from gva_mi.pose.prior.error_model import (
     Stage1ErrorModel,
     covariance,
     fit_slow_part,
-    outlier_factors,
     white_level,
 )
 
@@ -49,19 +48,6 @@ def test_size_and_memory_of_lasting_errors_are_found(memory):
     found = fit_slow_part(draw(Stage1ErrorModel(0.05, 0.2, memory), joints=40), TIMES, 0.05, GUESS)
     assert found.slow == pytest.approx(0.2, rel=0.25)
     assert memory / 2 <= found.memory <= 2 * memory
-
-
-def test_outliers_get_large_factors():
-    noise, n = Stage1ErrorModel(0.05, 0.1, 6.0), len(TIMES)
-    errors = torch.stack([draw(noise, joints=1, seed=s) for s in range(3)], -1).transpose(0, 1)
-    errors[0, 50] += 0.6
-    factors = torch.ones(1, n)
-    for _ in range(5):
-        factors = outlier_factors(
-            errors, covariance([noise], TIMES, factors, torch.ones(1, n)), [noise], factors
-        )
-    assert factors[0].argmax() == 50 and factors[0, 50] > 20
-    assert factors[0].median() < 2
 
 
 def test_the_covariance_is_the_sum_of_its_parts():

@@ -109,7 +109,7 @@ def _energy(
     a, b = evidence.precision[:, [i, j]].unbind(1)
     precision = a * b / (a + b), evidence.deep_precision[:, bone]
     energy = _t(square[0], precision[0], 2) + _t(square[1], precision[1], 1)
-    return energy / evidence.memory[:, None], z, beyond
+    return energy / evidence.correlated[:, None], z, beyond
 
 
 def _t(square: Tensor, precision: Tensor, d: int) -> Tensor:

@@ -93,16 +93,16 @@ class BodyPrior:
     anatomy: Anatomy
     relaxed: Tensor  # (55, 3) radians
     precision: Tensor  # (55, 3) of (1)
-    memory: Tensor  # (T,) m
+    correlated: Tensor  # (T,) ``m``, the frames that count as one
 
     @staticmethod
-    def of(free: Free, anatomy: Anatomy, memory: Tensor) -> BodyPrior:
-        """Collect the terms; ``memory`` is m (T,)."""
+    def of(free: Free, anatomy: Anatomy, correlated: Tensor) -> BodyPrior:
+        """Collect the terms; ``correlated`` is m (T,)."""
         spread = torch.full((len(JOINTS), 3), FINGER, dtype=torch.float64)
         for k, name in enumerate(JOINTS[: LEFT_HAND.start]):
             part = name.removeprefix("left_").removeprefix("right_")
             spread[k] = torch.tensor(SPREAD[part] or 1.0)
-        return BodyPrior(free, anatomy, relaxed_pose(anatomy), spread**-2, memory)
+        return BodyPrior(free, anatomy, relaxed_pose(anatomy), spread**-2, correlated)
 
     def energy(self, state: FilmState) -> Tensor:
         """Return (1) and (2), nats."""
@@ -114,12 +114,12 @@ class BodyPrior:
         first = self.free.per_frame - 3 * len(joints)
         shared = self.free.shared
         count = len(state.place)
-        memory = self.memory[:, None].expand(count, 1)
+        correlated = self.correlated[:, None].expand(count, 1)
         r = state.rotations[:, joints]
         some = lambda N: state.place.new_zeros(N, self.free.per_frame)
         own = some(3 * len(joints))
         own[:, first:] = torch.eye(3 * len(joints))
-        weights = self.precision[joints].flatten() / memory
+        weights = self.precision[joints].flatten() / correlated
         yield Rows(
             (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
         )
@@ -131,7 +131,7 @@ class BodyPrior:
         if self.free.angle_offsets:
             by_shared[:, self.free.first_of_angle_offsets :] = -torch.eye(len(A))
         varying = torch.tensor([self.anatomy.freedoms[q].varying for q in angles]).double()
-        weights = torch.deg2rad(varying) ** -2 / memory
+        weights = torch.deg2rad(varying) ** -2 / correlated
         yield Rows(r.flatten(1) @ A.T - state.angle_offsets[angles], weights, by_frame, by_shared)
 
         mine = self.anatomy.bends[:, joints].flatten(1).any(1)
@@ -141,7 +141,7 @@ class BodyPrior:
         past = (bend - high).clamp_min(0) - (low - bend).clamp_min(0)
         by_frame = some(len(bends))
         by_frame[:, first:] = bends
-        weights = (past != 0) / (memory * math.radians(PAST_LIMIT) ** 2)
+        weights = (past != 0) / (correlated * math.radians(PAST_LIMIT) ** 2)
         yield Rows(past, weights, by_frame, by_frame.new_zeros(len(bends), shared))
 
 

@@ -71,7 +71,7 @@ class FilmEvidence:
         bones: (K, 2) and ``gain`` (K,).
         deep: (T, K) ``s (m_j - m_i) - bias``, and ``deep_precision`` (T, K).
         metric: (T, P, 3) ``s m``, of the body alone; NaN elsewhere.
-        memory: (T,) m.
+        correlated: (T,) ``m``, the frames that count as one.
         starting: whether (6) takes the place of (1) and (2).
     """
 
@@ -86,12 +86,12 @@ class FilmEvidence:
     deep: Tensor
     deep_precision: Tensor
     metric: Tensor
-    memory: Tensor
+    correlated: Tensor
     starting: bool = False
 
     def of(self, some: slice) -> FilmEvidence:
         """Select frames."""
-        names = "pixels", "precision", "aspect", "deep", "deep_precision", "metric", "memory"
+        names = "pixels", "precision", "aspect", "deep", "deep_precision", "metric", "correlated"
         return replace(self, **{name: getattr(self, name)[some] for name in names})
 
     def rows(self, state: FilmState, derive: bool) -> Iterator[EvidenceRows]:
@@ -129,9 +129,9 @@ class FilmEvidence:
     def _t(self, r: Tensor, precision: Tensor, d: int) -> tuple[Tensor, Tensor]:
         """Return energy and weights of errors (n, N, d) with precision (n, N)."""
         square = r.square().sum(-1) * precision / FREEDOM
-        memory = self.memory[:, None]
-        energy = (FREEDOM + d) / 2 * (torch.log1p(square) / memory).sum()
-        weights = (FREEDOM + d) / (FREEDOM * (1 + square)) * precision / memory
+        correlated = self.correlated[:, None]
+        energy = (FREEDOM + d) / 2 * (torch.log1p(square) / correlated).sum()
+        weights = (FREEDOM + d) / (FREEDOM * (1 + square)) * precision / correlated
         return energy, weights
 
     def _pixels(self, posed: PosedPoints, D: Tensor | None, state: FilmState) -> EvidenceRows:
@@ -163,7 +163,7 @@ class FilmEvidence:
         P = self.pixels.shape[1]
         known = self.metric.isfinite()
         r = torch.where(known, posed.X[:, :P] - posed.places[:, :1] - self.metric, 0).flatten(1)
-        weights = known.to(r).flatten(1) / (METRIC**2 * self.memory[:, None])
+        weights = known.to(r).flatten(1) / (METRIC**2 * self.correlated[:, None])
         energy = (weights * r.square()).sum() / 2
         if D is None:
             return EvidenceRows(energy, r, weights, None)
@@ -180,11 +180,11 @@ class FilmEvidence:
         below = torch.sigmoid(-x)
         off = (1 - STAND) / LIFT * (1 - below) * torch.exp(-h.clamp_min(0) / LIFT)
         stands = on / (on + off)
-        energy = -((on + off).log() / self.memory[:, None]).sum()
+        energy = -((on + off).log() / self.correlated[:, None]).sum()
         curve = stands * (FREEDOM + 1) / (FREEDOM + x.square()) / UNEVEN**2
         slope = curve * h + (1 - stands) * ((h > 0) / LIFT - below / UNEVEN)
         curve = curve + (1 - stands) * (below * (1 - below)) / UNEVEN**2 + 1.0
-        rows = EvidenceRows(energy, slope / curve, curve / self.memory[:, None], None)
+        rows = EvidenceRows(energy, slope / curve, curve / self.correlated[:, None], None)
         if D is None:
             return rows
         J = torch.einsum("nqcu,c->nqu", D[:, P : P + SOLES], up)
@@ -240,7 +240,7 @@ def film_evidence(
     free: Free,
     data: tuple[Tensor, Tensor, LandmarkNoise],
     K: Tensor,
-    memory: Tensor,
+    correlated: Tensor,
 ) -> FilmEvidence:
     """Collect the evidence of landmarks.
 
@@ -249,7 +249,7 @@ def film_evidence(
         free: the unknowns.
         data: pixels (T, P, 2), scaled metres (T, P, 3), and their noise.
         K: (3, 3) of the camera.
-        memory: (T,) m.
+        correlated: (T,) ``m``, the frames that count as one.
     """
     pixels, metric, noise = data
     i, j = noise.bones.unbind(1)
@@ -268,7 +268,7 @@ def film_evidence(
         double(deep),
         double(noise.depth) ** -2,
         double(metric).where(~of_hand[None, :, None], torch.nan),
-        memory,
+        correlated,
     )
 
 

@@ -280,9 +280,9 @@ class _Film:
         pixels = torch.from_numpy(self.landmarks.pixels[:, at])
         scale = self.rig.scale(self.landmarks, state.betas.float())
         metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
-        memory, K = correlated_frames(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
-        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, memory)
-        prior = BodyPrior.of(free, self.anatomy, memory)
+        correlated, K = correlated_frames(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
+        evidence = film_evidence(self.body, rig, free, (pixels, metric, noise), K, correlated)
+        prior = BodyPrior.of(free, self.anatomy, correlated)
         always = torch.tensor([f.always for f in self.anatomy.freedoms]).double()
         known = self.known
         shared = SharedPrior(

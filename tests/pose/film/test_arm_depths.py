@@ -38,7 +38,7 @@ def test_the_depth_is_that_of_landmarks_that_sit_beside_the_joints(built_in_body
         Free([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure,
         torch.eye(2).double().expand(*sure.shape, 2, 2), torch.tensor(bones), gain,
         GAIN * deep, torch.full_like(deep, DEPTH**-2), X,
-        memory=torch.ones(len(X), dtype=torch.float64),
+        correlated=torch.ones(len(X), dtype=torch.float64),
     )  # fmt: skip
     found = with_arm_depths(evidence, rig.names, state, 1 / 15)
     assert bool((found.gain == 1).all())

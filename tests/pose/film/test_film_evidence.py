@@ -33,7 +33,7 @@ def test_pulls_are_the_slopes_of_the_energy(built_in_body):
         torch.eye(2) + 0.3 * random(FRAMES, len(NAMES), 2, 2),
         torch.tensor(BONES), torch.ones(2).double(), 0.2 * random(FRAMES, 2),
         torch.full((FRAMES, 2), 50.0).double(), random(FRAMES, len(NAMES), 3),
-        memory=torch.tensor([1.0, 2.5, 7.0]).double(),
+        correlated=torch.tensor([1.0, 2.5, 7.0]).double(),
     )  # fmt: skip
     for terms in (evidence, replace(evidence, starting=True)):
         slopes = 0

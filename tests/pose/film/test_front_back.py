@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gva_mi.body.pose import mirrored_name
 from gva_mi.data.landmarks import BODY, FACE, Landmarks, hand_names
 from gva_mi.data.networks.watch import WatchedFilm
 from gva_mi.pose.film import prepare_film
@@ -43,8 +44,7 @@ def turning(rounds=1.0):
 
 def exchanged(landmarks, frames):
     """The landmarks with left and right exchanged in some frames."""
-    side = {"left": "right", "right": "left"}
-    order = [NAMES.index("_".join(side.get(w, w) for w in name.split("_"))) for name in NAMES]
+    order = [NAMES.index(mirrored_name(name)) for name in NAMES]
     fields = {}
     for name in ("pixels", "confidence", "spread", "metric"):
         fields[name] = getattr(landmarks, name).copy()

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
 from gva_mi.data.landmarks import BODY, hand_names
 from gva_mi.pose.film.rig import LandmarkRig
 
@@ -15,13 +15,8 @@ def rig(built_in_body):
     return LandmarkRig.of(built_in_body, EVERY)
 
 
-def mirrored(name):
-    swap = {"left": "right", "right": "left"}
-    return "_".join(swap.get(word, word) for word in name.split("_"))
-
-
 def test_left_and_right_mirror_each_other(rig):
-    other = [rig.names.index(mirrored(name)) for name in rig.names]
+    other = [rig.names.index(mirrored_name(name)) for name in rig.names]
     flipped = rig.rest[other] * torch.tensor([-1.0, 1, 1])
     assert (rig.rest - flipped).norm(dim=1).max() < 0.004
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
 from gva_mi.core.errors import InputError
 from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 from gva_mi.pose.film.landmark_noise import LandmarkNoise
@@ -86,8 +86,7 @@ def as_networks_see(z, names):
 
 def mirrored(landmarks):
     """Reflect landmarks in the picture's vertical axis: left becomes right."""
-    swap = {"left": "right", "right": "left"}
-    names = ["_".join(swap.get(word, word) for word in name.split("_")) for name in landmarks.names]
+    names = [mirrored_name(name) for name in landmarks.names]
     pixels = landmarks.pixels * [-1, 1] + [SIZE[0], 0]
     return replace(landmarks, names=names, pixels=pixels, metric=landmarks.metric * [-1, 1, 1])
 
@@ -171,9 +170,8 @@ def test_the_world_is_upright_with_the_floor_at_zero(found, built_in_body):
 
 def test_mirrored_landmarks_give_the_mirrored_poses(found, known_film, built_in_body):
     flipped = solved(known_film, built_in_body, mirrored(known_film.landmarks))
-    swap = {"left": "right", "right": "left"}
-    names = ["_".join(swap.get(word, word) for word in name.split("_")) for name in JOINTS]
-    other = in_camera(built_in_body, flipped)[:, [JOINTS.index(name) for name in names]]
+    order = [JOINTS.index(mirrored_name(name)) for name in JOINTS]
+    other = in_camera(built_in_body, flipped)[:, order]
     other = other * torch.tensor([-1.0, 1, 1])
     assert (other - in_camera(built_in_body, found)).norm(dim=2).max() < 0.01
 

@@ -74,11 +74,6 @@ def test_lines_lower_than_the_feet_do_not_count(rng):
     assert (np.abs(all_count.up - of_floor) < 2 * all_count.spread).all()
 
 
-@pytest.mark.parametrize(("roll", "known"), [(19, True), (20.3, False)])
-def test_a_direction_beyond_those_looked_for_is_none(roll, known, rng):
-    assert (vertical_of([room(up_of(0, roll), rng)], person(), K) is not None) == known
-
-
 def test_lines_of_an_unknown_lens_tie_the_direction_up_to_it(built_in_body):
     """The pull of the prior is the slope of its energy."""
     z = lambda *shape: torch.zeros(shape, dtype=torch.float64)

@@ -23,13 +23,14 @@ import numpy as np
 import torch
 from PIL import Image
 
+from gva_mi import app
 from gva_mi.body.smplx import load_body
 from gva_mi.data.normals import normal_colors
 from gva_mi.data.pictures import in_8_bits, read_image
 from gva_mi.data.splits import spread
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
-from gva_mi.fit.renders import cut_out, render_frame
+from gva_mi.fit.renders import CameraPath, cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.axes import with_axes
 from gva_mi.study.evaluate import SplitView
@@ -40,7 +41,7 @@ from gva_mi.synthetic import SynthOptions, make_subject
 ROW_HEIGHT = 440  # pixels of a row of the overview
 TURNED = 3  # other sides of the avatar there
 TIMES = 2  # renders in new poses are so much larger than the pictures beside them
-SIZE = ("240", "340")  # pixels of one picture
+SIZE = (240, 340)  # pixels of one picture
 SHOWN = 6
 
 
@@ -74,9 +75,8 @@ def motions(run: Path, folder: Path) -> list[Path]:
         novel_poses=0, novel_views=0,
     )  # fmt: skip
     make_subject(dancer, options, load_body())
-    poses = ("--poses", dancer / "truth/poses.npz")
     out = folder / "motions"
-    gva_mi("render", run, *poses, "--path", "static", "--size", *SIZE, "--out", out)
+    app.render(run, out, CameraPath("static", size=SIZE), poses=dancer / "truth/poses.npz")
     return sorted(out.glob("*.png"))
 
 
@@ -85,8 +85,7 @@ def exports(run: Path, folder: Path) -> list[Path]:
     alone = folder / "alone.npz"
     gva_mi("export", run, "--no-rig", "--out", alone)
     out = folder / "exports"
-    path = ("--path", "turntable", "--frames", SHOWN, "--size", *SIZE)
-    gva_mi("render", alone, "--poses", run / "poses.npz", *path, "--out", out)
+    app.render(alone, out, CameraPath("turntable", SHOWN, size=SIZE), poses=run / "poses.npz")
     return sorted(out.glob("*.png"))
 
 
@@ -156,7 +155,7 @@ if __name__ == "__main__":
     Image.fromarray(overview(shown, trained)).save(out / "overview.png")  # normals: all colours
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        gva_mi("check", demo / "subject", "--sheet", folder / "check.png")
+        app.check(demo / "subject", sheet=folder / "check.png")
         save(read_image(folder / "check.png", 3), out / "check.png")
-        save(in_a_row(motions(demo, folder)), out / "motions.png")
-        save(in_a_row(exports(demo, folder)), out / "exports.png")
+        save(in_a_row(motions(demo / "run", folder)), out / "motions.png")
+        save(in_a_row(exports(demo / "run", folder)), out / "exports.png")

@@ -19,10 +19,10 @@ what it writes, prints what it found, and replaces nothing unless asked to. Opti
 """
 
 from gva_mi.app.driving import render
-from gva_mi.app.steps import evaluate, fit, prepare, refine, track
+from gva_mi.app.steps import check, evaluate, fit, prepare, refine, track
 from gva_mi.app.whole import AvatarEffort, DemoOptions, avatar, demo
 
 __all__ = [
-    "AvatarEffort", "DemoOptions", "avatar", "demo", "evaluate", "fit", "prepare", "refine",
-    "render", "track",
+    "AvatarEffort", "DemoOptions", "avatar", "check", "demo", "evaluate", "fit", "prepare",
+    "refine", "render", "track",
 ]  # fmt: skip

@@ -7,6 +7,7 @@ one sentence, before any work.
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -20,9 +21,11 @@ from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_room
+from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import PREPARED, prepared_body, require_same_body
 from gva_mi.data.folder import POSES, REFINED_POSES
 from gva_mi.data.importers.own_masks import MaskOptions
+from gva_mi.data.problems import CheckReport
 from gva_mi.data.silhouettes import sanity_check
 from gva_mi.data.video import Video, load_video
 from gva_mi.fit import run_folder
@@ -79,6 +82,38 @@ def prepare(
     for note in notes:
         say(f"{film}: {note}")
     say(f"subject: {out}")
+
+
+def check(
+    subject: Path | str,
+    *,
+    poses: Path | str | None = None,
+    body: Path | str | None = None,
+    sheet: Path | str | None = None,
+) -> CheckReport:
+    """Find what is wrong with a subject's folder, in one pass: files, axes, units, poses.
+
+    Args:
+        subject: the folder.
+        poses: another file of poses than its poses.npz, such as the refined ones.
+        body: see above.
+        sheet: also write a picture (.png) of some frames with the outlines of mask and body.
+    """
+    subject, sheet = Path(subject), None if sheet is None else Path(sheet)
+    model = load_body(body_of(subject, body))
+    with bar("check") as progress:
+        poses = None if poses is None else Path(poses)
+        report = check_subject(subject, model, poses, progress, sheet)
+    for line in report.lines(max(60, shutil.get_terminal_size().columns)):
+        say(line)
+    for line in report.skipped:
+        say(f"{subject}: {line}")
+    errors, doubts = len(report.errors), len(report.problems) - len(report.errors)
+    agree = f"; mean IoU of body and masks {report.figures['iou']:.2f}" if report.figures else ""
+    say(f"{subject}: {report.frames} frames, {errors} errors, {doubts} doubtful{agree}")
+    if sheet is not None and not report.skipped:
+        say(f"sheet: {sheet}")
+    return report
 
 
 def refine(

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from gva_mi.app.steps import evaluate, fit, prepare, refine
+from gva_mi.app.steps import check, evaluate, fit, prepare, refine
 from gva_mi.body.smplx import load_body
 from gva_mi.core.atomic import folder_lock, holds_something, require_ours, require_writable
 from gva_mi.core.console import bar, say
@@ -29,7 +29,6 @@ from gva_mi.core.files import make_room, read_json, write_json
 from gva_mi.core.options import PictureSide, Seed, options_of
 from gva_mi.core.stamp import results_version, stamp, start_folder
 from gva_mi.core.tasks import usual_workers
-from gva_mi.data.check import check_subject
 from gva_mi.data.fingerprint import PREPARED
 from gva_mi.data.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
 from gva_mi.data.importers.footage import files_of
@@ -221,17 +220,15 @@ class StepFolder:
 
 def _check(subject: Path, body: Path | None) -> None:
     """Compare the folder with itself, and the film with a good one."""
-    model, record = load_body(body), FilmRecord.load(subject)
+    report, record = check(subject, body=body), FilmRecord.load(subject)
+    video, landmarks = load_video(subject), Landmarks.load(subject / LANDMARKS)
     with bar("check") as progress:
-        report = check_subject(subject, model, None, progress)
-        landmarks = Landmarks.load(subject / LANDMARKS)
-        found = check_film(
-            load_video(subject), model, landmarks, record.fps, record.crowded, progress
-        )
-    whole = CheckReport(report.frames, [*found, *report.problems], [], report.figures)
-    for line in whole.lines(110):
+        found = check_film(video, load_body(body), landmarks, record.fps, record.crowded, progress)
+    found = CheckReport(report.frames, list(found), [], report.figures)
+    for line in found.lines(110):
         say(line)
-    write_json(subject / FINDINGS, whole.to_json())
+    found.problems += report.problems
+    write_json(subject / FINDINGS, found.to_json())
 
 
 def _split(subject: Path, test_frames: bool) -> None:

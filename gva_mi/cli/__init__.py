@@ -44,7 +44,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
 
 
 # Modules of the commands that share one; each other command has the module of its name.
-MODULES = dict.fromkeys(("refine", "fit", "evaluate", "track", "render"), "steps")
+MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "track", "render"), "steps")
 MODULES["demo"] = "avatar"
 
 

@@ -1,7 +1,8 @@
-"""The commands ``refine``, ``fit``, ``evaluate``, ``track`` and ``render``: one step each."""
+"""The commands of single steps: check, refine, fit, evaluate, track, render."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,13 +11,52 @@ from tyro.conf import Positional
 
 from gva_mi import app
 from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import Within, Workers
+from gva_mi.data.pictures import require_picture
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.renders import CameraPath
 from gva_mi.pose.sequence import SequenceOptions
+
+WRONG = 1  # exit code of a check that found errors
+
+
+def check(
+    subject: Positional[Path],
+    *,
+    poses: Path | None = None,
+    body: Path | None = None,
+    json: Path | None = None,
+    sheet: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Find what is wrong with a subject's folder, in one pass: files, axes, units, poses.
+
+    The exit code 0 means no error, 1 at least one, and 2 that the folder cannot be read.
+
+    Args:
+        subject: the folder.
+        poses: another file of poses than its poses.npz, such as the refined ones.
+        body: the body that its poses are for, in SMPL-X's format; without it the one that it was
+            prepared for, else the built-in body.
+        json: also write all findings with all their frames to this file.
+        sheet: also write a picture (.png) of some frames with the outlines of mask and body.
+        overwrite: replace these files.
+    """
+    if json is not None:
+        require_room(json, overwrite)
+    if sheet is not None:
+        require_picture(sheet, overwrite)
+    report = app.check(subject, poses=poses, body=body, sheet=sheet)
+    if json is not None:
+        write_json(json, report.to_json())
+        say(f"findings: {json}")
+    if report.errors:
+        sys.exit(WRONG)
 
 
 def refine(

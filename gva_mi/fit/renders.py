@@ -24,7 +24,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.core.console import Progress
-from gva_mi.core.options import Within, options_of
+from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.data.pictures import MOST_PIXELS, in_8_bits, require_size
 from gva_mi.data.video import Frame
 from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at, render
@@ -46,12 +46,13 @@ class CameraPath:
 
     path: Kind | None = None  # none: static, or a turntable if no poses are given
     # Pictures; 0: 72 of a turntable, otherwise one per frame of the motion.
-    frames: Annotated[int, Within(0, 100_000)] = 0
+    frames: PythonOnly[Annotated[int, Within(0, 100_000)]] = 0
     # Angle of the first camera from the direction that the person faces.
     turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
     # Angle of the cameras above the middle of the person.
     elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
-    distance: Annotated[float, Within(0.01, 100)] = 1.0  # factor; 1: the whole motion fits
+    # Factor; 1: the whole motion fits.
+    distance: PythonOnly[Annotated[float, Within(0.01, 100)]] = 1.0
     # Width and height, pixels.
     size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
         512,

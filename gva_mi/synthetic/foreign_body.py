@@ -49,7 +49,7 @@ from gva_mi.synthetic.rest_body import vertex_normals
 ASYMMETRY = 0.005  # difference of the factors of left and right
 _FINGERS = ("index", "middle", "ring", "pinky", "thumb")
 _X, _Y, _Z = np.eye(3)
-# Parts of the body with one stretch. At strength 1, factors lie within 1 ± spread.
+# Parts of the body with one stretch, whose factors lie within 1 ± spread.
 SEGMENTS: tuple[tuple[float, np.ndarray | None, tuple[str, ...]], ...] = (
     # spread; direction of the length, None: joint to joint; joints, without the side of paired ones
     (0.05, _Y, ("pelvis", "spine1", "spine2", "spine3")),  # torso
@@ -91,15 +91,15 @@ class BodyStretch:
     thickness: Mapping[str, float]
 
     @staticmethod
-    def draw(rng: np.random.Generator, strength: float = 1.0) -> BodyStretch:
-        """Draw proportions, left and right nearly alike; strength 0 changes nothing."""
+    def draw(rng: np.random.Generator) -> BodyStretch:
+        """Draw proportions, left and right nearly alike."""
         length, thickness = {}, {}
         for spread, _, joints in SEGMENTS:
             both, sides = spread * rng.uniform(-1, 1, 2), _sides(joints)
             for names in sides:
                 own = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
                 for joint in names:
-                    length[joint], thickness[joint] = (1 + strength * (both + own)).tolist()
+                    length[joint], thickness[joint] = (1 + (both + own)).tolist()
         return BodyStretch(length, thickness)
 
 

@@ -12,7 +12,6 @@ from gva_mi.synthetic.cameras import (
     TILT,
     PhoneCamera,
     camera_around,
-    held_by_hand,
     write_phone_film,
 )
 
@@ -44,18 +43,6 @@ def test_the_camera_sees_the_whole_surface(ball, azimuth, elevation):
     pixels = camera.project(ball.vertices + [3.0, 1.0, -2.0])
     assert (pixels > 0).all() and (pixels < 64).all()
     assert np.ptp(pixels, axis=0).max() > 40
-
-
-def test_a_hand_moves_the_phone_a_little_and_smoothly():
-    shaken = held_by_hand(np.random.default_rng(0))
-    phone = PhoneCamera(np.zeros(3), 1.5, 3.0, 0.1, 1.3, 512)
-    t = np.arange(0, 6, 1 / 30)
-    cameras = [phone.camera(*shaken(x)) for x in t]
-    eyes = np.stack([camera.position for camera in cameras])
-    assert 0.002 < np.abs(eyes - eyes.mean(0)).max() < 0.1
-    pixels = np.stack([camera.project(np.array([0.0, 0.9, 0.0])) for camera in cameras])
-    assert 2 < np.ptp(pixels, axis=0).max() < 60
-    assert np.abs(np.diff(pixels, axis=0)).max() < 5
 
 
 def test_a_film_shows_the_pictures_with_noise_and_always_the_same(tmp_path):

@@ -222,12 +222,3 @@ def test_normals_stay_unit_face_the_camera_and_fill_the_mask(disc, rng):
     both = normals.any(-1) & noisy.any(-1)
     cosine = (noisy * normals).sum(-1)[both].clip(-1, 1)
     assert 2 < np.degrees(np.arccos(cosine)).mean() < 20
-
-
-def test_flat_normals_turn_toward_the_camera_everywhere(disc, rng):
-    mask, normals = disc
-    plain = noisy_normals(normals, mask, STILL_NORMALS, rng)
-    flat = noisy_normals(normals, mask, replace(STILL_NORMALS, flat=0.3), rng)
-    inner = np.hypot(*(np.mgrid[:64, :64] - 31.5)) < 20
-    across = lambda n: np.hypot(n[..., 0], n[..., 1])[inner] / -n[..., 2][inner]
-    assert np.allclose(across(flat), 0.7 * across(plain), atol=1e-4)

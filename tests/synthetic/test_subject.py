@@ -1,14 +1,12 @@
 """Persons, and their surfaces, dressed and bare."""
 
-import itertools
-
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.synthetic import motion
 from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.people import NAMED, SyntheticPerson
+from gva_mi.synthetic.people import SyntheticPerson
 from gva_mi.synthetic.render import Renderer
 from gva_mi.synthetic.rest_body import BodySurface, vertex_normals
 from gva_mi.synthetic.subject import draw_subject
@@ -81,13 +79,3 @@ def test_clothes_are_closed_and_skinned_and_lie_outside_the_body(body, dressed):
         assert closed(dressed, part(dressed, material)), material
     assert torch.allclose(dressed.weights.sum(1), torch.ones(len(dressed.weights)), atol=1e-5)
     assert (dressed.weights >= 0).all()
-
-
-def test_the_named_subjects_differ_and_cover_the_hard_cases():
-    assert len({person.seed for person in NAMED.values()}) == 4
-    for a, b in itertools.combinations(NAMED.values(), 2):
-        assert np.abs(np.subtract(a.betas, b.betas)).max() > 0.5
-        assert a.top != b.top and a.outfit != b.outfit
-    wardrobes = [person.outfit for person in NAMED.values()]
-    assert {w.hair for w in wardrobes} == {"short", "long"}
-    assert {w.bottom for w in wardrobes} == {"trousers", "shorts", "skirt"}

@@ -101,18 +101,6 @@ def test_splits_do_not_overlap(noisy):
     assert splits["novel_pose"] == [0] and len(splits["novel_view"]) == 1
 
 
-def test_nothing_is_overwritten_and_nothing_partial_remains(noisy, body, bare, tmp_path):
-    with pytest.raises(InputError, match="already there"):
-        make_subject(noisy, bare, body)
-
-    def stop(done, total):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        make_subject(tmp_path / "subject", bare, body, stop)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_foreign_person_has_poses_of_the_fitted_body_and_its_own_surface(body, bare, tmp_path):
     foreign = tmp_path / "foreign"
     make_subject(foreign, replace(bare, error_model="none", figure="stretched"), body)
@@ -144,11 +132,9 @@ def test_a_camera_that_circles_sees_the_person_from_all_sides(body, bare, tmp_pa
     ahead = np.stack([camera.T_camera_world[2, :3] for camera in video.cameras])
     turns = (ahead @ ahead[0] - ahead[0, 1] ** 2) / (1 - ahead[0, 1] ** 2)
     np.testing.assert_allclose(turns, [1, 0, -1, 0], atol=1e-9)
-    for frame in video.frames(range(4)):  # the person is where the camera looks
-        rows, columns = np.nonzero(frame.mask > 0.5)
-        assert abs(columns.mean() - 16) < 4 and np.ptp(rows) > 20
+    for frame in video.frames(range(4)):
         place = body(frame.pose, video.shape).vertices[0].double().numpy()
-        assert np.abs(frame.camera.project(place).mean(0) - (columns.mean(), rows.mean())).max() < 3
+        assert inside(frame.mask, frame.camera.project(place), reach=1).all()
 
 
 @pytest.mark.slow

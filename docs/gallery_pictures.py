@@ -24,6 +24,7 @@ import torch
 from PIL import Image
 
 from gva_mi import app
+from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import load_body
 from gva_mi.data.normals import normal_colors
 from gva_mi.data.pictures import in_8_bits, read_image
@@ -34,7 +35,7 @@ from gva_mi.fit.renders import CameraPath, cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.axes import with_axes
 from gva_mi.study.evaluate import SplitView
-from gva_mi.study.pictures import ShownAvatar, turntable
+from gva_mi.study.pictures import shown_views, turntable
 from gva_mi.study.regions import person_box
 from gva_mi.synthetic import SynthOptions, make_subject
 
@@ -89,33 +90,33 @@ def exports(run: Path, folder: Path) -> list[Path]:
     return sorted(out.glob("*.png"))
 
 
-def overview(shown: ShownAvatar, video: Video) -> np.ndarray:
+def overview(avatar: Avatar, video: Video) -> np.ndarray:
     """Return the picture, 8-bit (H, W, 3), on white.
 
     Args:
-        shown: the avatar and its splits.
+        avatar: to show.
         video: opened with the poses that the avatar was trained under.
     """
-    rows = [list(_made_of(shown, video))]
-    if (view := shown.views.get("novel_pose")) is not None:
-        rows.append(list(_new_poses(shown, view)))
+    rows = [list(_made_of(avatar, video))]
+    if (view := shown_views(avatar, video, load_body()).get("novel_pose")) is not None:
+        rows.append(list(_new_poses(avatar, view)))
     return _stacked([np.concatenate([_scaled(part) for part in row], axis=1) for row in rows])
 
 
-def _made_of(shown: ShownAvatar, video: Video) -> Iterator[np.ndarray]:
+def _made_of(avatar: Avatar, video: Video) -> Iterator[np.ndarray]:
     frame = video.truly_cut(video[(video.splits.test or video.splits.train)[0]])
     yield cut_out(frame)
     if frame.normals is not None:
         inside = frame.mask[..., None] > 0.5
         yield in_8_bits(np.where(inside, normal_colors(frame.normals), 1))
     with torch.no_grad():
-        whole = with_axes(shown.avatar(frame.pose))
+        whole = with_axes(avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
         yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
-    yield from list(turntable(shown.avatar, frame.pose, TURNED + 1, video.size))[1:]
+    yield from list(turntable(avatar, frame.pose, TURNED + 1, video.size))[1:]
 
 
-def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:
+def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[np.ndarray]:
     """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
     frames = {k: view.video.truly_cut(view.video[k]) for k in view.frames}
     boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
@@ -125,7 +126,7 @@ def _new_poses(shown: ShownAvatar, view: SplitView) -> Iterator[np.ndarray]:
     for k, box in boxes:
         yield box.cut(cut_out(frames[k]))
         camera = box.cut_camera(frames[k].camera).resized(TIMES * box.width, TIMES * box.height)
-        yield render_frame(shown.avatar, frames[k].pose, camera)
+        yield render_frame(avatar, frames[k].pose, camera)
 
 
 def _scaled(part: np.ndarray) -> np.ndarray:
@@ -151,8 +152,8 @@ def _stacked(rows: list[np.ndarray]) -> np.ndarray:
 if __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
     trained = run_folder.under_trained_poses(load_video(demo / "subject"), demo / "run")
-    shown = ShownAvatar.of(run_folder.load_avatar(demo / "run"), trained, load_body())
-    Image.fromarray(overview(shown, trained)).save(out / "overview.png")  # normals: all colours
+    avatar = run_folder.load_avatar(demo / "run")
+    Image.fromarray(overview(avatar, trained)).save(out / "overview.png")  # normals: all colours
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         app.check(demo / "subject", sheet=folder / "check.png")

@@ -55,7 +55,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, part_of_progress
+from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.data.crop import Box
@@ -244,15 +244,6 @@ class Metrics:
             figures = figures_from(record["figures"])
             return Metrics(figures=figures, size=(width, height), **about)
 
-    def value(self, metric: str) -> float:
-        """Return the only figure of a metric.
-
-        Raises:
-            ValueError: there is none, or there are several.
-        """
-        (found,) = where(self.figures, metric=metric)
-        return found.value
-
     def tables(self) -> list[Table]:
         """Return the main figures for the console."""
         regions, metrics = ("white", "person", "hands", "face"), ("PSNR, dB", "SSIM")
@@ -284,7 +275,7 @@ def measure_run(
         name: of the variant, for its rows.
         body: the fitted body model.
         poses: the file of the poses that the fit began with.
-        progress: called after each frame.
+        progress: called after each frame, group by group.
         driven: applied to every pose before it drives the avatar.
         scorer: without it, one with the networks that are found.
         fit_to_pictures: also add the rows of :func:`_under_fitted_poses`.
@@ -305,13 +296,9 @@ def measure_run(
     options = made_with["options"]
     protocol = protocol_of(scorer, video, poses, options)
     protocol["similarity"] = None if similarity is None else similarity.to_json()
-    total, done = sum(len(view.frames) for some in groups.values() for view in some), 0
     figures: list[Figure] = []
     for alignment, some in groups.items():
-        frames = sum(len(view.frames) for view in some)
-        part = part_of_progress(progress, done, frames, total)
-        figures += evaluate_views(avatar, some, scorer, alignment, part)
-        done += frames
+        figures += evaluate_views(avatar, some, scorer, alignment, progress)
     if fit_to_pictures:
         own = [view for view in views if view.split in OF_VIDEO[1:]]
         novel = groups.get(ALIGNED, [])
@@ -323,12 +310,10 @@ def measure_run(
         for stage, source in (("given", video), ("trained", trained)):
             figures += error_figures(body, (source.pose, source.shape), truth, stage)
     figures += surface_figures(run, avatar, video.folder, body)
-    cost = {
-        "steps": len(history["loss"]),
-        "seconds": float(history["milliseconds"].sum() / 1e3),
-        "Gaussians": int(history["gaussians"][-1]),
-    }
-    figures += [Figure(metric=metric, value=value) for metric, value in cost.items()]
+    seconds = float(history["milliseconds"].sum() / 1e3)
+    figures.append(Figure(metric="Gaussians", value=int(history["gaussians"][-1])))
+    figures.append(Figure(metric="steps", value=len(history["loss"])))
+    figures.append(Figure(metric="seconds", value=seconds))
     subject = video.folder.resolve().name
     metrics = Metrics(
         figures=tuple(replace(figure, subject=subject, variant=name) for figure in figures),

@@ -8,7 +8,6 @@ that a picture shows the avatar and not how far away the subject was assumed to 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,10 +15,9 @@ import torch
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.crop import Box
 from gva_mi.data.pictures import in_8_bits
 from gva_mi.data.splits import spread
-from gva_mi.data.video import Frame, Video
+from gva_mi.data.video import Video
 from gva_mi.fit.renders import CameraPath, cut_out, render_frame, shots
 from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.study.evaluate import OF_VIDEO, Split, SplitView, aligned_views, views_of
@@ -39,61 +37,46 @@ SECTIONS: dict[Split, str] = {
 }
 
 
-@dataclass(frozen=True)
-class ShownAvatar:
-    """An avatar, and the splits it is shown on."""
+def shown_views(avatar: Avatar, trained: Video, body: BodyModel) -> dict[Split, SplitView]:
+    """Open the splits of a video for an avatar, with novel ones in the avatar's world.
 
-    avatar: Avatar
-    views: Mapping[Split, SplitView]
-
-    @staticmethod
-    def of(
-        avatar: Avatar,
-        trained: Video,
-        body: BodyModel,
-    ) -> ShownAvatar:
-        """Open the splits of a video, with novel ones in the avatar's world.
-
-        Args:
-            avatar: to show.
-            trained: opened with the poses that the avatar was trained under.
-            body: the fitted body model.
-        """
-        views = views_of(trained, tuple(SECTIONS), body)
-        similarity = similarity_to_truth(avatar.rig, trained, body)
-        if similarity is not None:
-            own = [view for view in views if view.split in OF_VIDEO]
-            views = own + aligned_views(views, similarity, avatar.rig, body)
-        return ShownAvatar(avatar, {view.split: view for view in views})
+    Args:
+        avatar: to show.
+        trained: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
+    """
+    views = views_of(trained, tuple(SECTIONS), body)
+    similarity = similarity_to_truth(avatar.rig, trained, body)
+    if similarity is not None:
+        own = [view for view in views if view.split in OF_VIDEO]
+        views = own + aligned_views(views, similarity, avatar.rig, body)
+    return {view.split: view for view in views}
 
 
-def picture_sections(shown: ShownAvatar, count: int) -> Iterator[Section]:
+def picture_sections(
+    avatar: Avatar, views: Mapping[Split, SplitView], count: int
+) -> Iterator[Section]:
     """Yield a section for each split: ``count`` frames, the avatar's render, and the difference."""
     for split, title in SECTIONS.items():
-        if split in shown.views:
-            pictures = list(_of_view(shown.avatar, shown.views[split], count))
-            yield Section(title, pictures, columns=3)
-    yield Section("The Gaussians", [dots("", shown.avatar.canonical)], columns=3)
+        if split in views:
+            yield Section(title, list(_of_view(avatar, views[split], count)), columns=3)
+    yield Section("The Gaussians", [dots("", avatar.canonical)], columns=3)
 
 
 def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
     for k in spread(view.frames, count):
         frame = view.video.truly_cut(view.video[k])
-        for what, box in _boxes(view, frame):
+        boxes = [("", person_box(frame.mask))]
+        if view.details is not None and view.split != "novel_view":
+            boxes += [(f", {what}", box) for what, box in view.details.boxes(k)]
+        for what, box in boxes:
             times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
             target = box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)
             camera = box.cut_camera(frame.camera).resized(times * box.width, times * box.height)
             image = render_frame(avatar, frame.pose, camera)
             row = np.concatenate([target, image, difference(target, image)], axis=1)
             yield picture(f"frame {k}{what}", row)
-
-
-def _boxes(view: SplitView, frame: Frame) -> Iterator[tuple[str, Box]]:
-    """Yield the person's box, and boxes of visible hands and faces."""
-    yield "", person_box(frame.mask)
-    if view.details is not None and view.split != "novel_view":
-        yield from ((f", {what}", box) for what, box in view.details.boxes(frame.index))
 
 
 def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ from gva_mi.study.engine import Outcome
 from gva_mi.study.evaluate import ALIGNED, REGIONS, SPLITS, Metrics
 from gva_mi.study.figures import METRICS, Table, label_of, pivot, table, where
 from gva_mi.study.page import Headline, Picture, Section, animation, picture, write_page
-from gva_mi.study.pictures import ShownAvatar, dots, picture_sections, turntable
+from gva_mi.study.pictures import dots, picture_sections, shown_views, turntable
 from gva_mi.study.refinement import OVERLAYS, pose_tables
 from gva_mi.synthetic.motion import perform
 
@@ -95,7 +95,7 @@ def write_report(
         settings: what else the page lists at its end.
     """
     metrics = Metrics.load(run)
-    shown = ShownAvatar.of(avatar, video, body)
+    views = shown_views(avatar, video, body)
     width, height = metrics.size
     write_page(
         path,
@@ -104,7 +104,7 @@ def write_report(
         headlines=headlines(metrics),
         sections=[
             *(first or [_turning(avatar, video)]),
-            *picture_sections(shown, SHOWN),
+            *picture_sections(avatar, views, SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run, metrics),
             _scores(metrics),
@@ -131,8 +131,8 @@ def headlines(metrics: Metrics) -> list[Headline]:
             pixels = "whole picture" if f.region == "white" else "person's box"
             name = label_of((f.split, f.alignment, pixels))
             found.append(Headline(f"{f.value:.1f} dB", f"PSNR, {name}"))
-    for metric in ("Gaussians", "steps", "seconds"):
-        found.append(Headline(f"{metrics.value(metric):,.0f}", metric))
+    for f in where(figures, metric=("Gaussians", "steps", "seconds")):
+        found.append(Headline(f"{f.value:,.0f}", f.metric))
     return found
 
 
@@ -192,41 +192,26 @@ def write_film_report(
         progress: called after each rendered picture.
     """
     avatar, record = run_folder.load_avatar(run), FilmRecord.load(video.folder)
-    films = list(_films(out, avatar, video, progress))
-    better = _better(_problems(video.folder / FINDINGS), record.notes)
-    first = [Section("The avatar moves", films, columns=3), better]
-    subtitle = f"{record.frames} frames at {record.fps:.3g} a second. {_height(record)}"
-    where = out / run_folder.REPORT, run
-    write_report(*where, avatar, video, title, body, subtitle, first, {"film": vars(record)})
-
-
-def _height(record: FilmRecord) -> str:
-    """Say what is known of the person's size."""
+    films = Section("The avatar moves", list(_films(out, avatar, video, progress)), columns=3)
+    tall = "height was not given: sizes and distances are uncertain by 5 %."
     if record.height is not None:
-        return f"The person is {record.height:.2f} m tall."
-    return (
-        "The person's height was not given, and an average one is assumed: size and distances are "
-        "uncertain by 5 %. --height 1.75 gives it."
-    )
+        tall = f"height is given as {record.height:.2f} m."
+    subtitle = f"{record.frames} frames at {record.fps:.3g} a second. The person's {tall}"
+    first, settings = [films, _findings(video, record)], {"film": vars(record)}
+    page = out / run_folder.REPORT
+    write_report(page, run, avatar, video, title, body, subtitle, first, settings)
 
 
 def _films(out: Path, avatar: Avatar, video: Video, progress: Progress | None) -> Iterator[Picture]:
     """Write the films of the avatar, and yield each as an animation."""
-    front = _frame_from_front(avatar, video)
-    motions = {TURNTABLE: (video.pose[front], "turntable")}
+    motions = {TURNTABLE: (video.pose[_frame_from_front(video)], "turntable")}
     motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN}
-    plans = {
-        name: (motion, shots(CameraPath(path=path, size=SIZE), avatar.rig, motion))
-        for name, (motion, path) in motions.items()
-    }
-    done, total = 0, sum(len(plan) for _, plan in plans.values())
-    for name, (motion, plan) in plans.items():
-        images = []
+    for name, (motion, path) in motions.items():
+        plan, images = shots(CameraPath(path=path, size=SIZE), avatar.rig, motion), []
         for layer in render_shots(avatar, motion, plan):
             images.append(over(layer, np.array(WHITE)))
-            done += 1
             if progress:
-                progress(done, total)
+                progress(len(images), len(plan))
         write_film(out / f"{name}.mp4", images, FPS, way="playable")
         yield animation(name, images[::IN_PAGE])
 
@@ -241,7 +226,7 @@ def driven_motion(avatar: Avatar, name: str) -> Pose:
     return replace(pose, transl=pose.transl * torch.tensor([0.0, 1.0, 0.0]))
 
 
-def _frame_from_front(avatar: Avatar, video: Video) -> int:
+def _frame_from_front(video: Video) -> int:
     """Return the frame in which the person faces the camera most."""
     there = [k for k in range(len(video)) if k not in video.absent]
     ahead = to_matrix(video.pose.rotations[there, 0])[:, :, 2].double().numpy()
@@ -249,22 +234,17 @@ def _frame_from_front(avatar: Avatar, video: Video) -> int:
     return there[int(np.argmin((ahead * axes).sum(1)))]
 
 
-def _problems(path: Path) -> list[Problem]:
-    """Read the findings of ``gva-mi avatar``'s check."""
-    expected = "the findings on a film"
-    record = read_json(path, expected)
-    with expecting(path, expected):
-        return [from_json(Problem, one) for one in record["findings"]]
-
-
-def _better(problems: Sequence[Problem], notes: Sequence[str]) -> Section:
+def _findings(video: Video, record: FilmRecord) -> Section:
     """List what went wrong with the film, and what to do about it."""
-    tables = []
+    path, expected = video.folder / FINDINGS, "the findings on a film"
+    found, tables = read_json(path, expected), []
+    with expecting(path, expected):
+        problems = [from_json(Problem, one) for one in found["findings"]]
     if problems:
         rows = [(p.what, p.figure, p.cause, p.remedy) for p in problems]
         tables.append(Table(("what", "measured", "likely cause", "what to do"), rows, words=True))
-    if notes:
-        tables.append(Table(("notes",), [(note,) for note in notes], words=True))
+    if record.notes:
+        tables.append(Table(("notes",), [(note,) for note in record.notes], words=True))
     return Section("What to film better" if problems else "A good film", tables=tables)
 
 

@@ -58,7 +58,7 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     found = json.loads((me / "subject/film_check.json").read_text())
     assert "short" in {finding["what"] for finding in found["findings"]}
     page = (me / "report.html").read_text()
-    assert "What to film better" in page and f"{height:.2f} m tall" in page
+    assert "What to film better" in page and f"given as {height:.2f} m" in page
     rows = json.loads((me / "run/metrics.json").read_text())["figures"]
     whole = {
         (row["alignment"], row["split"]): row["value"]

@@ -5,7 +5,6 @@ A variant is fitted with what its name says; a run that no longer holds is not u
 
 import json
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +13,7 @@ import torch
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
-from gva_mi.body.pose import load_poses, read_pose_file, save_poses
+from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.stamp import RESULTS_VERSIONS
@@ -30,7 +29,7 @@ from gva_mi.fit.run_folder import load_avatar
 from gva_mi.pose import SequenceOptions
 from gva_mi.pose.stature import Stature
 from gva_mi.study import evaluate
-from gva_mi.study.cases import FULL, NO_HANDS, TUNING, VARIANTS, variants_named
+from gva_mi.study.cases import FULL, NO_HANDS, TUNING, variants_named
 from gva_mi.study.engine import (
     MADE_WITH,
     AvatarStudy,
@@ -45,7 +44,7 @@ from gva_mi.study.engine import (
 )
 from gva_mi.study.evaluate import ALIGNED, AS_REFINED, Metrics
 from gva_mi.study.figures import Figure, where
-from gva_mi.study.filmed import Filming, filming_work, height_of
+from gva_mi.study.filmed import Filming, height_of
 
 MADE = {"options": {"frames": 8}, "results_version": 1}
 
@@ -88,14 +87,6 @@ def test_only_what_is_missing_is_computed_in_the_order_of_the_cases():
     assert list(run_study(COUNTING, TUNING[:2], found)) == found and not DONE
 
 
-def test_progress_counts_up_to_all_of_the_work():
-    seen = []
-    progress = lambda now, total, **_: seen.append((now, total))
-    with ThreadPoolExecutor(1) as executor:
-        list(run_study(COUNTING, TUNING[:1], (), progress, executor))
-    assert seen[-1] == (9, 9) and seen == sorted(seen)
-
-
 def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body, monkeypatch):
     study = RefineStudy(tmp_path, body, RefineStudyOptions())
     made, options = study.stamp, study.options
@@ -107,25 +98,14 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
     ):
         assert other.stamp != made
+    # Avatars begin with refined poses, and masks and poses of a film are results, too.
+    avatars = lambda: AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]).stamp
+    films = lambda: [Filming(tmp_path, 8, 64).subject(case) for case in TUNING]
+    before, filmed = avatars(), films()
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
-    assert RefineStudy(tmp_path, body, options).stamp != made
-
-
-def test_what_the_refinements_version_changes_is_made_again(tmp_path, body, monkeypatch):
-    """Avatars begin with refined poses; masks and poses of a film are results, too."""
-    film = next(case for case in TUNING if case.noise == FILM)
-    other = next(case for case in TUNING if case.noise != FILM)
-
-    def made():
-        avatars, filming = (
-            AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
-            Filming(tmp_path, 8, 64),
-        )
-        return avatars.stamp, filming.subject(film), filming.subject(other)
-
-    before = made()
-    monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
-    assert [one == two for one, two in zip(before, made(), strict=True)] == [False, False, True]
+    assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
+    changed = [one != two for one, two in zip(filmed, films(), strict=True)]
+    assert changed == [case.noise == FILM for case in TUNING]
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
@@ -151,15 +131,6 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
     (tmp_path / "avatar.json").write_text(text)
     with pytest.raises(InputError, match=rf"avatar.json: .*{match}.*--overwrite"):
         Counting(tmp_path, None, None).load()
-
-
-def test_a_take_is_filmed_by_one_worker(tmp_path, body):
-    amira = [case for case in TUNING if case.take.person == "amira"]
-    filming = Filming(tmp_path, 8, 64)
-    films = [work.call.args[0] for work in filming_work(filming, [*amira, TUNING[1]], body)]
-    assert films == [tuple(amira), (TUNING[1],)]
-    folders = {filming.subject(case) for cases in films for case in cases}
-    assert len(folders) == len(amira) + 1
 
 
 @pytest.mark.slow
@@ -248,21 +219,6 @@ def test_a_rigid_body_turns_and_moves_as_a_whole(refined_subject, body):
     assert full.driven(whole)(whole.pose) is whole.pose
 
 
-def test_only_variants_with_refined_poses_are_seeded_on_the_displaced_surface(
-    refined_subject, body
-):
-    naked = {
-        variant.name
-        for variant in VARIANTS
-        if read_pose_file(run_of(variant.name, refined_subject, body)._poses).offsets is None
-        or variant.of(OPTIONS).naked
-    }
-    assert naked == {
-        "without refinement", "without either", "GART-like", "seeded on the naked body",
-        "without re-initialisation, naked",
-    }  # fmt: skip
-
-
 def test_a_run_made_with_something_else_is_removed(refined_subject, body):
     run = run_of("full", refined_subject, body)
     run.out.mkdir()
@@ -277,7 +233,7 @@ def test_a_run_made_with_something_else_is_removed(refined_subject, body):
 
 @pytest.fixture(scope="module")
 def runs(subject, tmp_path_factory, body, known, camera, turning):
-    """Two variants, on the tiny subject with novel poses and views of its own."""
+    """A variant, on the tiny subject with novel poses and views of its own."""
     folder = tmp_path_factory.mktemp("study")
     case = shutil.copytree(subject, folder / "subject")
     shutil.copy(case / "poses.npz", case / "poses_refined.npz")
@@ -291,14 +247,11 @@ def runs(subject, tmp_path_factory, body, known, camera, turning):
         save_cameras(part / "cameras.npz", [camera] * 2)
     for name in ("poses.npz", "cameras.npz"):
         shutil.copy(case / name, case / "truth" / name)
-    made, few = {}, lambda frames: PhotometricOptions(passes=1)
+    few = lambda frames: PhotometricOptions(passes=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluate, "_pose_fit_options", few)
-        for variant in (FULL, NO_HANDS):
-            out = folder / "runs" / variant.name
-            run = VariantRun(case, out, variant, body, OPTIONS, "made")
-            made[variant.name] = (run, run.solve())
-        yield made
+        run = VariantRun(case, folder / "run", NO_HANDS, body, OPTIONS, "made")
+        yield run, run.solve()
 
 
 def scores(figures, **about):
@@ -307,7 +260,7 @@ def scores(figures, **about):
 
 
 def test_a_variant_is_fitted_and_measured_in_all_ways(runs):
-    run, figures = runs["full"]
+    run, figures = runs
     found = scores(figures)
     for key in (("test", "", "white"), ("test", AS_REFINED, "white"), ("test", FITTED, "white"),
                 ("novel_pose", ALIGNED, "white"), ("novel_view", FITTED, "white"),
@@ -317,12 +270,11 @@ def test_a_variant_is_fitted_and_measured_in_all_ways(runs):
     assert Metrics.load(run.out).figures == figures
     (count,) = where(figures, metric="Gaussians")
     assert count.value >= 300
-    hands = [load_avatar(runs[x][0].out).options.hands for x in ("full", NO_HANDS.name)]
-    assert hands == [True, False]
+    assert load_avatar(run.out).options.hands is False
 
 
 def test_a_finished_variant_is_not_fitted_again(runs):
-    run, figures = runs["full"]
+    run, figures = runs
     before = (run.out / "avatar.npz").stat().st_mtime_ns
     assert run.solve() == figures
     assert (run.out / "avatar.npz").stat().st_mtime_ns == before

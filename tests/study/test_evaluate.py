@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.core.errors import InputError
@@ -121,15 +120,6 @@ def test_views_of_other_cameras_use_the_trained_poses(known, watched):
     assert max(before) < 45 and set(after) == {PSNR_MAX}
 
 
-def test_background_raises_the_psnr_of_the_whole_picture_but_not_of_the_box(known, subject):
-    damaged = type(known).from_record(known.record())
-    with torch.no_grad():
-        damaged.canonical.means += 0.03
-    found = psnr(evaluate(damaged, load_video(subject), splits=["test"], weights=NONE))
-    assert set(found) == {("test", region) for region in ("white", "black", "person")}
-    assert found["test", "person"] < found["test", "white"] != found["test", "black"]
-
-
 def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
     folder = tmp_path / "subject"
     shutil.copytree(subject, folder)
@@ -158,7 +148,7 @@ def test_metrics_survive_a_round_trip(tmp_path):
         versions={"python": "3.11"},
     )
     metrics.save(tmp_path)
-    assert Metrics.load(tmp_path) == metrics and metrics.value("seconds") == 1.5
+    assert Metrics.load(tmp_path) == metrics
     record = json.loads((tmp_path / METRICS).read_text())
     assert list(record) == ["figures", "size", "protocol", "options", "versions"]
     assert list(record["figures"][0]) == [

@@ -12,7 +12,7 @@ from gva_mi.study.engine import Outcome
 from gva_mi.study.evaluate import ALIGNED, Metrics
 from gva_mi.study.figures import Figure, Table
 from gva_mi.study.page import Headline, Section, animation, picture, write_page
-from gva_mi.study.pictures import ShownAvatar, picture_sections
+from gva_mi.study.pictures import picture_sections, shown_views
 
 PSNR = "PSNR, dB"
 
@@ -48,7 +48,7 @@ def test_the_first_figures_are_errors_of_poses_then_psnr_size_and_time():
         Figure(split="test", region="white", metric=PSNR, value=35.24),
         Figure(split="test", region="black", metric=PSNR, value=1.0),
         Figure(split="novel_pose", region="person", alignment=ALIGNED, metric=PSNR, value=27.0),
-        *(Figure(metric=name, value=1234) for name in ("steps", "seconds", "Gaussians")),
+        *(Figure(metric=name, value=1234) for name in ("Gaussians", "steps", "seconds")),
     ]
     metrics = Metrics(figures=tuple(figures), size=(4, 4), protocol={}, options={}, versions={})
     found = [(headline.value, headline.label) for headline in report.headlines(metrics)]
@@ -61,7 +61,7 @@ def test_the_first_figures_are_errors_of_poses_then_psnr_size_and_time():
 
 
 def test_details_are_rendered_as_large_as_they_are_shown(known, video, body):
-    test, *_, rest = picture_sections(ShownAvatar.of(known, video, body), 1)
+    test, *_, rest = picture_sections(known, shown_views(known, video, body), 1)
     hand = next(p for p in test.pictures if p.caption == "frame 3, hands")
     image = Image.open(io.BytesIO(base64.b64decode(hand.data.partition(",")[2])))
     assert image.width == 3 * image.height >= 600

@@ -141,10 +141,6 @@ def test_a_wrong_lens_is_undone(moved, known, body):
     np.testing.assert_allclose(after, before, atol=0.01)
 
 
-def test_no_similarity_without_ground_truth(video, known, body):
-    assert similarity_to_truth(known.rig, video, body) is None
-
-
 def test_fitted_novel_poses_correct_a_skeleton_offset(moved, known, body):
     """The true poses, 2 cm beside what the pictures show: a figure of the skeleton, not of the
     avatar. What is fitted to them sees the avatar, which is the very one they were made with."""

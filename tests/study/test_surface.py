@@ -1,7 +1,6 @@
 """Spacing and bias are what their equations say, on surfaces whose answer is known."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -117,10 +116,3 @@ def test_hair_is_on_the_head_and_shorts_have_inner_sides(body, tmp_path):
     assert len(hair) > 200 and hair[:, 1].min() > truth.points[:, 1].max() - 0.35
     hidden = cKDTree(truth.points).query(truth.everywhere)[0] > 0.03
     assert 0.02 < hidden.mean() < 0.5
-
-
-def test_a_subject_that_is_drawn_differently_today_has_no_figures(bare, known, body, tmp_path):
-    folder = shutil.copytree(bare, tmp_path / "older")
-    (folder / "truth/surface.ply").unlink()
-    assert remake_subject(folder, body) is None
-    assert TrueSurface.of(folder, body, known.rig) is None

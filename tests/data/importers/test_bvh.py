@@ -199,9 +199,7 @@ def test_damaged_files_are_described(tmp_path, dance, cli):
         (lambda x: x.rsplit(maxsplit=9)[0], r"multiple of its 75 channels; it may be cut short"),
         (lambda x: x.partition("MOTION")[0], "has no MOTION with 'Frames:'"),
         (lambda x: x.replace("Frame Time: 0.0", "Frame Time: -0.0"), "must be seconds above 0"),
-        (lambda x: x.replace("Zposition", "Zscale"), "holds the line ' CHANNELS 6 Zscale"),
         (lambda x: x.replace("LeftLeg", "bone_7"), "no left hip is among them|no left knee"),
-        (lambda x: x + "half", "of another form .*expected a BVH file"),
         (lambda x: x.replace("MOTION", "ROOT Two\n{\n}\nMOTION"), "holds several skeletons"),
         (lambda x: x.replace("OFFSET 0.0", "OFFSET nan0.0", 1), "of another form .*nan0.0"),
     ):

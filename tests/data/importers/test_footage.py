@@ -108,16 +108,6 @@ def estimate(tmp_path, wham, seen):
     return ["prepare", "wham", wham(_0=seen), tmp_path / "s", "--body", "puppet"]
 
 
-def test_prepare_reports_a_varying_rate(tmp_path, cli, estimate):
-    path = film(tmp_path / "film.mp4", 5, moments=[0, 40, 80, 200, 240])
-    mask = np.zeros((5, *SIZE), bool)
-    mask[:, 8:20, 10:30] = True
-    np.save(tmp_path / "masks.npy", mask)
-    said = cli.works(*estimate, "--frames", path, "--masks", tmp_path / "masks.npy")
-    assert "rate varies: its pictures are 40 to 120 ms apart" in said
-    assert len(list((tmp_path / "s/frames").iterdir())) == 5
-
-
 INSIDE = np.zeros((48, 64), np.uint8)
 INSIDE[10:40, 20:40] = 1
 NONE = {

@@ -11,10 +11,6 @@ from gva_mi.data.landmarks import BODY, Landmarks, hand_names
 
 FRAMES = 6
 NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
-BODY_25 = (  # OpenPose's own list, its names for ours
-    "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee "
-    "LAnkle REye LEye REar LEar LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel"
-).split()
 
 
 @pytest.fixture
@@ -88,18 +84,6 @@ def test_points_lie_where_the_file_says(tmp_path, person, write, layout, hands):
     assert (found.pixels[:, untold] == network.pixels[:, untold]).all()
     assert (found.metric == network.metric).all()
     assert notes == [f"keypoints of {tmp_path / 'k'} in 6 of 6 frames"]
-
-
-def test_body_25_has_openpose_s_order():
-    sides = {"R": "right", "L": "left"}
-    ours = {"BigToe": "foot_index", "Heel": "heel"}
-    for theirs, name in zip(BODY_25, LAYOUTS[25], strict=True):
-        if name:
-            part = theirs[1:] if theirs[0] in sides and theirs != "Nose" else theirs
-            side = f"{sides[theirs[0]]}_" if part != theirs else ""
-            assert name == side + ours.get(part, part.lower())
-        else:
-            assert theirs in ("Neck", "MidHip", "LSmallToe", "RSmallToe")
 
 
 def test_missing_points_and_frames_stay_missing(tmp_path, person):

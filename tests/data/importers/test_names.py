@@ -107,15 +107,6 @@ def test_axes_of_length_1_do_not_count(motion):
         assert np.allclose(matrices(found.rotations[:, :22]), matrices(rotations[:, :22]))
 
 
-def test_a_single_frame_may_lack_its_axis(motion):
-    rotations, _ = motion
-    frame = {"global_orient": rotations[0, 0], "body_pose": rotations[0, 1:22],
-             "left_hand_pose": rotations[0, 25:40]}  # fmt: skip
-    found = find_body("x", frame)
-    assert np.array_equal(found.rotations[0, :22], rotations[0, :22])
-    assert np.array_equal(found.rotations[0, 25:40], rotations[0, 25:40])
-
-
 def test_parameters_may_lie_in_a_dictionary_of_their_own(motion):
     rotations, named = motion
     packed = np.empty((), object)

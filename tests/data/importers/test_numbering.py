@@ -38,17 +38,3 @@ def test_the_frame_is_the_number_that_differs():
     assert frames_named(["x_5"]).tolist() == [5] and frames_named(["3_1", "3_1"]).tolist() == [1, 1]
     with pytest.raises(ValueError, match="no number in the name 'x'"):
         frames_named(["x"])
-
-
-def test_a_file_a_frame_follows_the_pictures_names(tmp_path, cli, walk, footage):
-    """Files 9 to 12 belong to the pictures 9 to 12 of 8 to 12, and it is said."""
-    rotations, _ = walk(4)
-    for k in range(4):
-        place = np.array([0.1 * k, -0.3, 4.0])
-        (tmp_path / "out").mkdir(exist_ok=True)
-        np.savez(tmp_path / f"out/{k + 9}.npz", global_orient=rotations[k, :1], transl=place[None],
-                 body_pose=rotations[k, 1:22].reshape(1, 63))  # fmt: skip
-    given = ("prepare", "parameters", tmp_path / "out", tmp_path / "s", *footage, "--lens", 70)
-    assert "numbered from 8" in cli.works(*given)
-    x = np.load(tmp_path / "s/poses.npz")["transl"][:, 0]
-    assert np.allclose(np.diff(x)[1:4], 0.1, atol=1e-5)

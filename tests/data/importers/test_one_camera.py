@@ -89,18 +89,3 @@ def test_pictures_and_masks_become_those_of_a_pinhole(tmp_path, thetas, world, p
     assert np.abs(video.cameras[2].K - filmed.K).max() < 1e-6
     with pytest.raises(InputError, match="distortion must be"):
         undistort("x", filmed.K, np.zeros(3), (WIDTH, HEIGHT))
-
-
-def test_links_in_a_data_set_are_followed(tmp_path, thetas, world, prepared, cli):
-    """A link is the user's own, such as to a larger disk."""
-    source = filmed.zju(tmp_path / "x", thetas, world[1])
-    (source / "Camera_B1").rename(tmp_path / "larger disk")
-    (source / "Camera_B1").symlink_to(tmp_path / "larger disk")
-    mask = source / "mask/Camera_B1/000001.png"
-    mask.rename(tmp_path / "mask.png")
-    mask.symlink_to(tmp_path / "mask.png")
-    folder, _ = prepared(source)
-    assert not any(path.is_symlink() for path in folder.rglob("*"))
-    (tmp_path / "mask.png").unlink()
-    err = cli.fails("prepare", "zju", source, tmp_path / "b", *filmed.BUILT_IN_BODY)
-    assert f"{mask}: no such file" in err and err.count("\n") <= 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from samples.data_sets import SMPL, SMPLX
+from samples.data_sets import SMPLX
 from samples.estimates import without_hands
 
 from gva_mi.body.pose import Pose, Shape
@@ -10,7 +10,7 @@ from gva_mi.body.smplx import load_body
 from gva_mi.data.check import check_intrinsics, check_poses
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.track import TargetBody, Track, every_frame, seen_alike, usual_lens
+from gva_mi.data.importers.track import TargetBody, Track, every_frame, seen_alike
 from gva_mi.splat import Camera
 
 SIZE = (900, 900)
@@ -65,34 +65,6 @@ def test_who_stands_still_is_one_person_and_does_not_move(tmp_path):
     motion = read_motion(folder, TargetBody.read(None), options)
     assert motion.pose.transl.norm(dim=1).max() < 1e-4
     assert any("another lens in each frame" in note for note in motion.notes)
-
-
-def test_a_lens_a_frame_of_parameters_by_name_is_no_motion(tmp_path):
-    """As of SMPLer-X, in one file with K, or with CLIFF's names and one axis."""
-    pose = {"pose": np.tile([np.pi] + 71 * [0.0], (6, 1))}
-    np.savez(tmp_path / "K.npz", **pose, transl=STANDS - SMPL, K=lenses())
-    K = np.array([np.diag([focal, focal, 1]) for focal in lenses()[:, 0, 0]])
-    K[:, :2, 2] = 500  # as if of pictures of 1000 by 1000, whose size no file says
-    places = seen_alike(STANDS, lenses(), K)
-    np.savez(tmp_path / "focal.npz", **pose, global_t=places - SMPL, focal_l=K[:, 0, 0])
-    for name in ("K.npz", "focal.npz"):
-        options = MotionOptions(fps=30, source_fps=30)
-        motion = read_motion(tmp_path / name, TargetBody.read(None), options)
-        assert motion.pose.transl.norm(dim=1).max() < 1e-4
-        assert any("another lens in each frame" in note for note in motion.notes)
-
-
-def test_who_walks_goes_as_far_as_before_the_usual_lens(tmp_path):
-    """The depth of a step follows from the lens that is supposed, the sideways one does not."""
-    boxes = BOXES + np.outer(np.arange(6), [0, 90])
-    path = np.array([-0.5, 0.0, 5.0]) + np.outer(np.arange(6), [0.3, 0, -0.2])
-    folder = written(tmp_path / "x", lenses(boxes), before(lenses(boxes), path))
-    motion = read_motion(folder, TargetBody.read(None), MotionOptions(fps=30, source_fps=30))
-    factor = usual_lens(lenses(boxes))[0, 0] / np.hypot(*SIZE)
-    assert 0.7 < factor < 1.6
-    assert np.allclose(-motion.pose.transl[:, 2], factor * (path - path[0])[:, 2], atol=1e-3)
-    aside = path[:, 0] + (450 - usual_lens(lenses(boxes))[0, 2]) * path[:, 2] / np.hypot(*SIZE)
-    assert np.allclose(motion.pose.transl[:, 0], aside - aside[0], atol=1e-3)
 
 
 def test_missing_frames_are_filled_on_the_way_through_the_picture():

@@ -132,9 +132,11 @@ def test_a_camera_that_circles_sees_the_person_from_all_sides(body, bare, tmp_pa
     ahead = np.stack([camera.T_camera_world[2, :3] for camera in video.cameras])
     turns = (ahead @ ahead[0] - ahead[0, 1] ** 2) / (1 - ahead[0, 1] ** 2)
     np.testing.assert_allclose(turns, [1, 0, -1, 0], atol=1e-9)
-    for frame in video.frames(range(4)):
+    for frame in video.frames(range(4)):  # the person is where the camera looks
+        rows, columns = np.nonzero(frame.mask > 0.5)
+        assert abs(columns.mean() - 16) < 4 and np.ptp(rows) > 20
         place = body(frame.pose, video.shape).vertices[0].double().numpy()
-        assert inside(frame.mask, frame.camera.project(place), reach=1).all()
+        assert np.abs(frame.camera.project(place).mean(0) - (columns.mean(), rows.mean())).max() < 3
 
 
 @pytest.mark.slow

@@ -87,23 +87,20 @@ def prepare(
 def check(
     subject: Path | str,
     *,
-    poses: Path | str | None = None,
     body: Path | str | None = None,
     sheet: Path | str | None = None,
 ) -> CheckReport:
-    """Find what is wrong with a subject's folder, in one pass: files, axes, units, poses.
+    """Find what is wrong with a subject's folder, in one pass.
 
     Args:
         subject: the folder.
-        poses: another file of poses than its poses.npz, such as the refined ones.
         body: see above.
         sheet: also write a picture (.png) of some frames with the outlines of mask and body.
     """
     subject, sheet = Path(subject), None if sheet is None else Path(sheet)
     model = load_body(body_of(subject, body))
     with bar("check") as progress:
-        poses = None if poses is None else Path(poses)
-        report = check_subject(subject, model, poses, progress, sheet)
+        report = check_subject(subject, model, progress, sheet)
     for line in report.lines(max(60, shutil.get_terminal_size().columns)):
         say(line)
     for line in report.skipped:

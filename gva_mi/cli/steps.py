@@ -28,7 +28,6 @@ WRONG = 1  # exit code of a check that found errors
 def check(
     subject: Positional[Path],
     *,
-    poses: Path | None = None,
     body: Path | None = None,
     json: Path | None = None,
     sheet: Path | None = None,
@@ -40,7 +39,6 @@ def check(
 
     Args:
         subject: the folder.
-        poses: another file of poses than its poses.npz, such as the refined ones.
         body: the body that its poses are for, in SMPL-X's format; without it the one that it was
             prepared for, else the built-in body.
         json: also write all findings with all their frames to this file.
@@ -51,7 +49,7 @@ def check(
         require_room(json, overwrite)
     if sheet is not None:
         require_picture(sheet, overwrite)
-    report = app.check(subject, poses=poses, body=body, sheet=sheet)
+    report = app.check(subject, body=body, sheet=sheet)
     if json is not None:
         write_json(json, report.to_json())
         say(f"findings: {json}")

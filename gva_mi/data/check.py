@@ -47,11 +47,10 @@ DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
 def check_subject(
     folder: Path,
     body: BodyModel,
-    poses: Path | None = None,
     progress: Progress | None = None,
     sheet: Path | None = None,
 ) -> CheckReport:
-    """Check a folder, whose poses are for ``body`` and in ``poses`` or ``poses.npz``.
+    """Check a folder, whose poses are for ``body``.
 
     ``sheet`` receives a picture of some frames, if there are any with mask, camera and pose.
     """
@@ -59,7 +58,7 @@ def check_subject(
     parts = (VIDEO, FRAMES, MASKS, CAMERAS, POSES)
     if folder.is_dir() and not any((folder / part).exists() for part in parts):
         raise InputError(f"{folder}: no subject's folder; expected some of {', '.join(parts)}")
-    video = read_video(folder, faults.attempt, poses)
+    video = read_video(folder, faults.attempt)
     faults.attempt("another body", None, require_same_body, folder, body)
     if video is not None:
         faults.attempt("views of other cameras", None, read_views, folder, len(video))

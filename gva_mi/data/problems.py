@@ -11,8 +11,6 @@ from typing import Literal, TypeVar
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 
-LONGEST = 44  # characters of a list of frames; all of them are in the JSON
-
 T = TypeVar("T")
 
 
@@ -61,8 +59,6 @@ class CheckReport:
         """Yield the problems in lines of at most ``width`` characters."""
         for p in self.problems:
             frames = f" in frames {listed(sorted(p.frames))}" if p.frames else ""
-            if len(frames) > LONGEST:
-                frames = f" in {len(p.frames)} frames from {p.frames[0]} on"
             if len(p.frames) == self.frames > 0:
                 frames = " in all frames"
             yield from textwrap.wrap(f"{p.severity}: {p.what}{frames}: {p.figure}", width)

@@ -2,11 +2,10 @@
 
 import sys
 
-import numpy as np
 import pytest
 import torch
 
-from gva_mi.body.anny import FILE, _regressor, anny_body
+from gva_mi.body.anny import FILE, anny_body
 from gva_mi.body.pose import JOINTS, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.core.errors import InputError
@@ -18,16 +17,6 @@ def test_a_missing_package_is_explained_and_a_cached_body_needs_none(tmp_path, m
         anny_body(tmp_path)
     (tmp_path / FILE).write_bytes(b"")
     assert anny_body(tmp_path) == tmp_path / FILE
-
-
-def test_the_regressor_finds_joints_that_depend_on_the_surface():
-    rng = np.random.default_rng(2)
-    surfaces = rng.normal(size=(1, 300, 3)) + 0.1 * rng.normal(size=(64, 1, 3))
-    joints = surfaces[:, :55] * 0.5 + surfaces[:, 55:110] * 0.5
-    regressor = _regressor(surfaces, joints)
-    np.testing.assert_allclose(regressor.sum(1), 1, atol=1e-9)
-    np.testing.assert_allclose(regressor @ surfaces[3], joints[3], atol=2e-3)
-    assert ((regressor != 0).sum(1) <= 120).all()
 
 
 @pytest.mark.slow

@@ -83,7 +83,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "motion": "motion {subject}/poses.npz {}/a.npz",
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
-    "check": "check {subject} --json {}/a.json",
+    "check": "check {subject} --sheet {}/a.png",
     "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
 }
 LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "study")

@@ -77,13 +77,6 @@ def test_a_fast_film_is_thinned(tmp_path):
     assert numbers(read_film(path, fps=60, start=0.25, end=0.5)) == list(range(15, 31))
 
 
-@pytest.mark.parametrize("own, every", [(100 / 3, 1), (50, 2), (120, 4)])
-def test_a_film_keeps_about_thirty_pictures_a_second(own, every, tmp_path):
-    found = read_film(film(tmp_path / "a.mp4", np.arange(24) / own, tick=600))
-    assert numbers(found) == list(range(0, 24, every))
-    assert found.fps == pytest.approx(own / every)
-
-
 def test_a_varying_rate_becomes_even(tmp_path):
     """30 a second in good light, 15 in the dark: the time of a picture counts, not its number."""
     moments = [*(np.arange(30) / 30), *(1 + np.arange(15) / 15)]

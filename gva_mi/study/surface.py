@@ -144,18 +144,14 @@ class TrueSurface:
         """Make the surface of a subject that ``gva-mi synth`` made, for an avatar's rig.
 
         Returns:
-            None if the subject's body has other vertices than the fitted ``body``, or if an older
-            program drew the subject differently.
+            None if the subject's body has other vertices than the fitted ``body``.
 
         Raises:
             InputError: the folder was not made by ``gva-mi synth``, or on another body.
         """
         if recorded_options(subject)[1].figure == "anny":  # this body has other vertices
             return None
-        again = remake_subject(subject, body)
-        if again is None:
-            return None
-        person, drawn_on = again
+        person, drawn_on = remake_subject(subject, body)
         with torch.no_grad():
             own = body.rest(Shape(rig.betas)).vertices.double().numpy()
             true = drawn_on.rest(person.shape).vertices.double().numpy()

@@ -78,10 +78,6 @@ POSES: Mapping[str, Action] = {  # held-out poses
         {"spine1": (0.2, 0.2, 0), "spine2": (0.2, 0.15, 0), "neck": (0.15, 0, 0),
          "left_shoulder": (-0.2, -0.5, -0.8), "right_shoulder": (0.2, 0, 0.6)}, "three", "open",
     ),
-    "t-pose": Action(
-        {"left_shoulder": (0, 0, -0.1), "right_shoulder": (0, 0, 0.1),
-         "left_elbow": (0, 0, 0), "right_elbow": (0, 0, 0)}, "three", "fist",
-    ),
 }  # fmt: skip
 GESTURING: Mapping[str, Action] = {  # of a standing person: arms and trunk alone
     name: ACTIONS[name] for name in ACTIONS if not any("knee" in j for j in ACTIONS[name].joints)

@@ -28,7 +28,6 @@ from itertools import compress
 
 import numpy as np
 
-from gva_mi.core.errors import InputError
 from gva_mi.synthetic.picture_errors import MaskErrors, NormalErrors
 from gva_mi.synthetic.pose_errors import CameraTilt, JointFactors, Outliers, PoseErrors
 
@@ -51,13 +50,6 @@ def draw_errors(error_model: str, seed: int) -> ErrorParameters | None:
     return ERROR_MODELS[error_model](
         np.random.default_rng((seed, zlib.crc32(error_model.encode())))
     )
-
-
-def require_error_model(name: str) -> None:
-    """Raise an InputError with the known error models if this is none of them."""
-    known = (NO_ERRORS, *ERROR_MODELS)
-    if name not in known:
-        raise InputError(f"synth: no error model '{name}'; there are: {', '.join(known)}")
 
 
 def _mixed(rng: np.random.Generator) -> ErrorParameters:

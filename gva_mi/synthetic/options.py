@@ -11,7 +11,7 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
-from gva_mi.synthetic.error_models import NO_ERRORS, require_error_model
+from gva_mi.synthetic.error_models import ERROR_MODELS, NO_ERRORS
 from gva_mi.synthetic.foreign_body import BodyStretch, stretched
 from gva_mi.synthetic.people import NAMED, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.subject import Subject, draw_subject
@@ -58,8 +58,7 @@ class SynthOptions:
             raise InputError(
                 f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
             )
-        require_error_model(self.error_model)
-        choices = {"subject": (None, *NAMED)} | {
+        choices = {"subject": (None, *NAMED), "error_model": (NO_ERRORS, *ERROR_MODELS)} | {
             name: get_args(hint)
             for name, hint in get_type_hints(SynthOptions).items()
             if get_origin(hint) is Literal
@@ -67,7 +66,8 @@ class SynthOptions:
         for name, known in choices.items():
             if getattr(self, name) not in known:
                 names = ", ".join(str(k) for k in known if k)
-                raise InputError(f"synth: no {name} '{getattr(self, name)}'; there are: {names}")
+                wrong = f"no {name.replace('_', ' ')} '{getattr(self, name)}'"
+                raise InputError(f"synth: {wrong}; there are: {names}")
         if self.camera != "stands" and self.error_model != NO_ERRORS:
             raise InputError(
                 f"synth: errors need a fixed camera; --camera {self.camera} needs "

@@ -93,15 +93,11 @@ class Staging:
         points, rng = self.points(self.poses[0]), self.options.random(ROOM)
         return draw_room(rng, self.subject.look.person, points, self.cameras)
 
-    def about_film(self) -> dict[str, float]:
-        """Return the person's height at rest and the placing of the phone, metres and degrees."""
+    @property
+    def height(self) -> float:
+        """The person's height at rest, metres."""
         rest = self.body.rest(self.subject.shape).vertices[:, 1]
-        return {
-            "height_m": float(rest.max() - rest.min()),
-            "camera_height_m": self.phone.height,
-            "camera_distance_m": self.phone.distance,
-            "tilt_deg": float(np.degrees(self.phone.tilt)),
-        }
+        return float(rest.max() - rest.min())
 
     def exposures(self) -> Iterator[tuple[Moment, ...]]:
         """Yield the moments of each frame of the video: several while the shutter is open."""

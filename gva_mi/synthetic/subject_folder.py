@@ -10,14 +10,13 @@ Files outside ``truth`` are estimates of a pipeline (see ``estimates``), cameras
 focal length may be wrong. All in ``truth`` is exact:
 
 ======================  ========================================================================
-``surface.ply``         the outer surface in the rest pose, with clothes and hair
 ``poses.npz``           poses of the body that was drawn
 ``body.npz``            this body, if it is not the fitted one, see ``foreign_body``
 ``cameras.npz``         the true cameras
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
 ``novel_pose``          poses that the video does not hold
-``film.json``           height of the person, placing of the phone, of a video in a room
+``film.json``           height of the person, of a video in a room
 ======================  ========================================================================
 
 A picture depends only on its :class:`RenderJob`: one process computes all surfaces, and every job
@@ -40,7 +39,7 @@ import numpy as np
 
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.atomic import atomic_dir, atomic_write
+from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_arrays, write_json
 from gva_mi.core.stamp import write_record
@@ -62,7 +61,6 @@ from gva_mi.synthetic.staging import Staging, lowered
 from gva_mi.synthetic.subject import Subject
 
 PHONE_FILM = "film.mp4"
-SURFACE = "truth/surface.ply"
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,6 @@ def make_subject(
         splits = Splits.every(options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         SubjectWriter(folder).splits(splits)
-        write_surface(folder / SURFACE, subject)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
         write_record(folder / SYNTH, about)
 
@@ -165,27 +162,18 @@ def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyMod
         write_json(folder / SYNTH, about | {"options": options.recorded()})
 
 
-def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel] | None:
+def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel]:
     """Make the person of a folder again, with materials and binding, and the body drawn on.
 
-    The folder holds only the outer surface. If it differs, because another version of this program
-    made it, the result is None. ``body`` is that of its stage-1 poses.
+    ``body`` is that of its stage-1 poses.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.
     """
-    import trimesh
-
     require_same_body(subject, body)
     _, options = recorded_options(subject)
-    if not (subject / SURFACE).is_file():
-        return None
     drawn_on = options.drawn_on(body)
-    person = options.subject_on(drawn_on)
-    filmed = trimesh.load(subject / SURFACE, process=False)
-    same = np.array_equal(filmed.faces, person.faces)
-    same = same and np.allclose(filmed.vertices, person.vertices, atol=1e-6)
-    return (person, drawn_on) if same else None
+    return options.subject_on(drawn_on), drawn_on
 
 
 def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
@@ -198,15 +186,6 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
     about = read_json(path, expected)
     with expecting(path, expected):
         return about, SynthOptions(**about["options"])
-
-
-def write_surface(path: Path, person: Subject) -> None:
-    """Write a person's outer surface in the rest pose."""
-    import trimesh
-
-    mesh = trimesh.Trimesh(person.vertices, person.faces, process=False)
-    with atomic_write(path) as unfinished:
-        unfinished.write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
 
 
 @dataclass(frozen=True)
@@ -252,7 +231,7 @@ class _Recording:
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
             write_phone_film(folder / PHONE_FILM, colors, fps, options.random(FILM))
-            write_json(truth.folder / "film.json", staging.about_film())
+            write_json(truth.folder / "film.json", {"height_m": staging.height})
         pipeline.write(folder)
 
     def write_novel_poses(self, folder: Path) -> None:

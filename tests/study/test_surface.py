@@ -21,8 +21,6 @@ from gva_mi.study.surface import (
     surface_figures,
 )
 from gva_mi.synthetic import SynthOptions, remake_subject
-from gva_mi.synthetic.subject import draw_subject
-from gva_mi.synthetic.subject_folder import SURFACE, write_surface
 
 
 @pytest.fixture
@@ -82,9 +80,6 @@ def drawn(folder, body, options):
     """What ``synth`` says of a person, without any picture."""
     about = {"options": options.recorded(), "body": fingerprint(body)}
     (folder / SYNTH).write_text(json.dumps(about))
-    person = draw_subject(body, options.person(body), options.bare)
-    (folder / "truth").mkdir()
-    write_surface(folder / SURFACE, person)
     return folder
 
 

@@ -167,7 +167,6 @@ def test_a_folder_of_a_room(body, bare, tmp_path):
     about = json.loads((room / "truth/film.json").read_text())
     y = body.rest(shape).vertices[:, 1]
     assert about["height_m"] == pytest.approx(float(y.max() - y.min()), abs=1e-5)
-    assert 0 <= about["tilt_deg"] <= 15 and 1.2 <= about["camera_height_m"] <= 1.7
 
 
 @pytest.fixture(scope="module")

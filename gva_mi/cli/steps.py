@@ -11,9 +11,7 @@ from tyro.conf import Positional
 
 from gva_mi import app
 from gva_mi.cli.arguments import Flat, Switch
-from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import Within, Workers
 from gva_mi.data.pictures import require_picture
 from gva_mi.fit import paper
@@ -29,11 +27,10 @@ def check(
     subject: Positional[Path],
     *,
     body: Path | None = None,
-    json: Path | None = None,
     sheet: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Find what is wrong with a subject's folder, in one pass: files, axes, units, poses.
+    """Find what is wrong with a subject's folder, in one pass.
 
     The exit code 0 means no error, 1 at least one, and 2 that the folder cannot be read.
 
@@ -41,18 +38,12 @@ def check(
         subject: the folder.
         body: the body that its poses are for, in SMPL-X's format; without it the one that it was
             prepared for, else the built-in body.
-        json: also write all findings with all their frames to this file.
         sheet: also write a picture (.png) of some frames with the outlines of mask and body.
-        overwrite: replace these files.
+        overwrite: replace this picture.
     """
-    if json is not None:
-        require_room(json, overwrite)
     if sheet is not None:
         require_picture(sheet, overwrite)
     report = app.check(subject, body=body, sheet=sheet)
-    if json is not None:
-        write_json(json, report.to_json())
-        say(f"findings: {json}")
     if report.errors:
         sys.exit(WRONG)
 

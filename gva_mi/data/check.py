@@ -19,7 +19,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.data.fingerprint import require_same_body
 from gva_mi.data.folder import CAMERAS, FRAMES, MASKS, POSES, VIDEO
 from gva_mi.data.ground_truth import read_views
-from gva_mi.data.importers.track import ONE_LENS, seen_alike, usual_lens
+from gva_mi.data.importers.track import ONE_LENS
 from gva_mi.data.pictures import write_image
 from gva_mi.data.problems import CheckReport, Faults, Problem, doubt, error
 from gva_mi.data.silhouettes import LEAST_OVERLAP, compare, draw_sheet
@@ -35,7 +35,6 @@ ANAMORPHIC = 1.5  # fx over fy: the widest pixels of any video standard, 16:9 in
 # In degrees an ordinary bend is ten times as much. The root may have been unwrapped: it turns on.
 LARGEST_TURN = 2 * np.pi
 FAR, ABSURD = 5.0, 10.0  # standard deviations; one person in three million has a beta above 5
-JUMP = 1.0  # of the person's height from one frame to the next; at 10 frames a second nobody can
 
 FITS = 0.5  # IoU: more of both pictures is the person in common than not
 OUTSIDE = 0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
@@ -66,7 +65,7 @@ def check_subject(
     report = CheckReport(len(video or ()), list(faults.problems()))
     if video is not None:
         report.problems += [*_left_out(video), *check_intrinsics(video.cameras)]
-        report.problems += check_poses(video.pose, video.shape, body, video.cameras)
+        report.problems += check_poses(video.pose, video.shape, body)
     of_body = "betas" not in {problem.what for problem in report.errors}
     if video is None or len(video.absent) == len(video) or not of_body:
         why = "no frame has a picture, mask, camera and pose that can be used"
@@ -111,10 +110,8 @@ def check_intrinsics(cameras: Sequence[Camera]) -> Iterator[Problem]:
         )
 
 
-def check_poses(
-    pose: Pose, shape: Shape, body: BodyModel, cameras: Sequence[Camera]
-) -> Iterator[Problem]:
-    """Yield problems of betas, rotations and places, which ``cameras`` see."""
+def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
+    """Yield problems of betas and rotations."""
     largest = float(shape.betas.abs().max()) if len(shape.betas) else 0.0
     own = "give the --body that the betas belong to, or zero betas"
     if shape.betas[body.num_betas :].any():
@@ -126,8 +123,6 @@ def check_poses(
             "betas", f"up to {largest:.1f} standard deviations",
             "of another body, fitted to a wrong distance, or no betas at all", own,
         )  # fmt: skip
-    rest = body.rest(shape)
-    height = float(np.ptp(rest.vertices[:, 1].numpy()))
     turns = pose.rotations[:, 1:].norm(dim=-1).numpy()
     wide = (turns > LARGEST_TURN).any(1)
     if wide.any():
@@ -135,27 +130,6 @@ def check_poses(
         figure = f"{JOINTS[joint + 1]} turns by {turns.max():.3g} in frame {frame}"
         yield error("rotations", figure, "degrees, or another form than axis-angle",
                     "axis-angle in radians", np.flatnonzero(wide))  # fmt: skip
-    places = pose.transl.double().numpy() + rest.joints[0].double().numpy()
-    places = _before_one_lens(places, cameras)
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / height
-    wide = steps > JUMP
-    if wide.any():
-        yield doubt("jumps", f"up to {steps[wide].max():.3g} times the person's height",
-                    "the track changes to somebody else, frames are missing, or no metres",
-                    "choose the person again, or cut the video here",
-                    np.flatnonzero(wide) + 1)  # fmt: skip
-
-
-def _before_one_lens(places: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
-    """Return pelvises (T, 3), world, where one usual lens shows the same pictures.
-
-    Most estimators assume a lens many times too long, or another one in each frame.
-    """
-    T = np.stack([c.T_camera_world for c in cameras])
-    K = np.stack([c.K for c in cameras])
-    seen = np.einsum("tij,tj->ti", T[:, :3, :3], places) + T[:, :3, 3]
-    seen = seen_alike(seen, K, usual_lens(K))
-    return np.einsum("tji,tj->ti", T[:, :3, :3], seen - T[:, :3, 3])
 
 
 def check_silhouettes(

@@ -1,13 +1,10 @@
 """A long lens, another one in each frame: thresholds and paths in metres are those before one."""
 
 import numpy as np
-import torch
 from samples.data_sets import SMPLX
 from samples.estimates import without_hands
 
-from gva_mi.body.pose import Pose, Shape
-from gva_mi.body.smplx import load_body
-from gva_mi.data.check import check_intrinsics, check_poses
+from gva_mi.data.check import check_intrinsics
 from gva_mi.data.importers.estimators import VideoInfo, read_estimator
 from gva_mi.data.importers.motions import MotionOptions, read_motion
 from gva_mi.data.importers.track import TargetBody, Track, every_frame, seen_alike
@@ -80,18 +77,6 @@ def test_missing_frames_are_filled_on_the_way_through_the_picture():
     assert np.allclose(whole.K[:, 0, 0] / whole.places[:, 2], K[0, 0, 0] / STANDS[0, 2])
 
 
-def jumps(places, K):
-    """What check says of pelvises (n, 3) in the camera's axes."""
-    body = load_body()
-    pelvis = body.rest(Shape(torch.zeros(10))).joints[0]
-    transl = torch.from_numpy(places * [1, -1, -1]).float() - pelvis
-    pose = Pose(torch.zeros(len(places), 55, 3), transl, torch.zeros(len(places), 10))
-    T = np.diag([1.0, -1, -1, 1])
-    cameras = [Camera.from_matrices(x, T, *SIZE) for x in K]
-    return [p for p in check_poses(pose, Shape(torch.zeros(10)), body, cameras)
-            if p.what == "jumps"]  # fmt: skip
-
-
 def test_check_takes_no_axis_of_a_box_for_a_mistake():
     """Who stands at the picture's border, in SMPLer-X's form; but K of another size is named."""
     beside = lenses(BOXES + [0, -300])
@@ -102,19 +87,3 @@ def test_check_takes_no_axis_of_a_box_for_a_mistake():
     halved[:, :2, 2] = 225
     (problem,) = check_intrinsics(cameras(halved))
     assert problem.what == "principal point"
-
-
-def test_check_takes_no_lens_for_a_jump():
-    """SMPLer-X's lenses, 4D-Humans' of 5000 px for 256, and GVHMR's usual one."""
-    long = np.tile(np.diag([5000 / 256 * 900, 5000 / 256 * 900, 1]), (6, 1, 1))
-    long[:, :2, 2] = 450
-    near = long.copy()
-    near[:, [0, 1], [0, 1]] = np.hypot(*SIZE)
-    breathes = np.array([0.1, -0.05, 4.0]) * (1 + 0.05 * (-1.0) ** np.arange(6))[:, None]
-    far = before(long, breathes)
-    assert np.linalg.norm(np.diff(far, axis=0), axis=1).min() > 2.5  # metres
-    assert not jumps(STANDS, lenses()) and not jumps(far, long) and not jumps(breathes, near)
-    leaps = np.array([0.1, -0.05, 4.0]) + 2.2 * (np.arange(6) == 3)[:, None] * [1, 0, 0]
-    for K in (lenses(), long, near):
-        (problem,) = jumps(before(K, leaps), K)
-        assert problem.frames == (3, 4)

@@ -11,7 +11,7 @@ the steps since the last checkpoint of a fit are lost.
 A study's folder holds::
 
     takes/, videos/     the subjects, made where they are missing
-    KIND.json           {"format", "kind", "made_with", "versions", "stamp", "cases": {name: case},
+    KIND.json           {"kind", "made_with", "versions", "stamp", "cases": {name: case},
                          "figures": rows of gva_mi.study.figures, whose subject is a case's name}
     KIND.html           the same as a page
     runs/CASE/VARIANT/  runs of the avatar study, in the form of gva_mi.fit.run_folder
@@ -35,9 +35,9 @@ from typing import Annotated, Any, ClassVar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
-from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
-from gva_mi.core.options import PictureSide, PythonOnly, Within, from_json, options_of
+from gva_mi.core.options import PythonOnly, Within, from_json, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, stamp, write_record
 from gva_mi.core.tasks import Task, run
 from gva_mi.data.fingerprint import FILM, fingerprint
@@ -53,20 +53,18 @@ from gva_mi.pose.sequence import SequenceOptions
 from gva_mi.study.cases import AvatarVariant, StudyCase
 from gva_mi.study.evaluate import measure_run
 from gva_mi.study.figures import Figure, figures_from, to_json
-from gva_mi.study.filmed import Filming, Work, filming_work, height_of
+from gva_mi.study.filmed import Filming, VideoOptions, Work, height_of
 from gva_mi.study.refinement import Evaluation, mask_iou, write_refinement
 from gva_mi.study.similarity import zoomed
 from gva_mi.synthetic.foreign_body import closest
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
-FORMAT = 3
 EXPECTED = "what `gva-mi study` writes, or give --overwrite"
 
 STAGE_1, REFINED = "stage 1", "refined"  # variants of the refinement study
 PRINTED_POSES = "poses_printed.npz"  # in a case's folder, refined by Eq. 8 as printed
 PREPARED = "prepared.json"  # in a case's folder: what its refined poses were made with
 MADE_WITH = "made_with.json"  # in a run's folder
-REFINE_STEPS = 1000  # of a case, in steps of a fit, for the progress bar
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,13 @@ class Study(ABC):
 
     folder: Path
     body: BodyModel  # that is fitted
-    options: Any  # a dataclass
+    options: VideoOptions
     kind: ClassVar[str]  # names its files
+
+    @property
+    def filming(self) -> Filming:
+        """Its videos."""
+        return Filming(self.folder, self.options)
 
     @property
     @abstractmethod
@@ -121,18 +124,13 @@ class Study(ABC):
         """Read the results that still hold; none if there is no file.
 
         Raises:
-            InputError: the file cannot be read, or an older version wrote it.
+            InputError: the file cannot be read.
         """
         if not self.path.exists():
             return []
         record = read_json(self.path, EXPECTED)
         with expecting(self.path, EXPECTED):
-            if record.get("format") != FORMAT:
-                raise InputError(
-                    f"{self.path}: another version of gva-mi wrote this study; choose another "
-                    "--out, or give --overwrite to compute it again"
-                )
-            if not is_fresh(self.path, self.stamp):
+            if record["kind"] != self.kind or not is_fresh(self.path, self.stamp):
                 return []
             cases = {name: from_json(StudyCase, case) for name, case in record["cases"].items()}
             found: dict[tuple[str, str], list[Figure]] = {}
@@ -145,7 +143,7 @@ class Study(ABC):
 
     def save(self, outcomes: Sequence[Outcome]) -> None:
         """Write all results."""
-        record = {"format": FORMAT, "kind": self.kind, "made_with": self.made_with}
+        record = {"kind": self.kind, "made_with": self.made_with}
         record["cases"] = {outcome.case.name: asdict(outcome.case) for outcome in outcomes}
         record["figures"] = to_json(figure for outcome in outcomes for figure in outcome.figures)
         write_record(self.path, record, self.stamp)
@@ -187,13 +185,10 @@ def run_study(
 
 
 @options_of("study")
-class RefineStudyOptions:
+class RefineStudyOptions(VideoOptions):
     """Size of the refinement study."""
 
-    frames: VideoFrames = 64  # frames of each video
-    size: PictureSide = 512  # pixels, width and height of the pictures
     known: bool = False  # the subject's height and the focal length are given
-    lens: bool = True  # of films, the focal length is given, as most phones record it
     refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
 
 
@@ -207,13 +202,11 @@ class RefineStudy(Study):
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, then refine each case."""
-        options = self.options
-        filming = Filming(self.folder, options.frames, options.size, lens=options.lens)
         measured = []
         for case, variant in missing:
-            given = filming.subject(case), case, variant, self.body, options
-            measured.append(Work(10 * options.frames, partial(refinement_figures, *given)))
-        return [filming_work(filming, [case for case, _ in missing], self.body), measured]
+            given = self.filming.subject(case), case, variant, self.body, self.options
+            measured.append(Work(partial(refinement_figures, *given)))
+        return [self.filming.work([case for case, _ in missing], self.body), measured]
 
 
 def refinement_figures(
@@ -263,12 +256,10 @@ def with_true_focal(truth: GroundTruth, video: Video, body: BodyModel) -> Video:
 
 
 @options_of("study")
-class AvatarStudyOptions:
+class AvatarStudyOptions(VideoOptions):
     """Size of the avatar study."""
 
     frames: VideoFrames = 80  # frames of each video
-    size: PictureSide = 512  # pixels, width and height of the pictures
-    lens: bool = True  # of films, the focal length is given, as most phones record it
     steps: Annotated[int, Within(1, 1_000_000)] = 3000  # steps of each fit
     novel: PythonOnly[NovelPictures] = 8  # pictures of novel poses, and as many of novel views
     refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
@@ -293,21 +284,15 @@ class AvatarStudy(Study):
         """As of any study, and the version of the refinement: avatars begin with its poses."""
         return super().made_with | {"refine_version": RESULTS_VERSIONS["refine"]}
 
-    @property
-    def _filming(self) -> Filming:
-        options = self.options
-        return Filming(self.folder, options.frames, options.size, options.novel, options.lens)
-
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Film the takes, refine each case, then fit each variant."""
-        cases, filming = dict.fromkeys(case for case, _ in missing), self._filming
+        cases = list(dict.fromkeys(case for case, _ in missing))
         made = self.body, self.options.refine, self.stamp
         prepared = [
-            Work(REFINE_STEPS, partial(prepare_case, filming.subject(case), case, *made))
-            for case in cases
+            Work(partial(prepare_case, self.filming.subject(case), case, *made)) for case in cases
         ]
-        films = filming_work(filming, cases, self.body)
-        return [films, prepared, [self.run(*pair) for pair in missing]]
+        fitted = [Work(self.run(*pair).solve) for pair in missing]
+        return [self.filming.work(cases, self.body), prepared, fitted]
 
     def run(self, case: StudyCase, variant: str) -> VariantRun:
         """Return the run of a variant; the case's folder must exist before it is solved."""
@@ -315,7 +300,7 @@ class AvatarStudy(Study):
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
         options = options.of_film() if case.noise == FILM else options
-        return VariantRun(self._filming.subject(case), out, row, self.body, options, self.stamp)
+        return VariantRun(self.filming.subject(case), out, row, self.body, options, self.stamp)
 
 
 def file_name(name: str) -> str:
@@ -341,7 +326,7 @@ def prepare_case(
 
 @dataclass(frozen=True)
 class VariantRun:
-    """Fit one variant to one case, and measure it: a Task."""
+    """Fit one variant to one case, and measure it."""
 
     subject: Path  # the case's folder, refined
     out: Path  # the run's folder
@@ -349,11 +334,6 @@ class VariantRun:
     body: BodyModel
     options: FitOptions  # of the study; the variant changes them
     stamp: str  # of the study
-
-    @property
-    def steps(self) -> int:
-        """Amount of work, for the progress bar."""
-        return self.options.steps
 
     def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
         """Fit, or resume a fit, and return its figures."""

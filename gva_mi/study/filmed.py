@@ -23,6 +23,7 @@ from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import Progress
 from gva_mi.core.files import write_json
+from gva_mi.core.options import PictureSide, PythonOnly, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS
 from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH, require_same_body
 from gva_mi.data.folder import MASKS, SPLITS, TRUTH, SubjectWriter
@@ -33,38 +34,47 @@ from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
 from gva_mi.splat import Camera
 from gva_mi.study.cases import StudyCase, Take
 from gva_mi.synthetic import degrade, make_subject
+from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
 ALL = 240.0  # pictures a second, more than any of these films has: every picture is used
 
 
 class Work(NamedTuple):
-    """A piece of a study's work: a Task."""
+    """A piece of a study's work: a Task. For the progress bar all pieces are alike."""
 
-    steps: int  # its amount, for the progress bar
     call: Callable[..., Any]  # a partial function that can be pickled; takes ``progress``
+    steps: int = 100
 
     def solve(self, progress: Progress | None = None) -> Any:  # noqa: ANN401
         """Do the work in this process."""
         return self.call(progress=progress)
 
 
+@options_of("study")
+class VideoOptions:
+    """Size of the videos of a study."""
+
+    frames: VideoFrames = 64  # frames of each video
+    size: PictureSide = 512  # pixels, width and height of the pictures
+    lens: bool = True  # of films, the focal length is given, as most phones record it
+    novel: PythonOnly[NovelPictures] = 0  # pictures of novel poses, and as many of novel views
+
+
 @dataclass(frozen=True)
 class Filming:
-    """Options of the videos of a study, and their folder."""
+    """The videos of a study in its folder."""
 
-    folder: Path  # of the study
-    frames: int  # of each video
-    size: int  # pixels, width and height of the pictures
-    novel: int = 0  # pictures of novel poses, and as many of novel views
-    lens: bool = True  # whether the focal length of films is known
+    folder: Path
+    options: VideoOptions
 
     def subject(self, case: StudyCase) -> Path:
         """Return the folder of a case's video, existing or not.
 
         A film's masks and poses are results of this program, so its folder names their version.
         """
-        film = f"{FILM}{RESULTS_VERSIONS['refine']}{'' if self.lens else '-anylens'}"
-        made = film if case.noise == FILM else case.noise
+        made = case.noise
+        if made == FILM:
+            made += f"{RESULTS_VERSIONS['refine']}{'' if self.options.lens else '-anylens'}"
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
     def film(
@@ -73,29 +83,27 @@ class Filming:
         """Make the videos of some cases that are missing."""
         for case in cases:
             take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
+            options = self.options
             if not take.exists():
-                make_subject(take, case.take.synth(self.frames, self.size, self.novel), body)
+                made = case.take.synth(options.frames, options.size, options.novel)
+                make_subject(take, made, body)
             if not subject.exists() and case.noise == FILM:
-                watch_take(take, subject, body, self.lens)
+                watch_take(take, subject, body, options.lens)
             elif not subject.exists():
                 degrade(take, subject, case.noise, case.draw, body)
             require_same_body(subject, body)
 
+    def work(self, cases: Iterable[StudyCase], body: BodyModel) -> list[Work]:
+        """Return the work of filming cases, a piece for each take: no two workers render it."""
+        cases = list(dict.fromkeys(cases))
+        takes = dict.fromkeys(case.take for case in cases)
+        several = ([case for case in cases if case.take == take] for take in takes)
+        return [Work(partial(self.film, own, body)) for own in several]
+
     def _name(self, take: Take) -> str:
-        frames, size = take.frames or self.frames, take.size or self.size
-        name = f"{take.name.replace(', ', '-').replace(' ', '')}-{frames}-{size}"
-        return f"{name}-novel{self.novel}" if self.novel else name
-
-
-def filming_work(filming: Filming, cases: Iterable[StudyCase], body: BodyModel) -> list[Work]:
-    """Return the work of filming cases, a piece for each take: no two workers render the same."""
-    by_take: dict[Take, dict[StudyCase, None]] = {}
-    for case in cases:
-        by_take.setdefault(case.take, {})[case] = None
-    return [
-        Work(filming.frames * len(several), partial(filming.film, tuple(several), body))
-        for several in by_take.values()
-    ]
+        frames, size = take.frames or self.options.frames, take.size or self.options.size
+        name = take.name.replace(", ", "-").replace(" ", "")
+        return f"{name}-{frames}-{size}-novel{self.options.novel}"
 
 
 def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> None:

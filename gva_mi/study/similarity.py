@@ -89,11 +89,8 @@ class Similarity:
         return Pose(rotations, transl, pose.expression)
 
     def to_json(self) -> dict[str, float]:
-        """Summarise it for a file: scale, turn in degrees, shift and stance in metres."""
-        turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
-        shift = float(np.linalg.norm(self.translation))
-        found = {"scale": self.scale, "turn_degrees": float(turn), "shift_m": shift}
-        return found | {"stance_m": float(np.linalg.norm(self.stance))}
+        """Summarise it for a file: the scale, and the stance in metres."""
+        return {"scale": self.scale, "stance_m": float(np.linalg.norm(self.stance))}
 
 
 @torch.no_grad()

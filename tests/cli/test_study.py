@@ -152,5 +152,5 @@ def test_an_older_study_is_named_and_can_be_overwritten(done, tmp_path, cli):
     (tmp_path / "refine.json").write_text('{"cases": []}')
     refine = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
     err = cli.fails(*refine)
-    assert "another version of gva-mi wrote this study" in err and not done
+    assert "refine.json: of another form" in err and not done
     assert cli(*refine, "--overwrite")[0] == 0

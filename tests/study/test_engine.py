@@ -44,7 +44,7 @@ from gva_mi.study.engine import (
 )
 from gva_mi.study.evaluate import ALIGNED, AS_REFINED, Metrics
 from gva_mi.study.figures import Figure, where
-from gva_mi.study.filmed import Filming, height_of
+from gva_mi.study.filmed import Filming, VideoOptions, height_of
 
 MADE = {"options": {"frames": 8}, "results_version": 1}
 
@@ -100,7 +100,8 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         assert other.stamp != made
     # Avatars begin with refined poses, and masks and poses of a film are results, too.
     avatars = lambda: AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]).stamp
-    films = lambda: [Filming(tmp_path, 8, 64).subject(case) for case in TUNING]
+    filming = Filming(tmp_path, VideoOptions())
+    films = lambda: [filming.subject(case) for case in TUNING]
     before, filmed = avatars(), films()
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
@@ -125,7 +126,7 @@ def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
 
 @pytest.mark.parametrize(
     "text, match",
-    [("{", "not readable"), ("[]", "of another form"), ('{"cases": []}', "another version")],
+    [("{", "not readable"), ("[]", "of another form"), ('{"cases": []}', "of another form")],
 )
 def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
     (tmp_path / "avatar.json").write_text(text)
@@ -162,7 +163,7 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     options = RefineStudyOptions(frames=3, size=48, refine=refine, known=True)
     bare = next(case for case in TUNING if case.take.bare)
     case = replace(bare, noise="focal", draw=51)
-    filming = Filming(tmp_path, 3, 48)
+    filming = Filming(tmp_path, VideoOptions(frames=3, size=48))
     filming.film([case], body)
     video = load_video(filming.subject(case))
     truth = load_ground_truth(video.truth, body)

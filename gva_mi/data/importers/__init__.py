@@ -8,8 +8,7 @@
 ``datasets``     one record for each data set
 ``footage``      pictures, masks and frame numbers of films, folders and arrays
 ``lens``         focal lengths: assumed, recorded, or given; distortion
-``own_masks``    masks of another program, or by Segment Anything
-``own_normals``  normal maps of another program, or by a network
+``own_masks``    masks of another program or by Segment Anything; normals by a network
 ``keypoints``    keypoints of other networks, as landmarks
 ``prepare``      writes a subject's folder from these
 ``motions``      AMASS, MoSh++, AIST++ and what estimators saw, as driving poses

@@ -66,7 +66,7 @@ class Estimator:
     expects: str  # for messages
     recognises: Callable[[Any], bool]  # of what a file holds, or of a folder's path
     people: Callable[[str, Any], People]  # where, what a file holds
-    # Our name: the file's name; "betas?" may be missing. Empty: any names of body_arrays.
+    # Our name: the file's name. Empty: any names of body_arrays.
     arrays: Mapping[str, str] = field(default_factory=dict)
     # Where, arrays of a person: K (3, 3) or (n, 3, 3). By default it is the file's own.
     lens: Callable[[str, Arrays, VideoInfo], np.ndarray] = lambda where, arrays, info: arrays["K"]  # noqa: E731
@@ -94,13 +94,10 @@ class Estimator:
         """Return the arrays under our names, and a note on numbers that are not used."""
         if not self.arrays:
             return found, []
-        names = {ours: theirs.rstrip("?") for ours, theirs in self.arrays.items()}
-        optional = {ours for ours, theirs in self.arrays.items() if theirs.endswith("?")}
-        rest = [k for k, x in found.items() if k not in {*OTHERS, *names.values()}]
-        rest = sorted(k for k in rest if is_numbers(found[k]))
+        known = {*OTHERS, *self.arrays.values()}
+        rest = sorted(k for k, x in found.items() if k not in known and is_numbers(x))
         notes = [f"not used of the source: {listed_names(rest)}"] if rest else []
-        given = names.items()
-        return {k: found[x] for k, x in given if x in found or k not in optional}, notes
+        return {ours: found[x] for ours, x in self.arrays.items() if x in found}, notes
 
 
 def read_estimator(kind: str, source: Path, info: VideoInfo) -> tuple[str, list[Track]]:
@@ -224,17 +221,14 @@ def _phalp(where: str, found: dict) -> People:
 
 def _romp(where: str, found: Any) -> People:  # noqa: ANN401
     """Read ROMP's and BEV's people by track id; without ids, track the nearest person."""
-    frames = [(number, r) for number, r in _romp_frames(found) if len(r["smpl_thetas"])]
-    named = all("track_ids" in r for _, r in frames)
-    rows = (
-        (
-            str(np.ravel(r["track_ids"])[k]) if named else None,
-            number,
-            {key: r[key][k] for key in ("smpl_thetas", "smpl_betas", "cam_trans")},
-        )
-        for number, r in frames
-        for k in range(len(r["smpl_thetas"]))
-    )
+    frames = _romp_frames(found)
+    named = all("track_ids" in x for _, x in frames if len(x["smpl_thetas"]))
+    rows: list[Row] = []
+    for number, x in frames:
+        for k in range(len(x["smpl_thetas"])):
+            person = str(np.ravel(x["track_ids"])[k]) if named else None
+            some = {name: x[name][k] for name in ("smpl_thetas", "smpl_betas", "cam_trans")}
+            rows.append((person, number, some))
     people = stacked(where, rows) if named else followed(where, rows, "cam_trans")
     for person in people:
         x = person.arrays
@@ -364,7 +358,7 @@ KINDS: dict[str, Estimator] = {
         "people with pose, trans and frame_ids",
         lambda x: _has_one(x, "pose", "trans", "frame_ids|frame_id"),
         _by_person("pose"),
-        {"poses": "pose", "transl": "trans", "betas": "betas?"},
+        {"poses": "pose", "transl": "trans", "betas": "betas"},
         _lens_of_wham,
     ),
     "gvhmr": Estimator(
@@ -420,7 +414,7 @@ WORLDS = {  # of people in the estimator's own world
         "people with pose_world",
         lambda x: _has_one(x, "pose_world"),
         _by_person("pose_world"),
-        {"poses": "pose_world", "transl": "trans_world?", "betas": "betas?"},
+        {"poses": "pose_world", "transl": "trans_world", "betas": "betas"},
         _no_lens,
         up="y",
     ),

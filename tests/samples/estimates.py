@@ -195,18 +195,8 @@ def parameters_of_smpl(folder, rotations, transl):
     return folder / "p.npz", "parameters, SMPL, ", CENTRED(70), SMPL + transl
 
 
-def scaled(folder, rotations, transl, name, key):
-    """THuman's form, x = s b + t: it looks the same as b + t / s."""
-    given = named(rotations, transl, K=CENTRED(70))
-    given.pop("transl")
-    np.savez(folder / "p.npz", **given, **{name: transl * 1.25, key: np.array([1.25])})
-    return folder / "p.npz", "parameters", CENTRED(70), SMPLX + transl
-
-
 WRITTEN = {f.__name__: f for f in (
     wham, gvhmr, four_d_humans, hybrik, smplerx, parameters, parameters_a_frame, parameters_of_smpl,
 )} | {f"romp {form}": partial(romp, form=form) for form in ("frames", "video", "bev")} | {
     "hybrik of SMPL-X": partial(hybrik, joints=55),
-    "body_scale": partial(scaled, name="transl", key="body_scale"),
-    "scale": partial(scaled, name="translation", key="scale"),
 }  # fmt: skip

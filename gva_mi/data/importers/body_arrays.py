@@ -320,7 +320,7 @@ def _translation(arrays: NamedArrays, ours: str, frames: int) -> np.ndarray | No
     if name is None:
         return None
     transl = _vectors(arrays.where, name, transl, frames)
-    key, scale = arrays.take("scaled", *(["scale"] if name == "translation" else []))
+    key, scale = arrays.take("scaled")
     if key is None:
         return transl
     scale = scale.ravel()

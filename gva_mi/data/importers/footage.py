@@ -209,11 +209,7 @@ def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
     return numbers.astype(int)
 
 
-def counted_from_0(names: Sequence[object], first: int = 0) -> list[int]:
-    """Return the numbers in names of frames, counted from 0.
-
-    They count from 0 or 1 if the least of them is that, and else from ``first``.
-    """
+def counted_from_0(names: Sequence[object]) -> list[int]:
+    """Return the numbers in names of frames; if the least is 1, they are counted from 0."""
     numbers = [number_in(name) for name in names]
-    start = min(numbers, default=0)
-    return [number - (start if start in (0, 1) else first) for number in numbers]
+    return [number - (min(numbers) == 1) for number in numbers]

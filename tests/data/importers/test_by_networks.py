@@ -107,21 +107,6 @@ def test_masks_by_segment_anything(tmp_path, cli, monkeypatch, people, joints, w
     assert about["masks"] == str(tmp_path / "sam")
 
 
-def test_masks_of_a_folder_that_is_no_network_or_damaged(tmp_path, cli, people, joints, wham_file):
-    draw(tmp_path / "shots", prompts_of(people[0], [], joints, (WIDTH, HEIGHT)))
-    given = [wham_file, tmp_path / "s", "--body", "puppet", "--frames", tmp_path / "shots"]
-
-    def refused(words, *more):
-        err = cli.fails("prepare", "wham", *given, *more)
-        assert words in err and err.count("\n") <= 2, err
-        assert not (tmp_path / "s").exists()
-
-    refused("x.pth: no such film or folder of pictures", "--masks", tmp_path / "x.pth")
-    (tmp_path / "sam").mkdir()
-    (tmp_path / "sam/config.json").write_text("{}")
-    refused("expected a folder as transformers saves it", "--masks", tmp_path / "sam")
-
-
 def test_normals_by_a_network(tmp_path, cli, people, joints, wham_file):
     prompts = prompts_of(people[0], [], joints, (WIDTH, HEIGHT))
     drawn = draw(tmp_path / "shots", prompts)

@@ -5,7 +5,6 @@ import pytest
 from PIL import Image
 
 from gva_mi import InputError
-from gva_mi.data.film import write_film
 from gva_mi.data.importers.footage import masks
 from gva_mi.data.masks import read_mask
 
@@ -56,12 +55,6 @@ def test_pictures_of_16_bits_are_in_one_unit(tmp_path):
             Image.fromarray(x.astype(np.uint16)).save(folder / f"{k}.png")
         dark, mask = masks(folder)
         assert dark.max() == wanted and np.array_equal(mask > 127, ME)
-
-
-def test_a_film_of_noise_at_first(tmp_path):
-    write_film(tmp_path / "m.mp4", [np.stack([x] * 3, -1) for x in (NOISE, 255 * ME.astype("u1"))])
-    noise, mask = masks(tmp_path / "m.mp4")
-    assert noise.max() <= 1 and np.array_equal(mask > 127, ME)
 
 
 @pytest.mark.parametrize("container", ["pictures", "arrays"])

@@ -19,12 +19,10 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, options_of
 from gva_mi.fit.run_folder import body_of_run, load_avatar
-from gva_mi.splat import Gaussians
 from gva_mi.splat.axes import half_turned, with_axes
-from gva_mi.splat.formats import LOAD
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
-from gva_mi.splat.formats.stored import finite_ones, with_degree
+from gva_mi.splat.formats.stored import with_degree
 from gva_mi.splat.gaussians import MAX_DEGREE
 
 SAVE = {".ply": save_ply, ".splat": save_splat, ".spz": save_spz}  # files of Gaussians
@@ -65,8 +63,7 @@ def export(
     """Write an avatar or its poses in a file of other programs. Films are made by render.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz; or a .ply, a .splat or a .spz, which
-            becomes another of these.
+        run: the folder of a finished fit, or an avatar.npz.
         options: content of the file.
         out: the file, whose suffix says what it is: .ply, .splat, .spz (Gaussians in one pose),
             .glb (the surface with skeleton and skin), or .npz (poses as AMASS has them, or with
@@ -78,10 +75,7 @@ def export(
     suffix = out.suffix.lower()
     _require_meant(out, suffix, options)
     require_room(out, overwrite)
-    if run.suffix.lower() in LOAD and not run.is_dir():
-        _convert(run, out, options)
-    else:
-        _write(run, out, options, body_of_run(run, body))
+    _write(run, out, options, body_of_run(run, body))
     say(f"exported: {out}")
 
 
@@ -99,16 +93,6 @@ def _require_meant(out: Path, suffix: str, options: ExportOptions) -> None:
             raise InputError(f"export: {option} is for {' and '.join(meant)}, not for {suffix}")
     if options.no_rig and options.poses is not None:
         raise InputError("export: --no-rig writes the avatar, --poses its poses; not both")
-
-
-def _convert(source: Path, out: Path, options: ExportOptions) -> None:
-    """Write a file of Gaussians as another one."""
-    if out.suffix.lower() not in SAVE or given(options).keys() - {"sh_degree"}:
-        raise InputError(
-            f"{source}: holds Gaussians alone, which become {', '.join(SAVE)} as they are; "
-            f"expected such a name and no other option than --sh-degree, got {out}"
-        )
-    _save(out, LOAD[source.suffix.lower()](source), source, options.sh_degree)
 
 
 @torch.no_grad()
@@ -136,26 +120,7 @@ def _write(run: Path, out: Path, options: ExportOptions, body: Path | None) -> N
                 f"export: --frame {frame} is out of range; there are {len(motion)} poses"
             )
         gaussians = avatar(Pose.rest() if motion is None else motion[frame])
-        _save(out, gaussians, run, options.sh_degree, in_world=True)
-
-
-def _save(
-    out: Path, gaussians: Gaussians, source: Path, degree: int | None, in_world: bool = False
-) -> None:
-    """Write Gaussians, without those that hold NaN or infinite numbers.
-
-    Args:
-        out: the file.
-        gaussians: torch tensors, in the axes of files (:mod:`gva_mi.splat.axes`).
-        source: of the Gaussians, for messages.
-        degree: of their harmonics; None leaves it.
-        in_world: they are in the world's axes instead.
-    """
-    kept, suffix = finite_ones(source, gaussians), out.suffix.lower()
-    if len(kept) < len(gaussians):
-        lost = len(gaussians) - len(kept)
-        say(f"{out}: {lost} of {len(gaussians)} Gaussians hold NaN or infinite numbers: left out")
-    if gaussians.antialiased and suffix != ".spz":
-        say(f"{out}: {source} is to be drawn antialiased (Mip-Splatting), as only a .spz can say")
-    kept = half_turned(with_axes(kept)) if in_world else kept
-    SAVE[suffix](out, kept if degree is None else with_degree(kept, degree))
+        gaussians = half_turned(with_axes(gaussians))
+        if options.sh_degree is not None:
+            gaussians = with_degree(gaussians, options.sh_degree)
+        SAVE[suffix](out, gaussians)

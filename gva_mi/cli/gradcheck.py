@@ -61,8 +61,7 @@ class GradcheckOptions:
         """Return the scene with these options applied."""
         if self.camera_model is not None:
             scene = scene.through(self.camera_model)
-        antialiased = self.antialiased or scene.options.antialiased  # a .spz may ask for it
-        return replace(scene, options=replace(scene.options, antialiased=antialiased))
+        return replace(scene, options=replace(scene.options, antialiased=self.antialiased))
 
 
 def gradcheck(

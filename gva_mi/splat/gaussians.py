@@ -24,7 +24,6 @@ class Gaussians:
     colors: Any = None  # (N, D), any number of channels
     sh: Any = None  # (N, K, 3) coefficients, K = (degree + 1)^2; colour = max(0, sum + 0.5)
     covars: Any = None  # (N, 6) square metres: xx, xy, xz, yy, yz, zz; quats and scales are None
-    antialiased: bool = False  # a file says that they are to be drawn so (SplatOptions)
 
     def __post_init__(self) -> None:
         if (self.colors is None) == (self.sh is None):

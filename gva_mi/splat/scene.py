@@ -15,7 +15,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
-from gva_mi.splat.formats import LOAD
+from gva_mi.splat.formats.ply import load_ply
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
 
@@ -43,7 +43,7 @@ class Scene:
         """Load a scene from a file.
 
         Args:
-            path: a .ply of Gaussians, a .splat or a .spz, turned to the
+            path: a .ply of Gaussians, turned to the
                 world's axes (:mod:`gva_mi.splat.axes`) and seen by :func:`in_front`; or an .npz,
                 which holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3)
                 or colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,
@@ -52,8 +52,8 @@ class Scene:
         Raises:
             InputError: something is missing or does not fit; the message names it.
         """
-        if path.suffix.lower() in LOAD:
-            return in_front(path, half_turned(LOAD[path.suffix.lower()](path)))
+        if path.suffix.lower() == ".ply":
+            return in_front(path, half_turned(load_ply(path)))
         arrays = read_arrays(path, "a scene: Gaussians and a camera (.npz)")
         missing = [k for k in (*ARRAYS, "viewmat", "K", "width", "height") if k not in arrays]
         if "sh" not in arrays and "colors" not in arrays:
@@ -170,8 +170,7 @@ def in_front(path: Path, gaussians: Gaussians) -> Scene:
     reach = max(reach, 3 * float(gaussians.scales.median()), 1e-3)
     T = look_at(middle + [0, 0, 4.5 * reach], middle)
     camera = Camera(716.8, 716.8, 256.0, 256.0, T, 512, 512)
-    scene = Scene.of(gaussians, camera, np.zeros(gaussians.channels))
-    return replace(scene, options=SplatOptions(antialiased=gaussians.antialiased))
+    return Scene.of(gaussians, camera, np.zeros(gaussians.channels))
 
 
 def random_scene(

@@ -5,13 +5,10 @@ import json
 from dataclasses import replace
 
 import pytest
-from samples.scenes import scene as random_scene
 
 from gva_mi.cli.gradcheck import PICTURE, REPORT, GradcheckOptions, gradcheck
 from gva_mi.core.errors import InputError
 from gva_mi.gradcheck.engine import Comparison, Report
-from gva_mi.splat.formats.spz import save_spz
-from gva_mi.splat.scene import Scene
 
 command = importlib.import_module("gva_mi.cli.gradcheck")
 
@@ -29,14 +26,6 @@ def test_splat_looks_through_other_cameras(scene, capsys):
     gradcheck("splat", GradcheckOptions(1, window=8, **changes), scene=scene)
     out = capsys.readouterr().out
     assert "all gradients are right" in out
-
-
-@pytest.mark.parametrize("of_file", [False, True])
-@pytest.mark.parametrize("option", [False, True])
-def test_a_file_may_ask_for_antialiasing_as_the_option_does(tmp_path, of_file, option):
-    save_spz(tmp_path / "a.spz", replace(random_scene().gaussians, antialiased=of_file))
-    scene = GradcheckOptions(antialiased=option).applied(Scene.load(tmp_path / "a.spz"))
-    assert scene.options.antialiased == (of_file or option)
 
 
 def test_it_fails_where_a_gradient_is_wrong(scene, monkeypatch):

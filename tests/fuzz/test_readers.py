@@ -18,7 +18,6 @@ from samples.mutations import mutated
 from samples.seeds import seeds as good_files
 
 from gva_mi.core.errors import InputError
-from gva_mi.splat.formats import LOAD
 
 READERS = ("subject", "film", "run", "study", "gaussians", "body", "motion", "wham", "gvhmr",
            "romp", "zju", "smplerx")  # fmt: skip
@@ -90,8 +89,3 @@ def test_some_bad_files(name, seeds, tmp_path):
 @pytest.mark.parametrize("name", READERS)
 def test_hundreds_of_bad_files(name, seeds, tmp_path):
     attack(name, seeds, tmp_path, THOROUGH, QUICK)
-
-
-def test_every_format_of_gaussians_has_good_files(seeds, tmp_path):
-    seeds["gaussians"][0](tmp_path)
-    assert {path.suffix for path in tmp_path.iterdir()} >= set(LOAD)

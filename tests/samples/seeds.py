@@ -24,7 +24,6 @@ from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.splat.formats.ply import load_ply, save_ply
-from gva_mi.splat.formats.spz import load_splat, load_spz, save_splat, save_spz
 from gva_mi.splat.scene import Scene, random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT
@@ -127,13 +126,11 @@ def seeds(subject, avatar):
     def gaussians(folder):
         scene = random_scene(torch.Generator().manual_seed(0), gaussians=9, width=8, height=6)
         save_ply(folder / "a.ply", scene.gaussians)
-        save_splat(folder / "a.splat", scene.gaussians)
-        save_spz(folder / "a.spz", scene.gaussians)
         save_scene(folder / "a.npz", scene)
 
     def read_gaussians(folder, path=None):
         each(folder, path, {
-            "a.ply": load_ply, "a.splat": load_splat, "a.npz": Scene.load, "a.spz": load_spz,
+            "a.ply": load_ply, "a.npz": Scene.load,
         })  # fmt: skip
 
     def bodies(folder):

@@ -96,15 +96,6 @@ def pack(numbers: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
     return packed.astype("<u4")
 
 
-def unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """Invert :func:`pack`, (N, len(bits)) int64."""
-    packed, columns = packed.astype(np.int64), []
-    for width in reversed(bits):
-        columns.insert(0, packed & ((1 << width) - 1))
-        packed = packed >> width
-    return np.column_stack(columns)
-
-
 def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the index (N,) of the largest component of unit quaternions (N, 4), and the others.
 
@@ -114,29 +105,6 @@ def without_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     signs = np.where(quats[np.arange(len(quats)), largest] < 0, -1, 1)
     others = (quats * signs[:, None])[np.arange(4) != largest[:, None]]
     return largest, others.reshape(-1, 3)
-
-
-def with_largest(largest: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Invert :func:`without_largest`."""
-    quats = np.empty((len(others), 4))
-    quats[np.arange(4) != largest[:, None]] = others.ravel()
-    missing = np.sqrt(np.maximum(0, 1 - (others**2).sum(axis=1)))
-    quats[np.arange(len(quats)), largest] = missing
-    return quats
-
-
-def finite_ones(path: Path, gaussians: Gaussians) -> Gaussians:
-    """Leave out the Gaussians that hold NaN or infinite numbers.
-
-    Raises:
-        InputError: none is left; ``path`` is named.
-    """
-    keep = _finite(gaussians)
-    if keep.all():
-        return gaussians
-    if not keep.any():
-        raise InputError(f"{path}: all {len(gaussians)} Gaussians hold NaN or infinite numbers")
-    return replace(gaussians, **{name: x[keep] for name, x in gaussians.arrays().items()})
 
 
 def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:

@@ -85,8 +85,6 @@ def build_anny() -> dict[str, np.ndarray]:
         "kintree_table": kintree_table(),
         "hands_meanl": np.zeros(45, np.float32),
         "hands_meanr": np.zeros(45, np.float32),
-        "hands_componentsl": np.eye(45, dtype=np.float32),
-        "hands_componentsr": np.eye(45, dtype=np.float32),
         "joint_names": np.array(JOINTS),
     }
 

@@ -11,13 +11,12 @@ J_regressor         (J, V)                               joints from the rest ve
 weights             (V, J)                               skinning weights
 kintree_table       (2, J)                               parents; joints
 hands_meanl, -r     (45,)                                mean hand relative to flat, axis-angle
-hands_componentsl…  (K, 45)                              PCA of hand poses; optional
 lmk_faces_idx       (51,)                                triangles with landmarks of the face, and
 lmk_bary_coords     (51, 3)                              where on them; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. Only importers use mean hands and their components
-(data/importers/target.py), because poses here are relative to the flat hand.
+J is 55, 52 or 24; SMPL has no hands. Only importers use mean hands
+(data/importers/track.py), because poses here are relative to the flat hand.
 
 SMPL-X files with 400 directions or more hold 300 betas, then expressions (version 1.1); with fewer,
 10 betas and up to 10 expressions (1.0). In the older formats all directions are betas.
@@ -80,7 +79,7 @@ _SKIN = (
 _HANDS = ("hands_meanl", "hands_meanr")
 _WHOLE = ("f", "kintree_table")
 _MARKS = ("lmk_faces_idx", "lmk_bary_coords")
-_OPTIONAL = ("hands_componentsl", "hands_componentsr", "joint_names", *_MARKS)
+_OPTIONAL = ("joint_names", *_MARKS)
 _MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
 
 
@@ -175,7 +174,6 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
         "posedirs": (vertices, 3, 9 * (joints - 1)), "J_regressor": (joints, vertices),
         "weights": (vertices, joints), "kintree_table": (2, joints),
         "hands_meanl": (45,), "hands_meanr": (45,),
-        "hands_componentsl": (None, 45), "hands_componentsr": (None, 45),
     }  # fmt: skip
     for key, shape in shapes.items():
         if key in arrays:
@@ -187,11 +185,6 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     if max(sides) not in LONGEST_SIDES:
         found = " x ".join(f"{side:.3g}" for side in sides)
         raise InputError(f"{path}: 'v_template' is {found} metres in size; expected a person")
-    left, right = (len(arrays.get(key, ())) for key in _OPTIONAL[:2])
-    if left != right:
-        raise InputError(
-            f"{path}: 'hands_componentsl' has {left} rows, 'hands_componentsr' {right}"
-        )
     if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
         raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
     _check_surface(path, arrays["f"])

@@ -1,4 +1,4 @@
-"""README and docs name commands, options, files and links that exist; tests/docs runs them."""
+"""README and docs name commands, options, files and links that exist; README's programs run."""
 
 import io
 import re
@@ -14,11 +14,31 @@ from types import SimpleNamespace
 import pytest
 
 ROOT = Path(__file__).parents[1]
-pages, site_pages = (
-    SimpleNamespace(**runpy.run_path(str(ROOT / name)))
-    for name in ("tests/docs/pages.py", "docs/site_pages.py")
-)
-PAGES, BLOCKS, commands = pages.PAGES, pages.BLOCKS, pages.commands
+site_pages = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/site_pages.py")))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+BLOCKS = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
+LINE = re.compile(r"^gva-mi .*?(?=\s*(?:#[ ].*)?$)", re.MULTILINE)
+QUICK = {  # options that make README's commands quick
+    "synth": "--size 48 --frames 4",
+    "refine": "--passes 1 --size 32",
+    "fit": "--steps 20",
+    "track": "--passes 1",
+}
+
+
+def in_blocks(page):
+    """Return the commands in the shell blocks of a page."""
+    blocks = BLOCKS.findall(page.read_text())
+    return [line for kind, block in blocks if kind == "sh" for line in LINE.findall(block)]
+
+
+def commands(page):
+    """Yield the commands of a page: lines of its shell blocks, and words in backquotes."""
+    yield from in_blocks(page)
+    for written in re.findall(r"`([^`\n]+)`", BLOCKS.sub("", page.read_text())):
+        if written.startswith("gva-mi "):
+            # Optional options are read, too.
+            yield re.sub(r"\[(--\w.*?)\]", r"\1", written)
 
 
 def anchors(page):
@@ -92,6 +112,41 @@ def test_tables_list_every_source_error_model_and_extra():
     assert not [name for name in ERROR_MODELS if f"`{name}`" not in people]
     extras = project["optional-dependencies"]
     assert not [extra for extra in extras if f"\n| `{extra}` | " not in installation]
+
+
+def test_readmes_commands_run_one_after_the_other(tmp_path, cli, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for command in in_blocks(ROOT / "README.md"):
+        verb, *words = shlex.split(command)[1:]
+        if verb == "avatar":
+            continue  # needs a film of a person, and minutes: tests/cli/test_avatar.py makes one
+        small = ["--size", "32", "48"] if "--path" in words else shlex.split(QUICK.get(verb, ""))
+        cli.works(verb, *words, *small)
+    assert (tmp_path / "renders/video.mp4").exists() and (tmp_path / "run/report.html").exists()
+    assert (tmp_path / "turntable/000071.png").exists() and (tmp_path / "person.glb").exists()
+
+
+def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monkeypatch):
+    """On a tiny subject, whose folder is there already, with options that make it quick."""
+    from gva_mi import app
+    from gva_mi.fit.options import FitOptions
+    from gva_mi.fit.renders import CameraPath
+    from gva_mi.pose.sequence import SequenceOptions
+
+    (program,) = (
+        block for kind, block in BLOCKS.findall((ROOT / "README.md").read_text())
+        if kind == "python" and "gva_mi.app" in block
+    )  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(app, "prepare", lambda film, out: shutil.copytree(subject, out))
+    for step, options in (
+        (app.refine, SequenceOptions(passes=1, size=32)), (app.fit, FitOptions(steps=20)),
+        (app.render, CameraPath(frames=2, size=(32, 48))),
+    ):  # fmt: skip
+        monkeypatch.setattr(step, "__defaults__", (options,))
+    exec(compile(program, "README.md", "exec"), {})
+    assert (tmp_path / "me/run/report.html").exists()
+    assert (tmp_path / "me/turntable/000001.png").exists()
 
 
 @pytest.mark.parametrize(

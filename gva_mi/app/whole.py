@@ -48,7 +48,7 @@ from gva_mi.synthetic.options import VideoFrames
 
 SUBJECT, RUN = "subject", "run"
 FILM_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # what every such folder holds
-PERSON = "amira"  # of the demo: one of the study's seven
+PERSON = "amira"  # of the demo: one of the named subjects
 
 QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
     "draft": (8, 4, 500),

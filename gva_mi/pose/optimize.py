@@ -260,9 +260,7 @@ class _Moments:
 
 @dataclass
 class VectorAdam:
-    """Adam on tensors (..., D) of vectors; a tensor without a gradient stays as it is.
-
-    The optimiser: Adam with one step size per vector, and learning rates of joints.
+    """Adam with one step size per vector; a tensor without a gradient stays as it is.
 
         m ← β1 m + (1 - β1) g,     v ← β2 v + (1 - β2) |g|²,     x ← x - lr m̂ / (√v̂ + ε)
 

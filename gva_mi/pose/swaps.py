@@ -1,4 +1,4 @@
-"""Fix frames in which stage 1 swapped left and right legs, or arms.
+"""Fix frames in which left and right were swapped: by stage 1, or by a network of landmarks.
 
 A single-frame estimator now and then gives the left leg the pose of the right one, and vice versa.
 Gradient descent hardly recovers: the wrong leg fills the outline as well by tilting the other way
@@ -9,7 +9,7 @@ that halves the body at rest. The states minimise
 1. ``E(s) = w Σ_k (L_k(s_k) / ν + cost(Δ_k(s_k, s_k+1))) + Σ_k (a s_k + b [s_k-1 < s_k])``
 
 with ``L_k`` the data term of Eq. 8 at this pose of stage 1, and the cost of how the limbs' joints
-turn from frame to frame (:mod:`gva_mi.pose.prior.process`, eq. 2), at the speed that stage 1 shows.
+turn from frame to frame (:mod:`gva_mi.pose.prior.process`, eq. 5), at the speed that stage 1 shows.
 The chain of two states a frame is minimised by dynamic programming (Viterbi).
 
 ``w`` is below 1 because joints of a limb turn together, and so do the pixels on it. With legs
@@ -35,10 +35,8 @@ from gva_mi.pose.prior.inference import prior_from_stage1
 from gva_mi.pose.prior.process import step_cost
 from gva_mi.pose.stage1 import Stage1, turns_between
 
-SWAP_NATS, SWAP_RUN_NATS = (
-    1.0,
-    4.6,
-)  # a and b, nats: one frame in a hundred begins a run of exchanged ones
+# a and b, nats: one frame in a hundred begins a run of exchanged ones.
+SWAP_NATS, SWAP_RUN_NATS = 1.0, 4.6
 INDEPENDENCE = 0.25  # w
 LIMBS: Mapping[str, Sequence[str]] = MappingProxyType(  # the joints whose motion is compared
     {
@@ -95,12 +93,10 @@ def exchanged(pose: Pose, name: str) -> Pose:
 def with_backs(landmarks: Landmarks, fps: float) -> tuple[Landmarks, list[int]]:
     """Return landmarks whose left and right are exchanged where needed, and in which frames.
 
-    Frames in which a network took a person's back for the front: left and right are exchanged.
-
     From behind, a person with long hair or a hood looks much as from the front. A network may then
     give the left arm and leg the names of the right ones, with high confidence, for some frames. In
     the landmarks all limbs jump to the other side of the body from one frame to the next, and jump
-    back later. As in :mod:`gva_mi.pose.swaps`, each frame is as given, ``s_k = 0``, or exchanged,
+    back later. As in eq. 1, each frame is as given, ``s_k = 0``, or exchanged,
     ``s_k = 1``, and the states minimise
 
     1. ``Σ_k (w Σ_p t_2(|x_k+1,p - x_k,p| / σ S Δt_k) + f_k s_k + g_k)``

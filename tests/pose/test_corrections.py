@@ -63,16 +63,6 @@ def matrices(pose):
     return roma.rotvec_to_rotmat(pose.rotations.detach())
 
 
-def test_a_step_of_one_frame_moves_its_neighbours_less_and_less(make):
-    corrections = make(at_rest())
-    with torch.no_grad():
-        corrections.turns[3, ELBOW, 0] = 1.0
-    angle = corrections.pose(range(7)).rotations[:, ELBOW].norm(dim=1).detach()
-    assert (angle > 0).all() and angle.argmax() == 3
-    torch.testing.assert_close(angle, angle.flip(0), atol=1e-4, rtol=0)
-    assert (angle[:4].diff() > 0).all()
-
-
 def test_turns_and_shifts_are_in_the_axes_of_the_camera(make, camera, true_pose):
     """A turn about the line of sight turns the limb in the image, wherever it points."""
     corrections, sight = make(true_pose, frames=[0]), torch.tensor(camera.T_camera_world[2, :3])

@@ -11,7 +11,7 @@ from all sides. With the direction ``s_t`` of a bone in the axes of the chest, w
 where ``x`` is the joint at which the bone starts, ``L`` the bone's length, ``d`` its picture and
 ``m`` the depth that the network gives it. ``t_d``, ``gain``, ``σ_z`` and the number of frames that
 count as one are those of :mod:`gva_mi.pose.film.film_evidence`. The posterior of
-:mod:`gva_mi.pose.film.arm_depths` gives a mean and a variance of the bone's depth in every
+:class:`DirectionModel` gives a mean and a variance of the bone's depth in every
 frame. In the evidence they take the place of the network's depth.
 
 Legs keep the network's depth: with this one, feet stood worse on rendered films.
@@ -121,9 +121,7 @@ def _t(square: Tensor, precision: Tensor, d: int) -> Tensor:
 
 @dataclass(frozen=True)
 class DirectionModel:
-    """Eq. 1 for some time between frames.
-
-    Directions of a limb over a film: a hidden Markov model, summed exactly.
+    """A hidden Markov model of a limb's directions over a film, summed exactly.
 
     A limb's direction ``s_t`` at frame ``t`` is one of ``N`` unit vectors all over the sphere, and
     the limb either rests or moves. With the mode ``r``, ``dt`` seconds between frames and ``w`` the

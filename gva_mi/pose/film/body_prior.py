@@ -265,9 +265,7 @@ def _left(name: str) -> str:
 
 @dataclass(frozen=True)
 class Smoothness:
-    """Eq. 1 for some unknowns; ``dt`` in seconds.
-
-    Motion between frames: joints and the person accelerate little, and do not turn too fast.
+    """Joints and the person accelerate little, and do not turn too fast; ``dt`` in seconds.
 
     Of values ``x_t`` of a joint, ``dt`` seconds apart,
 

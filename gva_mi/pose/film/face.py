@@ -236,8 +236,6 @@ class _FaceProblem:
 class FacePoints:
     """The 51 landmarks of :data:`gva_mi.data.landmarks.FACE` on a body; float64.
 
-    Where the landmarks of the face lie on a body, and how jaw and expression move them.
-
     SMPL-X's files mark them. On another body they are found by the shape of its head: the eyes'
     joints give the middle, the width and the height of the face, and the mouth is where the skin of
     the jaw begins. A landmark is the vertex of the front that is nearest to its place in an average

@@ -303,9 +303,7 @@ class PointSet:
 
 @dataclass(frozen=True)
 class PosedPoints:
-    """P points in n frames.
-
-    Points on a posed body, and their derivatives by pose, shape and constant offsets.
+    """P points on a posed body in n frames, with derivatives by pose, shape and constant offsets.
 
     With the transform ``[A_d | t_d]`` of the joint ``d`` that a point hangs on, the joints' places
     ``p_j``, and the axes ``Ω_j`` about which unknowns turn joint ``j``,

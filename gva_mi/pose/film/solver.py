@@ -119,7 +119,7 @@ def solve_film(
     """
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        film = _Film.of(landmarks, body, size, fps, known)
+        film = _Film(landmarks, body, size, fps, known)
         state = film.first()
         state = film.body_problem(state, starting=True).minimised(state, START_STEPS)
         report(1, 4)
@@ -197,33 +197,23 @@ class FilmProblem:
         return equations
 
 
-@dataclass(frozen=True)
 class _Film:
     """A film to solve."""
 
-    landmarks: Landmarks
-    body: BodyModel
-    size: tuple[int, int]
-    dt: float
-    known: KnownOfFilm
-    rig: LandmarkRig
-    anatomy: Anatomy
-    K: np.ndarray
-
-    @staticmethod
-    def of(
+    def __init__(
+        self,
         landmarks: Landmarks,
         body: BodyModel,
         size: tuple[int, int],
         fps: float,
         known: KnownOfFilm,
-    ) -> _Film:
-        rig = LandmarkRig.of(body, sorted(landmarks.names))
-        at, names = landmarks.indices(rig.names), ("pixels", "confidence", "spread", "metric")
+    ) -> None:
+        self.body, self.size, self.dt, self.known = body, size, 1 / fps, known
+        self.rig = LandmarkRig.of(body, sorted(landmarks.names))
+        at, names = landmarks.indices(self.rig.names), ("pixels", "confidence", "spread", "metric")
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
-        landmarks = Landmarks(rig.names, **arrays)
-        anatomy = Anatomy.of(body.j_template)
-        return _Film(landmarks, body, size, 1 / fps, known, rig, anatomy, known.K(size))
+        self.landmarks = Landmarks(self.rig.names, **arrays)
+        self.anatomy, self.K = Anatomy.of(body.j_template), known.K(size)
 
     def first(self) -> FilmState:
         """Return the first guess: relaxed joints, the body at its place."""

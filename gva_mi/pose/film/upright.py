@@ -170,9 +170,7 @@ AXES = _axes()  # (3, 15) factors of the joints of MASSES, whose sums are trunk,
 
 @dataclass(frozen=True)
 class Leaning:
-    """How trunk and balance of n frames lean.
-
-    What is above what in a person who stands: the axes of trunk and balance.
+    """How the axes of trunk and balance lean in n frames of a person who stands.
 
     1. ``trunk = X_neck - X_pelvis``
     2. ``balance = Σ_j m_j X_j - X_feet``

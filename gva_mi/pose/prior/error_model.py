@@ -201,8 +201,7 @@ def outlier_factors(
 def film_errors(fps: float) -> dict[str, Stage1ErrorModel]:
     """Return the error models of a film of so many frames a second, by group of joints.
 
-    How the film solver errs: an error model that is known before any video.
-
+    They are how the film solver errs, which is known before any video.
     A constant error does not show in a track, and a smooth one looks like motion: how large they
     are is knowledge about the estimator, and not about this video. The solver errs more while a
     joint moves. The rows of joints are what ``python -m tools.film_errors`` prints, of the

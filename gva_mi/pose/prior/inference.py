@@ -50,9 +50,7 @@ LEAST_TURN = 0.5  # least turn of the person: nearly half round
 
 @dataclass(frozen=True)
 class TiltPrior:
-    """The chance level of camera-locked tilt of the L joints of the body.
-
-    Camera-locked tilt: penalise limbs that tilt toward the camera wherever the person turns.
+    """Penalise limbs that tilt toward the camera wherever the person turns: L joints of the body.
 
     This is for an estimator whose errors are inferred; those that are known tell how large such a
     tilt may be (:meth:`gva_mi.pose.corrections.Corrections.constant_turn_energy`).

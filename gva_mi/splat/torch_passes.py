@@ -38,8 +38,8 @@ from gva_mi.splat.options import SplatOptions
 
 IMAGE_COUNT = 3  # color, alpha, depth
 NO_BATCHES = (
-    "render(): it takes no batches, as vmap, jacrev, jacfwd, is_grads_batched and "
-    "functional.jacobian's vectorize make them; take one gradient or tangent after the other"
+    "render(): it takes no gradients or tangents in batches, as is_grads_batched and "
+    "functional.jacobian's vectorize make them; torch.func's jacrev, jacfwd and vmap work"
 )
 
 Images = tuple[Tensor | None, ...]  # color, alpha, depth; their gradients or tangents
@@ -67,8 +67,9 @@ class Tensors(NamedTuple):
 class Drawn:
     """What a forward pass keeps for its adjoint and tangent."""
 
-    saved: SavedState
+    saved: SavedState | None  # None for a batch
     screen: Screen | None
+    elements: tuple[Drawn, ...] = ()  # of a batch, under vmap
 
     def requested(self, by: Tensors) -> RequestedGradients:
         """Return the gradients to compute; ``by`` flags the tensors that need one."""
@@ -192,7 +193,7 @@ def _plane_of(image: Tensor | None, layout: Layout, F: type, *channels: int) -> 
 
 
 def _refuse_batches(*tensors: Tensor | None) -> None:
-    """Raise for batches of torch's older vmap, which does not call ``Function.vmap``.
+    """Raise for batches of torch's older vmap, which bypasses ``Function.vmap``.
 
     Such a tensor hides its batch, and torch refuses to tell where its numbers are.
     """

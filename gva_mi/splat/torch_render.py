@@ -30,7 +30,6 @@ from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_passes import (
     IMAGE_COUNT,
-    NO_BATCHES,
     Drawn,
     Images,
     Screen,
@@ -49,15 +48,41 @@ NO_SECOND_DERIVATIVES = (
 )
 
 
-class PictureOperation(torch.autograd.Function):
-    """An operation on one picture: torch.func's vmap is refused."""
+def one_by_one(function: type[torch.autograd.Function]) -> type[torch.autograd.Function]:
+    """Give an operation its vmap: call it for each element of a batch and stack the results.
 
-    @staticmethod
-    def vmap(*_: Any) -> NoReturn:  # noqa: ANN401
-        raise RuntimeError(NO_BATCHES)
+    Where only gradients or tangents are batched, as a Jacobian's rows are, all elements belong to
+    the same picture.
+    """
+
+    def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
+        same_picture = all(dim is None for dim in dims[:COUNT])
+
+        def element(value: Any, dim: int | None, k: int) -> Any:  # noqa: ANN401
+            if isinstance(value, Drawn) and not same_picture:
+                return value.elements[k]
+            return value if dim is None else value.select(dim, k)
+
+        results = [
+            function.apply(*(element(v, dim, k) for v, dim in zip(arguments, dims, strict=True)))
+            for k in range(info.batch_size)
+        ]
+        stacked = tuple(_stacked(column) for column in zip(*results, strict=True))
+        return stacked, tuple(0 if isinstance(x, Tensor) else None for x in stacked)
+
+    function.vmap = staticmethod(vmap)
+    return function
 
 
-class Render(PictureOperation):
+def _stacked(column: tuple) -> Any:  # noqa: ANN401
+    first = column[0]
+    if isinstance(first, Drawn):
+        return Drawn(None, first.screen, elements=column)
+    return None if first is None else torch.stack(column)
+
+
+@one_by_one
+class Render(torch.autograd.Function):
     """Forward pass: from ``Tensors`` and constants to color, alpha, depth and ``Drawn``.
 
     The constants are those of :func:`draw`: camera, options, harmonics and screen.
@@ -107,7 +132,8 @@ def push(ctx: FunctionCtx, tangents: tuple[Tensor | None, ...]) -> Images:
     return Tangent.apply(*FirstOrder.apply(*ctx.saved_tensors), *tangents, ctx.drawn)
 
 
-class Adjoint(PictureOperation):
+@one_by_one
+class Adjoint(torch.autograd.Function):
     """Backward pass: from ``Tensors``, image gradients, ``Drawn`` and a request to gradients."""
 
     @staticmethod
@@ -136,7 +162,8 @@ class Adjoint(PictureOperation):
         return Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.drawn, ctx.requested)
 
 
-class Tangent(PictureOperation):
+@one_by_one
+class Tangent(torch.autograd.Function):
     """Tangent pass: from ``Tensors``, their tangents and ``Drawn`` to the images' tangents."""
 
     @staticmethod
@@ -165,11 +192,13 @@ class Tangent(PictureOperation):
         return Tangent.apply(*ctx.saved_tensors, *tangents[COUNT:-1], ctx.drawn)
 
 
-class FirstOrder(PictureOperation):
+class FirstOrder(torch.autograd.Function):
     """Pass tensors on, and refuse to be differentiated.
 
     Without it torch would take second derivatives for zero wherever dL/dy is a constant.
     """
+
+    generate_vmap_rule = True
 
     @staticmethod
     def forward(*tensors: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -225,8 +254,8 @@ def render(
     Note:
         The order by depth and the set of pixels a Gaussian reaches are not differentiated: the
         image is smooth except for steps of ``options.alpha_min`` and ``transmittance_min``.
-        Second derivatives raise, and so do batches; ``torch.func``'s grad, vjp and jvp work.
-        ``torch.compile`` runs it between graphs, uncompiled.
+        Second derivatives raise. ``torch.func``'s transforms work, ``vmap`` one element after the
+        other; ``torch.compile`` runs it between graphs, uncompiled.
     """
     check(gaussians, background, camera)
     constants = (camera, options, gaussians.sh is not None, screen)

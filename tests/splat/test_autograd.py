@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch.autograd import forward_ad, functional, gradgradcheck
-from torch.func import grad, jacfwd, jacrev, jvp, vjp, vmap
+from torch.func import grad, hessian, jacfwd, jacrev, jvp, vjp, vmap
 
 from gva_mi.splat import Camera, Gaussians, rasterization, render
 from gva_mi.splat.scene import random_scene
@@ -62,6 +62,32 @@ def test_func_finds_what_autograd_finds():
         torch.testing.assert_close(found, expected, atol=0, rtol=0)
 
 
+def test_vmap_draws_one_picture_after_the_other():
+    batch = torch.stack([MEANS, MEANS + 0.1, 0.9 * MEANS])
+    assert torch.equal(vmap(picture)(batch), torch.stack([picture(x) for x in batch]))
+    found = vmap(grad(mean))(batch)
+    assert torch.equal(found, torch.stack([by_autograd(mean, x) for x in batch]))
+    v = like(batch)
+    found = vmap(lambda x, d: jvp(picture, (x,), (d,))[1])(batch, v)
+    expected = [by_dual_numbers(picture, x, d) for x, d in zip(batch, v, strict=True)]
+    assert torch.equal(found, torch.stack(expected))
+
+
+@pytest.mark.parametrize("jacobian", [jacrev, jacfwd])
+@pytest.mark.parametrize("entry", ["render", "packed"])
+def test_jacobians_of_a_batch_are_those_of_its_pictures(entry, jacobian):
+    """Also with as many pictures as channels: a batch of gradients is not one of pictures."""
+    draw = picture if entry == "render" else lambda means: called(means, True)[0]
+    channels = lambda means: draw(means).mean(dim=(-3, -2)).view(3)
+    batch = torch.stack([MEANS, MEANS + 0.1, 0.9 * MEANS])
+    found = vmap(jacobian(channels))(batch)
+    one_by_one = [
+        torch.stack([by_autograd(lambda x, k=k: channels(x)[k], means) for k in range(3)])
+        for means in batch
+    ]
+    torch.testing.assert_close(found, torch.stack(one_by_one))
+
+
 def test_adjoint_and_tangent_are_each_others_derivative():
     """By the argument in which each is linear: not a second derivative of the picture."""
     v = like(MEANS)
@@ -77,12 +103,13 @@ def test_adjoint_and_tangent_are_each_others_derivative():
 
 SECOND = {
     "functional.hvp": lambda v: functional.hvp(mean, MEANS, v),
+    "func.hessian": lambda v: hessian(mean)(MEANS),
     "grad of jvp": lambda v: grad(lambda x: jvp(mean, (x,), (v,))[1])(MEANS),
     "jvp of jvp": lambda v: jvp(lambda x: jvp(mean, (x,), (v,))[1], (MEANS,), (v,)),
     "of dual numbers": lambda v: by_autograd(lambda x: by_dual_numbers(mean, x, v), MEANS),
     "gradgradcheck": lambda v: gradgradcheck(picture, MEANS.clone().requires_grad_()),
     "rasterization": lambda v: functional.hvp(lambda x: called(x, False)[0].mean(), MEANS, v),
-    "packed": lambda v: functional.hvp(lambda x: called(x, True)[0].mean(), MEANS, v),
+    "packed": lambda v: hessian(lambda x: called(x, True)[0].mean())(MEANS),
 }
 
 
@@ -124,20 +151,13 @@ def test_projected_means_have_second_derivatives():
         torch.testing.assert_close(found, (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-6)
 
 
-def test_batches_raise():
+def test_batches_of_torchs_older_vmap_raise():
     x, weights = MEANS.clone().requires_grad_(), like(picture(MEANS).expand(2, -1, -1, -1))
-    batch = torch.stack([MEANS, MEANS + 0.1])
-    for call in (
-        lambda: torch.autograd.grad(picture(x), x, weights, is_grads_batched=True),
-        lambda: functional.jacobian(mean, MEANS, vectorize=True, strategy="reverse-mode"),
-        lambda: functional.jacobian(mean, MEANS, vectorize=True, strategy="forward-mode"),
-        lambda: vmap(picture)(batch),
-        lambda: vmap(lambda x: called(x, True)[0])(batch),
-        lambda: jacrev(picture)(MEANS),
-        lambda: jacfwd(picture)(MEANS),
-    ):
-        with pytest.raises(RuntimeError, match="takes no batches"):
-            call()
+    with pytest.raises(RuntimeError, match="no gradients or tangents in batches"):
+        torch.autograd.grad(picture(x), x, weights, is_grads_batched=True)
+    for strategy in ("reverse-mode", "forward-mode"):
+        with pytest.raises(RuntimeError, match="no gradients or tangents in batches"):
+            functional.jacobian(mean, MEANS, vectorize=True, strategy=strategy)
 
 
 def test_compiled_code_draws_between_its_graphs():

@@ -32,7 +32,7 @@ from gva_mi.splat.camera import Camera
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_passes import Drawn, Screen, Tensors, draw, first_two_columns, images
-from gva_mi.splat.torch_render import PictureOperation, keep, pull, push, tensors_of
+from gva_mi.splat.torch_render import keep, one_by_one, pull, push, tensors_of
 
 ON_AXIS = 1e-6  # below this (r / z)^2 a fisheye's s is the start of its series
 
@@ -54,7 +54,8 @@ class GsplatView:
         return numbers.index_select(0, self.screen.rows) if self.packed else numbers
 
 
-class ProjectMeans(PictureOperation):
+@one_by_one
+class ProjectMeans(torch.autograd.Function):
     """Autograd node from means and camera to means2d, depths, echo and the ``Drawn`` picture.
 
     Its inputs are means, T_camera_world, K, an anchor, six other tensors and a ``GsplatView``.
@@ -109,7 +110,8 @@ class ProjectMeans(PictureOperation):
         return *found, _zeros(found[0]), None
 
 
-class ImagesOf(PictureOperation):
+@one_by_one
+class ImagesOf(torch.autograd.Function):
     """Autograd node from ``Tensors``, means2d and echo to the images of a ``Drawn`` picture.
 
     Its last two inputs are that picture and its ``GsplatView``.
@@ -131,6 +133,8 @@ class ImagesOf(PictureOperation):
     @not_compiled
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> Values:
         found = pull(ctx, grads)
+        if ctx.drawn.elements:  # each has its own rows; without means2d's share nothing is missing
+            return *found, None, None, None, None
         by_means2d = ctx.view.screen.grad
         if torch.is_grad_enabled():  # perhaps under torch.func, whose tensors have no memory
             by_means2d = ctx.view.pick(by_means2d)

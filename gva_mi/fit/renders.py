@@ -143,7 +143,7 @@ def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
 # Splat options of all avatars. The area of a pixel has a variance of 1/12; the 0.3 of 3DGS makes
 # outlines wider than in pictures.
 DRAWN = SplatOptions(blur=0.1, depth=False)
-WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+WHITE = (1.0, 1.0, 1.0)
 
 
 @torch.no_grad()

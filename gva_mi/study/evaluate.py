@@ -21,7 +21,6 @@ region         pixels: :mod:`gva_mi.study.regions`
 =============  =======================================================================
 white          the whole picture on white: what tables of this field mean, and every
                figure here that names no region
-black          the whole picture on black, where white clothes are visible
 person         the person's box on white: independent of the picture's size
 hands, face    the boxes of visible hands, and of a visible face, on white
 =============  =======================================================================
@@ -66,7 +65,7 @@ from gva_mi.data.video import Frame, Video, load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.photometric import FITTED, TRACKED_POSES, PhotometricOptions, fit_poses
-from gva_mi.fit.renders import BLACK, WHITE, cut_out, render_frame
+from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.study.figures import Figure, Table, figures_from, pivot, table, to_json, where
 from gva_mi.study.refinement import error_figures, load_refinement, pose_tables
 from gva_mi.study.regions import Detail, Details, person_box
@@ -77,8 +76,8 @@ from gva_mi.study.surface import surface_figures
 Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 OF_VIDEO: tuple[Split, ...] = ("train", "test", "held_out_range")  # frames of the video itself
-Region = Literal["white", "black", "person"] | Detail
-REGIONS: tuple[Region, ...] = ("white", "black", "person", "hands", "face")
+Region = Literal["white", "person"] | Detail
+REGIONS: tuple[Region, ...] = ("white", "person", "hands", "face")
 TRAIN_FRAMES = 16  # evaluated frames of the train split
 
 
@@ -178,16 +177,13 @@ def _scores(
 ) -> Iterator[tuple[Region, ImageScores]]:
     """Score the render of a frame region by region, cut out by the true mask if it is known."""
     frame = view.video.truly_cut(frame)
-    pairs = [
-        (render_frame(avatar, frame.pose, frame.camera, on), cut_out(frame, on))
-        for on in (WHITE, BLACK)
-    ]
-    boxes: list[tuple[Region, Box]] = [("person", person_box(frame.mask))]
+    whole = Box(0, 0, frame.camera.width, frame.camera.height)
+    boxes: list[tuple[Region, Box]] = [("white", whole), ("person", person_box(frame.mask))]
     if view.details is not None:
         boxes += view.details.boxes(frame.index)
-    pairs += [tuple(map(box.cut, pairs[0])) for _, box in boxes]
-    regions: list[Region] = ["white", "black", *(region for region, _ in boxes)]
-    return zip(regions, scorer.of_pairs(pairs), strict=True)
+    both = render_frame(avatar, frame.pose, frame.camera), cut_out(frame)
+    found = scorer.of_pairs(tuple(map(box.cut, both)) for _, box in boxes)
+    return zip((region for region, _ in boxes), found, strict=True)
 
 
 def source_of(video: Video, split: Split) -> Video | None:
@@ -246,8 +242,7 @@ class Metrics:
 
     def tables(self) -> list[Table]:
         """Return the main figures for the console."""
-        regions, metrics = ("white", "person", "hands", "face"), ("PSNR, dB", "SSIM")
-        scores = where(self.figures, region=regions, metric=metrics)
+        scores = where(self.figures, split=SPLITS, metric=("PSNR, dB", "SSIM"))
         return [
             *pose_tables(self.figures),
             table(pivot(scores, ("split", "alignment", "region")), "renders"),

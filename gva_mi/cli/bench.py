@@ -30,7 +30,7 @@ def bench(
     Args:
         what: the part to measure.
         repeats: calls per figure.
-        scene: splat: a .ply, .splat, .spz or .npz file as for gradcheck; without it a synthetic
+        scene: splat: a .ply of Gaussians; without it a synthetic
             person of 20,000 Gaussians at 512 px.
     """
     if what != "splat" and scene is not None:

@@ -82,9 +82,7 @@ def gradcheck(
     Args:
         what: what to check.
         options: which inputs to check, and how finely.
-        scene: splat: a .ply, .splat or .spz, or an .npz file with means, quats, scales, opacities,
-            sh or colors, viewmat, K, width, height, background; without it a person of 20,000
-            Gaussians.
+        scene: splat: a .ply of Gaussians; without it a person of 20,000 Gaussians.
         body: avatar: a body in SMPL-X's .npz format; without it the built-in body.
         out: a folder for gradcheck.json and, of splat, gradcheck.png.
     """

@@ -11,15 +11,12 @@ import numpy as np
 import torch
 from torch import Generator, Tensor
 
-from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_arrays
+from gva_mi.core.errors import InputError
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
 from gva_mi.splat.formats.ply import load_ply
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
-
-ARRAYS = ("means", "quats", "scales", "opacities")  # of a scene's file, beside colours and camera
 
 
 @dataclass(frozen=True)
@@ -40,35 +37,26 @@ class Scene:
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """Load a scene from a file.
+        """Look at the Gaussians of a .ply from their front, +z, on black.
 
-        Args:
-            path: a .ply of Gaussians, turned to the
-                world's axes (:mod:`gva_mi.splat.axes`) and seen by :func:`in_front`; or an .npz,
-                which holds means (N, 3), quats (N, 4), scales (N, 3), opacities (N,); sh (N, K, 3)
-                or colors (N, D), sh first where both are there; viewmat (4, 4), K (3, 3), width,
-                height; background (D,), black where missing; camera_model, pinhole where missing.
+        Nine tenths of them fill the middle: the rest of a captured scene is far away.
 
         Raises:
-            InputError: something is missing or does not fit; the message names it.
+            InputError: there are no Gaussians, or their numbers are not finite; the path is named.
         """
-        if path.suffix.lower() == ".ply":
-            return in_front(path, half_turned(load_ply(path)))
-        arrays = read_arrays(path, "a scene: Gaussians and a camera (.npz)")
-        missing = [k for k in (*ARRAYS, "viewmat", "K", "width", "height") if k not in arrays]
-        if "sh" not in arrays and "colors" not in arrays:
-            missing.append("sh or colors")
-        if missing:
-            raise InputError(f"{path}: a scene needs {', '.join(missing)}")
-        color = "sh" if "sh" in arrays else "colors"
-        with expecting(path, "Gaussians before a camera"):
-            size = int(arrays["width"]), int(arrays["height"])
-            model = str(arrays.get("camera_model", "pinhole"))
-            camera = Camera.from_matrices(arrays["K"], arrays["viewmat"], *size, model)
-            gaussians = Gaussians(**{k: arrays[k] for k in (*ARRAYS, color)})
-            gaussians.check_shapes()
-            black = np.zeros(gaussians.channels)
-            return Scene.of(gaussians, camera, arrays.get("background", black))
+        gaussians = half_turned(load_ply(path))
+        if not len(gaussians):
+            raise InputError(f"{path}: holds no Gaussians; a scene needs one")
+        for name, tensor in gaussians.arrays().items():
+            if not torch.isfinite(tensor).all():
+                raise InputError(f"{path}: holds {name} that are not finite")
+        means = gaussians.means.detach().double().numpy()
+        middle = np.median(means, axis=0)
+        reach = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.9))
+        reach = max(reach, 3 * float(gaussians.scales.median()), 1e-3)
+        T = look_at(middle + [0, 0, 4.5 * reach], middle)
+        camera = Camera(716.8, 716.8, 256.0, 256.0, T, 512, 512)
+        return Scene.of(gaussians, camera, np.zeros(gaussians.channels))
 
     def inputs(self) -> dict[str, Tensor]:
         """Return the differentiable tensors, by name."""
@@ -149,28 +137,6 @@ class Scene:
             width = min(size, self.camera.width - left)
             height = min(size, self.camera.height - top)
             yield f"pixel {left}, {top}", self.window(left, top, width, height)
-
-
-def in_front(path: Path, gaussians: Gaussians) -> Scene:
-    """Look at the Gaussians of a file without a camera from their front, +z, on black.
-
-    Nine tenths of them fill the middle: the rest of a captured scene is far away.
-
-    Raises:
-        InputError: there are no Gaussians, or their numbers are not finite; the path is named.
-    """
-    if not len(gaussians):
-        raise InputError(f"{path}: holds no Gaussians; a scene needs one")
-    for name, tensor in gaussians.arrays().items():
-        if not torch.isfinite(tensor).all():
-            raise InputError(f"{path}: holds {name} that are not finite")
-    means = gaussians.means.detach().double().numpy()
-    middle = np.median(means, axis=0)
-    reach = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.9))
-    reach = max(reach, 3 * float(gaussians.scales.median()), 1e-3)
-    T = look_at(middle + [0, 0, 4.5 * reach], middle)
-    camera = Camera(716.8, 716.8, 256.0, 256.0, T, 512, 512)
-    return Scene.of(gaussians, camera, np.zeros(gaussians.channels))
 
 
 def random_scene(

@@ -80,4 +80,4 @@ def test_the_command_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_pat
 
 @pytest.fixture
 def scene_file(tmp_path):
-    return few_gaussians(tmp_path / "scene.npz")
+    return few_gaussians(tmp_path / "scene.ply")

@@ -9,7 +9,7 @@ from gva_mi.body.pose import save_poses
 @pytest.fixture
 def scene(tmp_path):
     """A file with 8 Gaussians before a camera."""
-    return few_gaussians(tmp_path / "scene.npz")
+    return few_gaussians(tmp_path / "scene.ply")
 
 
 @pytest.fixture

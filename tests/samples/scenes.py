@@ -1,9 +1,10 @@
 """Scenes of random Gaussians, their pictures, and their ``.npz`` files."""
 
-import numpy as np
 import torch
 
 from gva_mi.splat import Gaussians, render
+from gva_mi.splat.axes import half_turned
+from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.scene import random_scene
 
 
@@ -34,14 +35,7 @@ def in_drjit(gaussians, kind):
     return Gaussians(**{"quats": None, "scales": None} | arrays)
 
 
-def save_scene(path, scene):
-    """Write Gaussians and their camera, as ``Scene.load`` reads them."""
-    arrays, c = {k: v.numpy() for k, v in scene.inputs().items()}, scene.camera
-    camera = {"viewmat": c.T_camera_world, "K": c.K, "width": c.width, "height": c.height}
-    np.savez(path, **arrays, **camera)
-    return path
-
-
 def few_gaussians(path):
-    """Write 8 Gaussians before a camera."""
-    return save_scene(path, scene(gaussians=8, width=20, height=16))
+    """Write 8 Gaussians to a .ply."""
+    save_ply(path, half_turned(scene(gaussians=8, width=20, height=16).gaussians))
+    return path

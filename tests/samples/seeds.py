@@ -24,14 +24,13 @@ from gva_mi.data.importers.track import TargetBody
 from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.splat.formats.ply import load_ply, save_ply
-from gva_mi.splat.scene import Scene, random_scene
+from gva_mi.splat.scene import random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT
 from gva_mi.study.engine import Outcome, Study
 from gva_mi.study.evaluate import Metrics
 from gva_mi.study.figures import Figure
 from gva_mi.study.refinement import load_refinement
-from samples.scenes import save_scene
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
@@ -126,11 +125,10 @@ def seeds(subject, avatar):
     def gaussians(folder):
         scene = random_scene(torch.Generator().manual_seed(0), gaussians=9, width=8, height=6)
         save_ply(folder / "a.ply", scene.gaussians)
-        save_scene(folder / "a.npz", scene)
 
     def read_gaussians(folder, path=None):
         each(folder, path, {
-            "a.ply": load_ply, "a.npz": Scene.load,
+            "a.ply": load_ply,
         })  # fmt: skip
 
     def bodies(folder):

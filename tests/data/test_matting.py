@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from gva_mi.data.matting.film import film_masks
-from gva_mi.data.matting.odds import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, counted, log_odds
+from gva_mi.data.matting.odds import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, log_odds
 from gva_mi.data.matting.plate import Plate
 from gva_mi.data.pictures import read_image
 
@@ -91,21 +91,6 @@ def test_dark_skin_before_wood_is_no_shadow_unless_the_film_has_deep_ones():
     assert (odds(0.35, 0.0) > 1).all()  # skin
     assert (odds(0.35, 0.7) < -1).all()  # the sun's shadow
     assert (odds(0.95, 0.0) < -2).all()  # a faint shadow
-
-
-def test_deep_shadows_are_counted_where_the_person_is_not():
-    wall = np.full((10, 6, 3), 0.8, np.float32) * np.float32([1, 0.8, 0.7])
-    plate = Plate(wall, np.full((10, 6), 0.006, np.float32), np.ones((10, 6), bool))
-    image, bare = wall.copy(), np.ones((10, 6), bool)
-    image[8:, :3] *= 0.4
-    image[9, 5] = [0, 0, 0.3]  # another hue
-    image[:2, :3] *= 0.85
-    bare[:, 2] = False
-    counts = counted(image, plate, bare, np.linspace(0.05, 1, 10))
-    assert counts.tolist() == [[40, 0, 4], [10, 4, 0]]
-    shadows = Shadows.of(2 * counts)
-    assert shadows.high == 0
-    assert shadows.low == pytest.approx(0.4 / (0.4 + 0.01))
 
 
 def test_frames_without_a_person_get_empty_masks_and_a_note(film, tmp_path):

@@ -42,7 +42,7 @@ NO_NORMALS = "no normals"  # counts as an error model of its own
 class Take:
     """A video of one synthetic subject, rendered once and degraded by several error models."""
 
-    subject: str | None = None  # one of the seven named subjects; None: drawn from the seed
+    subject: str | None = None  # one of the four named subjects; None: drawn from the seed
     seed: int = 0
     motion: str = "turn"
     figure: str = "own"  # or a body that the fitted one does not span

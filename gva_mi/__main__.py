@@ -12,7 +12,7 @@ from gva_mi import __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
 from gva_mi.core import cpu, llvm
-from gva_mi.core.console import discard_what_is_unread, reader_is_gone, take_any_text
+from gva_mi.core.console import discard_what_is_unread, take_any_text
 from gva_mi.core.errors import InputError, is_memory
 
 BAD_INPUT = 2  # exit codes
@@ -47,9 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         verb = arguments[0] if arguments else ""
         _end(INTERRUPTED, f"stopped; {AFTER_STOP.get(verb, WHOLE)}", "\n")
-    except BrokenPipeError:
-        if not any(map(reader_is_gone, (sys.stdout, sys.stderr))):
-            raise  # another pipe broke, such as one to a worker
+    except BrokenPipeError:  # the reader of the output has gone
         _end(BROKEN_PIPE)
     except OSError as error:  # a full disk, an unreadable folder
         if error.strerror is None or (error.filename is None and error.errno not in FULL):

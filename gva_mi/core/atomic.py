@@ -53,34 +53,6 @@ def part_of(path: Path) -> Path:
 
 
 @contextmanager
-def atomic_files(main: Path, *about: str) -> Iterator[Path]:
-    """Yield a hidden folder for a file and others that describe it, moved into place once whole.
-
-    The old describing files are removed before the main file is replaced, and the new ones follow
-    it. So a describing file always belongs to the main file beside it. A process killed in between
-    leaves the main file alone, old or new.
-
-    One of the files ``about`` it that is not written now is removed. If writing fails, all older
-    files stay.
-    """
-    main = Path(main)
-    unfinished = main.with_name(f".{main.name}.gva-mi-part")
-    try:
-        with with_filename(main, keep=True):
-            if unfinished.exists():  # left by a killed process
-                shutil.rmtree(unfinished)
-            unfinished.mkdir(parents=True)
-            yield unfinished
-            for name in about:
-                main.with_name(name).unlink(missing_ok=True)
-            for name in (main.name, *about):
-                if (unfinished / name).exists():
-                    (unfinished / name).replace(main.with_name(name))
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
-
-
-@contextmanager
 def with_filename(path: Path, keep: bool = False) -> Iterator[None]:
     """Add a file name to any OSError raised within, and replace or ``keep`` the one it has."""
     try:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import select
 import sys
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Protocol, TextIO
+from typing import Protocol
 
 
 def take_any_text() -> None:
@@ -15,13 +14,6 @@ def take_any_text() -> None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, AttributeError):  # a notebook's stream, or one that began elsewhere
             stream.reconfigure(errors="backslashreplace")
-
-
-def reader_is_gone(stream: TextIO) -> bool:
-    """Return whether the reader of a stream has gone, as after ``gva-mi ... | head``."""
-    poll = select.poll()
-    poll.register(stream.fileno(), 0)
-    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def discard_what_is_unread() -> None:

@@ -235,22 +235,11 @@ _BEGINNINGS = {
     b"HIERARCHY": "a .bvh, the motion of a skeleton of its own",
     b"\x89HDF": "an HDF5 file (.h5, .hdf5, .mat of version 7.3): save its arrays as .npz",
     b"MATLAB 5.0": "a .mat: scipy.io.loadmat reads it, numpy.savez saves its arrays",
-    b"glTF": "a .glb, a scene: export its skeleton's motion as .bvh",
-    b"ply": "a .ply, points or a mesh",
 }
-_SUFFIXES = {  # where the beginning says nothing
-    ".json": "a .json file: save its arrays by name as .npz",
-    ".ksplat": "a .ksplat, a splat packed by GaussianSplats3D: save it as .ply",
-    ".csv": "a .csv table: save its columns as .npz", ".txt": "a text: save its numbers as .npz",
-    ".safetensors": "a .safetensors file: save its arrays as .npz", ".onnx": "a network (.onnx)",
-    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".gif"), "a film"),
-    **dict.fromkeys((".png", ".jpg", ".jpeg"), "a picture"),
-}  # fmt: skip
 
 
 def known_container(path: Path) -> str | None:
     """Name an unsupported container format and how to convert it, or return None."""
     with path.open("rb") as file:
         start = file.read(64)
-    found = (text for known, text in _BEGINNINGS.items() if start.startswith(known))
-    return next(found, _SUFFIXES.get(path.suffix.lower()))
+    return next((text for known, text in _BEGINNINGS.items() if start.startswith(known)), None)

@@ -9,8 +9,7 @@ The precision is that of the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import drjit as dr
 from drjit import ArrayBase as Array
@@ -19,22 +18,7 @@ from drjit.llvm import ArrayXf, ArrayXf64, ArrayXu
 Packets = list[Array]  # flat arrays of n rows each, widths as in widths()
 
 
-class PackedRecord(Protocol):
-    """Interface of a record that a kernel reads or writes as one row."""
-
-    @staticmethod
-    def columns(format: Any) -> int:  # noqa: ANN401
-        """Number of floats."""
-
-    def pack(self) -> list[Array]:
-        """Return the record's columns."""
-
-    @staticmethod
-    def unpack(columns: Sequence[Array], format: Any) -> PackedRecord:  # noqa: ANN401
-        """Make the record from its columns."""
-
-
-R = TypeVar("R", bound=PackedRecord)
+R = TypeVar("R")  # a record: columns(format) counts its floats, pack() returns, unpack() reads them
 
 
 def is_double(F: type) -> bool:
@@ -66,7 +50,7 @@ def memory(F: type, size: int) -> Array:
 
 
 def empty(
-    kind: type[PackedRecord],
+    kind: type[R],
     format: Any,  # noqa: ANN401
     rows: int,
     F: type,
@@ -83,7 +67,7 @@ def load(source: Packets, kind: type[R], format: Any, index: Array) -> R:  # noq
     return kind.unpack(columns, format)
 
 
-def store(target: Packets, record: PackedRecord, index: Array, active: Array = True) -> None:
+def store(target: Packets, record: R, index: Array, active: Array = True) -> None:
     """Store records to the rows ``index``; no two lanes may name the same row."""
     columns, first = record.pack(), 0
     for packet, width in zip(target, widths(len(columns)), strict=True):

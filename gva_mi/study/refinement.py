@@ -33,7 +33,6 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, aligned, listed
 from gva_mi.core.cpu import one_thread
 from gva_mi.core.errors import InputError, expecting
@@ -316,10 +315,11 @@ def write_refinement(evaluation: Evaluation) -> None:
         "options": {"loss": options.name, **asdict(options)},
     }
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    with atomic_files(folder / REFINED_POSES, REFINEMENT, OVERLAYS) as unfinished:
-        save_poses(unfinished / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
-        write_record(unfinished / REFINEMENT, record)
-        write_image(unfinished / OVERLAYS, _overlays(evaluation))
+    for name in (REFINEMENT, OVERLAYS):  # which describe the older poses
+        (folder / name).unlink(missing_ok=True)
+    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
+    write_record(folder / REFINEMENT, record)
+    write_image(folder / OVERLAYS, _overlays(evaluation))
 
 
 def load_refinement(subject: Path) -> tuple[tuple[Figure, ...], bool]:

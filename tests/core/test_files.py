@@ -1,18 +1,16 @@
 """A file is the old one or the new one, whole; a file that cannot be read is named."""
 
-import errno
 import os
 import shutil
 import struct
 import zipfile
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gva_mi import InputError
-from gva_mi.core.atomic import atomic_dir, atomic_files, atomic_write
+from gva_mi.core.atomic import atomic_dir, atomic_write
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import (
     make_room,
@@ -40,48 +38,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         unfinished.write_text("{")
         raise RuntimeError("killed")
     assert contents(tmp_path) == {"value.json": '{\n  "value": 1\n}\n'}
-
-
-@pytest.mark.parametrize("changes", (0, 1, 3, 4, 6))
-def test_files_that_describe_another_never_belong_to_an_older_one(changes, tmp_path, monkeypatch):
-    """Interrupt the replacement of four files after each change to the disk."""
-    names = ("poses", "record", "picture", "page")
-    for name in names:
-        (tmp_path / name).write_text("old")
-    done = []
-
-    def limited(change):
-        def instead(*given, **named):
-            if len(done) == changes:
-                raise KeyboardInterrupt
-            done.append(given)
-            return change(*given, **named)
-
-        return instead
-
-    for change in ("unlink", "replace"):
-        monkeypatch.setattr(Path, change, limited(getattr(Path, change)))
-    with suppress(KeyboardInterrupt), atomic_files(tmp_path / "poses", *names[1:]) as folder:
-        for name in names[:3]:
-            (folder / name).write_text("new")
-    monkeypatch.undo()
-    found = contents(tmp_path)
-    assert set(found) <= set(names) and set(found.values()) == {found["poses"]}
-    assert len(done) == changes and (changes or found == dict.fromkeys(names, "old"))
-    with atomic_files(tmp_path / "poses", *names[1:]) as folder:
-        assert not list(folder.iterdir())
-        for name in names[:3]:
-            (folder / name).write_text("newer")
-    assert contents(tmp_path) == dict.fromkeys(names[:3], "newer")
-
-
-def test_a_full_disk_leaves_all_old_files_and_names_the_new_one(tmp_path):
-    (tmp_path / "poses").write_text("old")
-    with pytest.raises(OSError, match="full") as error, atomic_files(tmp_path / "poses") as folder:
-        (folder / "poses").write_text("new")
-        raise OSError(errno.ENOSPC, "full")
-    assert error.value.filename == str(tmp_path / "poses")
-    assert contents(tmp_path) == {"poses": "old"}
 
 
 def test_unreadable_arrays_are_named(tmp_path):

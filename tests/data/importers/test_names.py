@@ -205,12 +205,10 @@ def test_arrays_without_names_are_poses_or_named_by_their_shape(shape, tmp_path)
 OTHERS = {
     "m.npz": (b"HIERARCHY\nROOT Hips\n", "a .bvh, the motion of a skeleton"),
     "walk.fbx": (b"Kaydara FBX Binary  \0\x1a\0" + bytes(60), "an .fbx, a scene: export"),
-    "a.json": (b'[{"id": 0}]', "a .json file: save its arrays by name"),
     "poses.npz": (b"version https://git-lfs.github.com/spec/v1\noid sha256:0", "Git LFS pointer"),
     "m.pkl": (b"<!DOCTYPE html><html>", "a web page"),
     "m.mat": (b"MATLAB 5.0 MAT-file", "scipy.io.loadmat"),
     "m.npy": (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-    "x.ksplat": (bytes(4096), "a .ksplat, a splat packed by GaussianSplats3D"),
 }  # fmt: skip
 
 

@@ -55,7 +55,6 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import Rest
-from gva_mi.core.atomic import atomic_files
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.options import Metres, PythonOnly, Turn, Weight, Within, options_of
@@ -367,7 +366,7 @@ def write_tracking(
         **{name: str(path) for name, path in sources.items()},
         "options": asdict(options),
     }
-    with atomic_files(video.folder / TRACKED_POSES, TRACKING) as unfinished:
-        path = unfinished / TRACKED_POSES
-        save_poses(path, found.pose, video.shape, stage=2, offsets=offsets)
-        write_record(unfinished / TRACKING, record)
+    (video.folder / TRACKING).unlink(missing_ok=True)  # it describes the older poses
+    path = video.folder / TRACKED_POSES
+    save_poses(path, found.pose, video.shape, stage=2, offsets=offsets)
+    write_record(video.folder / TRACKING, record)

@@ -1,10 +1,9 @@
-"""Ways to break a subject, a run or a motion: dictionaries of ``change(folder)`` by name.
+"""Ways to break a subject or a run: dictionaries of ``change(folder)`` by name.
 
 The name says field and kind of fault; there is one of each kind.
 """
 
 import os
-import pickle
 import shutil
 import struct
 import zlib
@@ -228,27 +227,3 @@ RUNS = {  # what of a run is broken, by the part that the commands of COMMANDS r
         "snapshot is text": text("reinit/000002.npz", "x"),
     },
 }  # fmt: skip
-
-AMASS = {"poses": np.full((4, 165), 0.1), "trans": np.tile([0.0, 0.9, 0.0], (4, 1)),
-         "mocap_framerate": 25.0, "betas": np.zeros(16)}  # fmt: skip
-
-
-def motion(field, value):
-    def write(folder):
-        path = folder / "motion.pkl"
-        found = {k: x for k, x in (AMASS | {field: value}).items() if x is not None}
-        path.write_bytes(pickle.dumps(found))
-        return path
-
-    return write
-
-
-MOTIONS = {
-    "poses are missing": motion("poses", None),
-    "poses are NaN": motion("poses", AMASS["poses"] * NAN),
-    "poses are too wide": motion("poses", np.ones((4, 7))),
-    "trans is one row shorter": motion("trans", AMASS["trans"][:-1]),
-    "the rate is missing": motion("mocap_framerate", None),
-    "the rate is negative": motion("mocap_framerate", -1),
-    "betas are NaN": motion("betas", np.full(10, NAN)),
-}

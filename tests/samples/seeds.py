@@ -84,20 +84,12 @@ def seeds(subject, avatar):
         (folder / "options.json").write_text(json.dumps(options))
         state = {"step": 3, "avatar": avatar.record(), "history": {"loss": [1.0, 2.0]}}
         run_folder.save_state(folder, state)
-        np.savez(folder / "history.npz", loss=np.arange(3.0))
-        arrays = {"vertices": np.zeros((4, 3)), "faces": np.zeros((2, 3), int)}
-        for side in ("before", "after"):
-            for name in run_folder.GAUSSIANS:
-                arrays[f"{side}_{name}"] = getattr(avatar.canonical, name).detach().numpy()
-        (folder / "reinit").mkdir()
-        np.savez(folder / "reinit/000002.npz", **arrays)
         row = {"split": "test", "region": "white", "metric": "PSNR, dB", "value": 20.0}
         about = {"figures": [row, {"metric": "LPIPS", "value": None}], "options": {"seed": 0},
                  "size": [4, 4], "versions": {}, "protocol": {"seen": {}}}  # fmt: skip
         (folder / "metrics.json").write_text(json.dumps(about))
         refinement = {"figures": [row], "test_frames": "seen"}
         (folder / "refinement.json").write_text(json.dumps(refinement))
-        shutil.copy(subject / "frames/000000.png", folder / "refinement.png")
 
     def read_run(folder, path=None):
         each(folder, path, {
@@ -105,10 +97,7 @@ def seeds(subject, avatar):
             "checkpoint.pt": lambda path: run_folder.load_state(folder),
             "metrics.json": lambda path: Metrics.load(folder).tables(),
             "refinement.json": lambda path: load_refinement(folder),
-            "refinement.png": lambda path: list(report._refinement(Metrics.load(folder), path)),
             "options.json": lambda path: run_folder.load_options(folder),
-            "history.npz": lambda path: run_folder.load_history(folder),
-            "reinit/000002.npz": lambda path: list(run_folder.load_snapshots(folder)),
         })  # fmt: skip
 
     def study(folder):

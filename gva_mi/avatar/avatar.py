@@ -138,7 +138,7 @@ class Avatar(nn.Module):
     def rebind_weights(self) -> None:
         """Bind the Gaussians to the outer skin around where they are now."""
         G = self.canonical
-        for name, value in self.skin.bind(G.means).named().items():
+        for name, value in self.skin.bind(G.means).items():
             setattr(G, name, value)
 
     def forward(self, pose: Pose) -> Gaussians:

@@ -183,7 +183,7 @@ def seed_on_surface(
         log_scales=disc_log_scales(spacing, options),
         logit_opacities=torch.logit(points.new_full((count,), options.opacity)),
         sh=sh,
-        **skin.bind(points).named(),
+        **skin.bind(points),
     )
 
 

@@ -110,19 +110,18 @@ def reinitialise(
     avatar: Avatar,
     options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
-) -> Reinitialised:
+) -> Reinitialised | None:
     """Make new Gaussians on the surface of an avatar's opaque ones; the generator draws points,
     angles and sizes.
 
-    Raises:
-        ValueError: too few opaque Gaussians to be a surface.
+    None if too few are opaque to be a surface, as in a fit that has diverged or only just begun.
     """
     # One draw starts a numpy generator: the geometry below lives in numpy and float64.
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
-    solid = opaque_gaussians(avatar, options)
-    if solid is None:
-        raise ValueError("reinitialise(): too few opaque Gaussians to be a surface")
+    solid = torch.nonzero(G.opacities.detach() > OPAQUE).flatten()
+    if len(solid) <= max(FLOATER_NEIGHBOURS, FEWEST):
+        return None
     means = G.means.detach()[solid].double().numpy()
     rig = avatar.rig
     floats = find_floaters(means, FLOATER_NEIGHBOURS, options.floater_sigmas)
@@ -136,15 +135,6 @@ def reinitialise(
     skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
     canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
     return Reinitialised(canonical, surface, skin)
-
-
-def opaque_gaussians(avatar: Avatar, options: ReinitOptions) -> Tensor | None:
-    """Return which Gaussians carry the surface, (M,) int64; None if they are too few for one.
-
-    A fit that has diverged, or that has only just begun, has too few.
-    """
-    solid = torch.nonzero(avatar.canonical.opacities.detach() > OPAQUE).flatten()
-    return solid if len(solid) > max(FLOATER_NEIGHBOURS, FEWEST) else None
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
@@ -232,7 +222,7 @@ def regaussian(
         log_scales=disc_log_scales(tensor(samples.spacing), shape) + jitter,
         logit_opacities=torch.logit(opacities),
         sh=sh,
-        **skin.bind(means).named(),
+        **skin.bind(means),
     )
 
 

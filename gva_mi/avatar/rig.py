@@ -30,7 +30,7 @@ The paper takes the weights of the nearest vertex (Sec. 4.1): ``spread`` 0, ``ne
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -65,19 +65,6 @@ class SkinningOptions:
 
 
 @dataclass(frozen=True)
-class Binding:
-    """Skinning weights and blend shapes of some points."""
-
-    weights: Tensor  # (N, 55) skinning weights of the strongest joints, rows sum to 1
-    slopes: Tensor  # (N, 3, 55) their derivatives along x, y, z, 1/m; rows sum to 0
-    directions: Tensor  # (N, 3, K) metres by which blend shapes move them
-
-    def named(self) -> dict[str, Tensor]:
-        """Return the three tensors by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-@dataclass(frozen=True)
 class Skin:
     """A surface at rest with its skinning weights and blend shapes."""
 
@@ -87,8 +74,13 @@ class Skin:
     directions: Tensor  # (vertices of the body, 3, K) metres by which blend shapes move those
     options: SkinningOptions = SkinningOptions()
 
-    def bind(self, points: Tensor) -> Binding:
+    def bind(self, points: Tensor) -> dict[str, Tensor]:
         """Interpolate skinning weights and blend shapes of points (N, 3).
+
+        Returns:
+            ``weights`` (N, 55) of the strongest joints, rows sum to 1; ``slopes`` (N, 3, 55), their
+            derivatives along x, y, z, 1/m, rows sum to 0; ``directions`` (N, 3, K), metres by which
+            blend shapes move the points.
 
         Note:
             Not differentiable: the pictures decide where a Gaussian lies, not the slope of its
@@ -96,13 +88,18 @@ class Skin:
         """
         if not len(points):
             slopes = self.weights.new_zeros(0, 3, self.weights.shape[1])
-            return Binding(self.weights[:0], slopes, self.directions[:0])
+            return {
+                "weights": self.weights[:0],
+                "slopes": slopes,
+                "directions": self.directions[:0],
+            }
         distance, nearest = self._nearest(points, PLANE)
         share, few = self._shares(distance, nearest)
         weights = _means(share, few, self.weights)
         blend_shapes = mean_directions(share, self.beneath[few], self.directions)
         weights = strongest(weights, self.options.joints)
-        return Binding(weights, self._slopes(nearest), blend_shapes)
+        slopes = self._slopes(nearest)
+        return {"weights": weights, "slopes": slopes, "directions": blend_shapes}
 
     def _slopes(self, nearest: np.ndarray) -> Tensor:
         """Return slopes (N, 3, 55) 1/m by eq. 3, from the nearest vertices (N, k) of each point."""

@@ -57,7 +57,7 @@ from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.core.options import Metres, PythonOnly, Turn, Weight, Within, options_of
+from gva_mi.core.options import Metres, PythonOnly, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.data.crop import NoEvidence, gather, person_extent
@@ -102,11 +102,6 @@ class PhotometricOptions(DescentOptions):
     expression_lr: PythonOnly[Annotated[float, Within(0, 1)]] = 0.02
     # Frames fitted together; a longer video is cut into clips.
     part: PythonOnly[PartFrames] = 240
-    batch: PythonOnly[Annotated[int, Within(1, 10_000)]] = 4  # frames of a step, at most
-    # Radians in such a step; limits joints with short lever arms.
-    largest_turn: PythonOnly[Turn] = 0.03
-    # Frames that a clip shares with the next.
-    overlap: PythonOnly[Annotated[int, Within(0, 5_000)]] = 16
 
     command: ClassVar[str] = "track"
     decay: ClassVar[float] = 0.1

@@ -47,7 +47,7 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.held import Held
-from gva_mi.avatar.reinit import opaque_gaussians, reinitialise
+from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress, say
@@ -245,12 +245,12 @@ class Run:
 
     def _reinitialise(self, out: Path) -> None:
         """Put the Gaussians back on the surface, where enough of them are opaque to show one."""
-        if opaque_gaussians(self.avatar, self.options.reinit) is None:
-            say(f"{out}: step {self.step}: too few opaque Gaussians, no re-initialisation")
-            return
         generator = torch_state(self.options.seed, RandomStream.REINIT, self.step)
         before = self.avatar.canonical
         new = reinitialise(self.avatar, self.options.reinit, generator)
+        if new is None:
+            say(f"{out}: step {self.step}: too few opaque Gaussians, no re-initialisation")
+            return
         run_folder.save_snapshot(out, self.step, before, new.canonical, new.surface)
         replace_gaussians(self.avatar, self.optimizer, new.canonical)
         self.avatar.set_skin_weights(new.skin)

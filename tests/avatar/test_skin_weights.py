@@ -49,7 +49,7 @@ def test_as_printed_a_point_has_the_four_joints_of_the_nearest_vertex(body):
     vertices, faces = sheet()
     assert diffused(vertices, faces, own, torch.full((642,), 0.1)) is own
     points = 1.1 * body.v_template[::7] + 0.003
-    found, near = own.bind(points).weights, of_nearest(points, own)
+    found, near = own.bind(points)["weights"], of_nearest(points, own)
     four = near.topk(4, dim=1)
     expected = torch.zeros_like(near).scatter(1, four.indices, four.values)
     torch.testing.assert_close(found, expected / expected.sum(1, keepdim=True))
@@ -77,7 +77,7 @@ def test_blend_shapes_are_those_of_the_vertex_beneath(body):
     out = diffused(
         1.01 * body.v_template.double().numpy(), body.faces.numpy(), own, torch.zeros(642)
     )
-    found = out.bind(1.01 * body.v_template).directions
+    found = out.bind(1.01 * body.v_template)["directions"]
     torch.testing.assert_close(found, directions)
 
 
@@ -88,7 +88,7 @@ def test_slopes_of_linear_weights_on_a_sheet_are_exact_along_it_and_zero_across(
     wanted[:, RIGHT] = -wanted[:, LEFT]
     weights[:, LEFT] = 0.5 + vertices @ wanted[:, LEFT]
     weights[:, RIGHT] = 1 - weights[:, LEFT]
-    slopes = still(vertices, weights).bind(vertices).slopes
+    slopes = still(vertices, weights).bind(vertices)["slopes"]
     # What keeps eq. 3 from making anything up across shortens it a little along, too.
     torch.testing.assert_close(slopes, wanted.expand_as(slopes), rtol=0.05, atol=0.02)
     assert (slopes[:, 2] == 0).all()

@@ -49,16 +49,6 @@ def test_a_ground_truth_of_another_length_costs_the_figures_alone(subject, cli):
     assert {row["metric"] for row in figures} == {"stage 1 IoU", "refined IoU", "s a frame"}
 
 
-@pytest.mark.slow
-def test_normals_are_read_by_the_given_convention(subject, cli):
-    found = {}
-    for way in ("none", "icon"):
-        out = cli.works("refine", subject, *SHORT, "--normals", way, "--overwrite")
-        assert ("silhouettes alone" in out) == (way == "none")
-        found[way] = load_poses(subject / "poses_refined.npz")[0].rotations.numpy()
-    assert not np.array_equal(found["none"], found["icon"])
-
-
 BAD = {
     "nobody": ((), "refine: give the folder of a subject, or of several"),
     "paper, held out": (

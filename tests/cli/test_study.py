@@ -146,11 +146,3 @@ def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli
     out = cli.works("study", "refine", "--out", tmp_path, "--error-models", "mixed")
     assert "because the package anny is not installed" in out
     assert all(case.take.figure != "anny" for case, _ in done) and len(done) == 1
-
-
-def test_an_older_study_is_named_and_can_be_overwritten(done, tmp_path, cli):
-    (tmp_path / "refine.json").write_text('{"cases": []}')
-    refine = ("study", "refine", "--out", tmp_path, "--error-models", "lean")
-    err = cli.fails(*refine)
-    assert "refine.json: of another form" in err and not done
-    assert cli(*refine, "--overwrite")[0] == 0

@@ -15,9 +15,9 @@ Flat = Annotated[T, arg(name="")]  # options without a prefix on the command lin
 Switch = Annotated[bool, FlagCreatePairsOff]  # off by default and without a --no-... form
 
 
-def given(options: object, plain: object | None = None) -> dict[str, str]:
-    """Return the fields that differ from ``plain``, or from the defaults, and their options."""
-    usual = vars(type(options)() if plain is None else plain)
+def given(options: object) -> dict[str, str]:
+    """Return the fields that differ from the defaults, and their options."""
+    usual = vars(type(options)())
     differ = (name for name, value in vars(options).items() if value != usual[name])
     return {name: f"--{name.replace('_', '-')}" for name in differ}
 

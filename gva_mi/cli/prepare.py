@@ -7,6 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from gva_mi import app
 from gva_mi.cli.arguments import Flat, Switch, given, nth_person
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
@@ -16,7 +17,7 @@ from gva_mi.data.importers.datasets import DATASETS
 from gva_mi.data.importers.estimators import KINDS
 from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
 from gva_mi.data.importers.track import TargetBody
-from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
+from gva_mi.pose.film.prepare_film import FilmOptions
 
 OF_FILMS = ("body", "person", "lens", "masks")  # of PrepareOptions
 _HELP = (
@@ -52,21 +53,20 @@ def prepare(
         wrong = [option for name, option in given(options).items() if name not in OF_FILMS]
         if wrong:
             raise InputError(f"prepare: {wrong[0]} is not for a {FILM}")
-    elif wrong := given(film):
+        app.prepare(
+            source, out, film, options, person=nth_person(options.person), lens=options.lens,
+            body=options.body, overwrite=overwrite,
+        )  # fmt: skip
+        return
+    if wrong := given(film):
         raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {FILM}; got {kind}")
-    elif options.body is None:
+    if options.body is None:
         raise InputError("prepare: give --body, the body of the poses; puppet is the built-in one")
-    body = None if kind == FILM else TargetBody.read(options.body)
+    body = TargetBody.read(options.body)
     if not overwrite and (out / PREPARED).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
-        if kind == FILM:
-            notes = prepare_film(
-                folder, source, film, options.body, person=nth_person(options.person),
-                lens=options.lens, own_masks=options, progress=progress,
-            )  # fmt: skip
-        else:
-            notes = prepare_folder(folder, kind, source, options, body, progress)
+        notes = prepare_folder(folder, kind, source, options, body, progress)
     for note in notes:
         say(f"{source}: {note}")
     say(f"subject: {out}")

@@ -19,14 +19,14 @@ from torch import Tensor
 from benchmarks import gsplat_reference
 from benchmarks.timing import WARM_UP, Clock, Table, by_turns, timed
 from gva_mi.splat import rasterization, render
-from gva_mi.splat.kernels import composite, passes, tiles
+from gva_mi.splat.kernels import passes, tiles
 from gva_mi.splat.scene import Scene, person_scene
 
 STAGES = {  # a stage's name, and the function that is it
     "project": (passes, "project_gaussians"),
     "tile lists": (tiles, "make_lists"),
-    "composite": (composite, "blend"),
-    "composite, adjoint": (composite, "blend_adjoint"),
+    "composite": (passes, "blend"),
+    "composite, adjoint": (passes, "blend_adjoint"),
     "places of the pairs": (tiles.Lists, "places"),
     "sum and project, adjoint": (passes, "gaussians_adjoint"),
 }

@@ -62,6 +62,8 @@ def check_subject(
     if video is not None:
         faults.attempt("views of other cameras", None, read_views, folder, len(video))
         faults.attempt("poses", None, video.offsets_of, len(body.v_template))
+        if len(video.absent) < len(video):
+            faults.attempt("splits", None, video.require_train_frames)
     report = CheckReport(len(video or ()), list(faults.problems()))
     if video is not None:
         report.problems += [*_left_out(video), *check_intrinsics(video.cameras)]

@@ -253,15 +253,11 @@ class Screen:
         return self._number("radii")
 
     @property
-    def extents(self) -> Tensor:
-        """Half extents in x and y where alpha >= alpha_min, (N, 2) px; 0 where culled."""
-        found = Footprint.unpack(torch.from_numpy(self._footprint_rows()).unbind(1))
-        return torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
-
-    @property
     def boxes(self) -> Tensor:
-        """Extents in whole pixels, (N, 2) int32; 0 where they lie outside the picture."""
-        radii, means2d = torch.ceil(self.extents), self.means2d
+        """Half extents where alpha >= alpha_min in whole pixels, (N, 2) int32; 0 if not drawn."""
+        found = Footprint.unpack(torch.from_numpy(self._footprint_rows()).unbind(1))
+        extents = torch.where(found.ry >= 0, torch.stack([found.rx, found.ry]), 0).T
+        radii, means2d = torch.ceil(extents), self.means2d
         inside = (means2d + radii > 0) & (means2d - radii < torch.tensor(self._size))
         return torch.where(inside.all(dim=1, keepdim=True), radii, 0).to(torch.int32)
 

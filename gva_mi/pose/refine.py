@@ -11,16 +11,15 @@ with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
 * :mod:`gva_mi.pose.single_frame`: Eq. 8 as printed, frame by frame, the bare body, rotations only.
 
 Frames of all splits are refined in the same way, from their own masks and normals; frames without
-normals from their silhouettes alone. A job is a clip of a video (:mod:`gva_mi.pose.clips`), and
-worker processes share the clips. A job holds everything that its result depends on, so any number
-of workers finds the same poses.
+normals from their silhouettes alone. A job is a clip of a video (:mod:`gva_mi.pose.clips`). Jobs
+are solved one after the other, and processes share the frames of each step
+(:mod:`gva_mi.pose.frame_losses`): any number finds the same poses.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
@@ -97,9 +96,9 @@ def refine_all(
     body: BodyModel,
     options: RefineOptions,
     progress: Progress | None = None,
-    executor: Executor | None = None,
+    workers: int = 1,
 ) -> Iterator[Refined]:
-    """Refine several videos with one body; the clips in parallel if there is an executor.
+    """Refine several videos with one body.
 
     A long video takes two rounds: the first finds what its clips share, the second their poses.
 
@@ -108,7 +107,8 @@ def refine_all(
         body: the body that all poses move.
         options: as of :func:`refine`.
         progress: called as ``progress(done, total, **figures)`` with the steps of all of them.
-        executor: solves the clips; None: this process.
+        workers: processes that share the frames of a step, this one included. Eq. 8 frame by
+            frame always runs in this process.
 
     Returns:
         The results in the order of the videos, each as soon as it is done.
@@ -120,10 +120,10 @@ def refine_all(
     steps = sum(job.steps for job in first.values())
     total = steps + sum(_steps(x, len(x.evidence.part(c))) for x in observed for c in _clips(x))
     report = part_of_progress(progress, 0, steps, total)
-    known = dict(zip(first, _solved(list(first.values()), executor, report), strict=True))
+    known = dict(zip(first, _solved(list(first.values()), workers, report), strict=True))
     jobs = [_clip_jobs(video, known.get(k)) for k, video in enumerate(observed)]
     report = part_of_progress(progress, steps, total - steps, total)
-    found = _solved([job for own in jobs for job in own], executor, report)
+    found = _solved([job for own in jobs for job in own], workers, report)
     for k, (video, before, own) in enumerate(zip(videos, placed, jobs, strict=True)):
         refined = _joined(observed[k], known.get(k), [next(found) for _ in own])
         if before is not video:
@@ -139,6 +139,7 @@ class _ClipJob:
     clip: ObservedClip
     options: RefineOptions
     steps: int
+    processes: int = 1  # that share the frames of a step
 
     def solve(self, progress: Progress | None = None) -> Solution:
         clip, options = self.clip, self.options
@@ -148,17 +149,16 @@ class _ClipJob:
         clip = replace(clip, evidence=dict(clip.evidence), fine=dict(clip.fine))  # into memory
         with one_thread():
             if isinstance(options, SequenceOptions):
-                return refine_sequence(clip, options, progress)
+                return refine_sequence(clip, options, progress, self.processes)
             person = clip.body, clip.pose, clip.shape
             pose = refine_single_frames(clip.evidence, *person, options, progress)
             return replace(unchanged, pose=pose)
 
 
 def _solved(
-    jobs: Sequence[_ClipJob], executor: Executor | None, progress: Progress | None
+    jobs: Sequence[_ClipJob], workers: int, progress: Progress | None
 ) -> Iterator[Done[Solution]]:
-    """Solve jobs; one alone stays in this process, because a worker takes seconds to start."""
-    return run(jobs, executor if len(jobs) > 1 else None, progress)
+    return run([replace(job, processes=workers) for job in jobs], None, progress)
 
 
 def _clips(video: ObservedVideo) -> list[range]:

@@ -40,19 +40,15 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
-from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 from gva_mi.pose.evidence import (
     FinePicture,
-    FrameLoss,
     MaskAndNormals,
-    close_ups,
-    frame_loss,
     hand_vertices,
     mean_of_losses,
-    parts_of,
 )
 from gva_mi.pose.film.rig import SeenLandmarks
+from gva_mi.pose.frame_losses import FrameLosses, shared_losses
 from gva_mi.pose.optimize import (
     DescentOptions,
     Faces,
@@ -147,9 +143,15 @@ class ObservedClip:
 
 
 def refine_sequence(
-    clip: ObservedClip, options: SequenceOptions, progress: Progress | None = None
+    clip: ObservedClip,
+    options: SequenceOptions,
+    progress: Progress | None = None,
+    processes: int = 1,
 ) -> Solution:
-    """Refine the frames that have evidence; the others keep their pose, and affect no frame."""
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
+
+    ``processes``, this one included, share the frames of a step; any number finds the same bits.
+    """
     person = ClothedPerson(clip, options)
     # With few frames a step takes fewer of them, and with very few they are visited more often:
     # otherwise there would be too few steps to converge.
@@ -160,9 +162,11 @@ def refine_sequence(
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    found = descend(
-        person, clip.pose, person.arms, options, progress, clip.following, errors=clip.errors
-    )
+    processes, count = min(processes, options.batch), frames * options.passes
+    with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
+        found = descend(
+            person, clip.pose, person.arms, options, progress, clip.following, errors=clip.errors
+        )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     ground = found.prior.ground
     contact = None if ground is None else ground.contact
@@ -189,9 +193,10 @@ class ClothedPerson:
     def __init__(self, clip: ObservedClip, options: SequenceOptions) -> None:
         rest = clip.body.rest(clip.shape)
         self._clip, self._options = clip, options
-        self._scene = MeshScene(clip.body.faces, clip.body.v_template)
         weights = {"hand": options.close_hands, "foot": CLOSE_FEET}
-        self._parts = {part: w for part in parts_of(clip.body) if (w := weights[part.name]) > 0}
+        self.frame_losses = FrameLosses(
+            clip.body, clip.evidence, clip.fine, options.silhouette, weights
+        )
         self._close = False
         self._stature = Stature.of(clip.body)
         self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
@@ -239,21 +244,12 @@ class ClothedPerson:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term in these poses, a mean over their frames."""
         posed = self._clip.body(pose, self.shape, self.offsets)
-        loss = mean_of_losses(posed.vertices, lambda bodies: self._frame_losses(frames, bodies))
+        losses = lambda bodies: self.frame_losses(frames, bodies, self._close)
+        loss = mean_of_losses(posed.vertices, losses)
         if (landmarks := self._clip.landmarks) is None:
             return loss
         person = posed.T_world_rest, self.shape, self.landmark_offsets
         return loss + LANDMARK_WEIGHT * landmarks.losses(frames, *person).mean()
-
-    def _frame_losses(self, frames: Sequence[int], bodies: Tensor) -> list[FrameLoss]:
-        """Return the loss of each of B frames, and its gradient by the body (B, V, 3)."""
-        found, clip, close = [], self._clip, self._close and self._clip.fine
-        for k, body in zip(frames, bodies.unbind(), strict=True):
-            seen = clip.evidence[k]
-            closer = close_ups(clip.fine[k], self._parts, body, seen) if close else []
-            views = [(1.0, seen), *closer]
-            found.append(frame_loss(self._scene, body, views, self._options.silhouette, True))
-        return found
 
     def enable_details(self) -> None:
         """Start to use close-ups, which need nearly right poses."""

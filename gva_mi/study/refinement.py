@@ -38,7 +38,6 @@ from gva_mi.core.cpu import one_thread
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.stamp import write_record
-from gva_mi.core.tasks import local_executor
 from gva_mi.data.crop import Box, NoEvidence, points_extent
 from gva_mi.data.folder import REFINED_POSES
 from gva_mi.data.ground_truth import GroundTruth, truth_of
@@ -242,12 +241,11 @@ def refine_videos(
         workers: processes on this machine; any number gives the same bits.
     """
     truths = [_truth(video, body) for video in videos]
-    with local_executor(workers) as executor:
-        found = refine_all(videos, body, options, progress, executor)
-        for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
-            evaluation = Evaluation(video, body, options, refined, truth, problem)
-            write_refinement(evaluation)
-            yield evaluation
+    found = refine_all(videos, body, options, progress, workers)
+    for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
+        evaluation = Evaluation(video, body, options, refined, truth, problem)
+        write_refinement(evaluation)
+        yield evaluation
 
 
 def _truth(video: Video, body: BodyModel) -> tuple[GroundTruth | None, str | None]:

@@ -10,9 +10,7 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 OLDEST = 17  # the first major version whose code generator knows fminimum and fmaximum
 TESTED = range(19, 23)  # preferred to others
@@ -24,13 +22,6 @@ SEARCH_DIRS = (
 )  # fmt: skip
 
 PATH = "DRJIT_LIBLLVM_PATH"  # an environment variable, which children inherit
-
-
-class Library(NamedTuple):
-    """A ``libLLVM`` on this machine."""
-
-    path: Path
-    major: int | None  # version; None: its name says none
 
 
 problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
@@ -49,7 +40,7 @@ def prepare() -> None:
     try:
         chosen = os.environ.get(PATH)
         if chosen is None:
-            os.environ[PATH] = str(find().path)
+            os.environ[PATH] = str(find())
         else:
             _check_chosen(Path(chosen))
     except ImportError as error:
@@ -62,26 +53,25 @@ def require() -> None:
         raise ImportError(problem)
 
 
-def find() -> Library:
+def find() -> Path:
     """Return the newest usable library; raise an ImportError that names a package to install."""
-    found = [library for library in installed() if library.major is not None]
-    usable = [library for library in found if library.major >= OLDEST]
+    found = {path: major for path in installed() if (major := major_of(path)) is not None}
+    usable = [path for path, major in found.items() if major >= OLDEST]
     if usable:
-        return max(usable, key=lambda library: (library.major in TESTED, library.major))
-    seen = ", ".join(sorted({str(library.major) for library in found})) or "none"
+        return max(usable, key=lambda path: (found[path] in TESTED, found[path]))
+    seen = ", ".join(sorted(map(str, set(found.values())))) or "none"
     raise ImportError(
         f"Dr.Jit needs libLLVM {OLDEST} or newer, and this machine has: {seen} "
         f"(15 and 16 abort the process). Install it: apt-get install {PACKAGE}"
     )
 
 
-def installed() -> Iterator[Library]:
-    """Yield every ``libLLVM`` in the usual places."""
+def installed() -> list[Path]:
+    """Return every ``libLLVM`` in the usual places."""
     folders = [*map(Path, SEARCH_DIRS), *sorted(Path("/usr/lib").glob("llvm-*/lib"))]
-    for folder in folders:
-        for path in sorted([*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib")]):
-            if path.exists():
-                yield Library(path, major_of(path))
+    names = "libLLVM*.so*", "libLLVM*.dylib"
+    found = (path for folder in folders for name in names for path in sorted(folder.glob(name)))
+    return [path for path in found if path.exists()]
 
 
 def major_of(path: Path) -> int | None:

@@ -35,7 +35,7 @@ COMMANDS = {  # one for each way to write
         "track {}/run/avatar.npz {}/refined --passes 1 --overwrite", at_last=8
     ),
     "render": Command(
-        "render {}/run --path turntable --frames 4 --size 32 32 --video --out {}/new", OVERWRITE
+        "render {}/run --path static --size 32 32 --video --out {}/new", OVERWRITE
     ),
     "a file": Command("export {}/run --out {}/new.splat", OVERWRITE, quick=True),
     "study refine": Command(

@@ -33,7 +33,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     unfinished = part_of(path)
     try:
         with with_filename(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            link_target(path.parent).mkdir(parents=True, exist_ok=True)
             yield unfinished
             unfinished.replace(path)
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
 import zipfile
 from collections.abc import Callable, Collection, Hashable, Sequence
@@ -176,7 +177,10 @@ def require_array(
 
 
 def require_room(path: Path, overwrite: bool) -> None:
-    """Raise an InputError if a file cannot be written; called before the work starts."""
+    """Raise an InputError if a file cannot be written; called before the work starts.
+
+    Nothing is created: whoever writes the file makes its folder, once the input is known to be good.
+    """
     path = link_target(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file")
@@ -184,7 +188,8 @@ def require_room(path: Path, overwrite: bool) -> None:
         raise InputError(f"{path}: is a device or a pipe; expected the name of a file")
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists already; give --overwrite to replace it")
-    require_writable(path.parent)
+    folder = Path(os.path.realpath(path.parent))
+    require_writable(next(x for x in (folder, *folder.parents) if x.exists()))
 
 
 def make_room(folder: Path, marker: str, overwrite: bool) -> None:

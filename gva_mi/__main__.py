@@ -12,7 +12,7 @@ from gva_mi import __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
 from gva_mi.core import cpu, llvm
-from gva_mi.core.console import discard_what_is_unread, take_any_text
+from gva_mi.core.console import complete_streams, discard_what_is_unread
 from gva_mi.core.errors import InputError, is_memory
 
 BAD_INPUT = 2  # exit codes
@@ -33,7 +33,7 @@ OF_COMMANDS = (
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; bad input ends with one sentence and exit code 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    take_any_text()
+    complete_streams()
     # Read when torch is imported: its idle threads must not spin on the cores that Dr.Jit needs.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     cpu.pin_cpu_features()

@@ -9,8 +9,17 @@ from contextlib import contextmanager, suppress
 from typing import Protocol
 
 
-def take_any_text() -> None:
-    """Make the streams of this process take any text, also names that are no text in UTF-8."""
+def complete_streams() -> None:
+    """Make the streams of this process take any text, and open those that are closed.
+
+    A process that was started with ``>&-`` has no ``sys.stdout``, and the first file that it opens
+    gets that number: what a library prints would be written into that file.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115 (as long as the process)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, AttributeError):  # a notebook's stream, or one that began elsewhere
             stream.reconfigure(errors="backslashreplace")

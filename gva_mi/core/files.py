@@ -179,7 +179,7 @@ def require_array(
 def require_room(path: Path, overwrite: bool) -> None:
     """Raise an InputError if a file cannot be written; called before the work starts.
 
-    Nothing is created: whoever writes the file makes its folder, once the input is known to be good.
+    Nothing is created: its writer makes the folder, once the input is known to be good.
     """
     path = link_target(path)
     if path.is_dir():

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gva_mi.avatar.canonical import PARAMETERS
-from gva_mi.avatar.densify import ScreenGradients, densify
+from gva_mi.avatar.densify import DensifyOptions, ScreenGradients, densify
 from gva_mi.body.pose import Pose
 from gva_mi.splat import Camera, Gaussians, Screen, SplatOptions, look_at, render
 
@@ -134,3 +134,13 @@ def test_screen_gradient_is_the_force_on_an_image_coordinate():
     expected = per_metre.abs() * 3 / 40 * 5
     assert gradients.mean()[0] == pytest.approx(expected.item(), rel=2e-2)
     assert gradients.mean()[1] == 0 and gradients.views.tolist() == [1, 0]  # behind the camera
+
+
+def test_growth_stops_at_the_cap_with_the_largest_gradients(avatar, generator):
+    optimizer, before = adam(avatar), values(avatar.canonical)
+    gradients = ScreenGradients(642)
+    gradients.total, gradients.views = torch.arange(642.0), torch.ones(642)
+    densify(avatar, optimizer, gradients, DensifyOptions(max_count=650), generator)
+    assert len(avatar.canonical) == 650
+    chosen = avatar.canonical.means[642:].sort(dim=0).values
+    assert torch.equal(chosen, before["means"][-8:].sort(dim=0).values)

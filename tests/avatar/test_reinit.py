@@ -137,3 +137,18 @@ def test_too_few_opaque_gaussians_are_refused(plain_body):
     for options in (ReinitOptions, SeedOptions):  # one Gaussian has no neighbours, and no size
         with pytest.raises(InputError, match="count must be 0, or at least 100, got 1$"):
             options(count=1)
+
+
+def test_an_even_layer_of_discs_replaces_the_cloud_without_its_floaters(result):
+    before, after = (avatar.canonical for avatar in result)
+    means = after.means.detach()
+    assert cKDTree(FLOATERS).query(means.numpy())[0].min() > 0.2
+    assert len(after) == pytest.approx(len(before), rel=0.05)
+    spread = []
+    for points in (before.means.detach().numpy(), means.numpy()):
+        nearest = cKDTree(points).query(points, k=2)[0][:, 1]
+        spread.append(nearest.std() / nearest.mean())
+    assert spread[0] > 0.5 > 0.25 > spread[1]
+    assert (after.scales.argmin(1) == 2).all()
+    for name, value in result[1].skin.bind(after.means).items():
+        assert torch.equal(getattr(after, name), value), name

@@ -52,3 +52,10 @@ def test_every_parameter_receives_a_gradient_after_one_step(points, weights, rot
         optimizer.step()
     for name, parameter in mlp.named_parameters():
         assert parameter.grad.abs().max() > 0, name
+
+
+def test_is_zero_at_first_and_blind_to_the_root(points, weights, rotations):
+    assert (network(trained=False)(points, weights, rotations) == 0).all()
+    turned, mlp = rotations.clone(), network()
+    turned[0] += 1
+    assert torch.equal(mlp(points, weights, rotations), mlp(points, weights, turned))

@@ -111,3 +111,11 @@ def test_stretch_is_bounded():
     A = torch.einsum("nj,jab->nab", weights, T[:, :3, :3]).flatten(1).norm(dim=1)
     assert (longest <= (A + LARGEST) * scales.amax(1) * (1 + 1e-9)).all()
     assert (longest > 2 * scales.amin(1)).all()
+
+
+def test_no_gaussians_give_empty_tensors_and_zero_gradients():
+    weights, dW, inputs = scene(torch.float32, n=0)
+    outs = skin_gaussians(SparseWeights.of(weights, dW), *inputs)
+    assert [tuple(x.shape) for x in outs] == [(0, 3), (0, 6), (0, 1, 3)]
+    sum(x.sum() for x in outs).backward()
+    assert (inputs[0].grad == 0).all()

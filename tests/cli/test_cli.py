@@ -17,7 +17,7 @@ import pytest
 from gva_mi import InputError, __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
-from gva_mi.core.console import say, take_any_text
+from gva_mi.core.console import complete_streams, say
 from gva_mi.core.errors import expecting
 from gva_mi.core.options import ranges
 from gva_mi.study.evaluate import ALIGNED
@@ -243,7 +243,7 @@ def test_a_closed_pipe_ends_quietly(stream, words, unbuffered, code):
 def test_any_name_can_be_printed_in_ascii(monkeypatch):
     written = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(written, "ascii"))
-    take_any_text()
+    complete_streams()
     say("\u00fc and a byte \udcff of no text")
     sys.stdout.flush()
     assert written.getvalue() == b"\\xfc and a byte \\udcff of no text\n"
@@ -282,3 +282,17 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch, cli):
     assert code == 2 and not out
     needed = "the commands need: pip install 'gva_mi[avatar]'"
     assert complaint == f"gva-mi: tyro is not installed; {needed}\n"
+
+
+def test_a_command_without_stdout_writes_into_no_file_of_its_own(tmp_path):
+    """The first file that is opened would get the number of the stream that is missing."""
+    program = """
+import os, sys
+from gva_mi.__main__ import main
+main(["--version"])
+with open(sys.argv[1], "w") as file:
+    os.write(1, b"printed by a library")
+"""
+    line = f"{sys.executable} -c '{program}' {tmp_path / 'a'} >&-"
+    run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
+    assert run.returncode == 0 and not run.stderr and (tmp_path / "a").read_text() == ""

@@ -98,3 +98,12 @@ def test_a_long_video_is_fitted_in_clips(known, wrong):
     )
     assert not same(found.pose, fit_poses(known, wrong, SHORT).pose)
     assert (found.losses < found.losses_before).all()
+
+
+def test_only_the_requested_frames_are_read_and_moved(known, wrong, monkeypatch):
+    read, of = [], type(wrong).__getitem__
+    monkeypatch.setattr(type(wrong), "__getitem__", lambda self, k: read.append(k) or of(self, k))
+    found = fit_poses(known, wrong, SHORT, frames=[3, 1])
+    moved = (found.pose.transl != wrong.pose.transl).any(1).tolist()
+    assert set(read) == {1, 3} and moved == [k in (1, 3) for k in range(6)]
+    assert found.losses.isfinite().tolist() == moved

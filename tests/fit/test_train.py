@@ -17,7 +17,7 @@ from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.fit.samples import RandomStream, torch_state
+from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit, make_adam
 from gva_mi.study.evaluate import evaluate
 from gva_mi.study.figures import where
@@ -135,6 +135,42 @@ def test_adam_of_one_sided_people_moves_places_alike_in_all_axes(known):
     torch.testing.assert_close(straight, turned, atol=1e-6, rtol=0)
     assert straight[:, 0].max() < -0.9 * 20e-3
     assert straight[:, 2].abs().mean() < 0.1 * moved(torch.eye(3), False)[:, 2].abs().mean()
+
+
+def test_adam_of_one_sided_people_goes_on_from_its_state_to_the_bit(known):
+    def stepped(avatar, steps, state=None):
+        optimizer = make_adam(avatar, None, Rates(), one_sided=True)
+        if state:
+            optimizer.load_state_dict(state)
+        for k in steps:
+            generator = torch.Generator().manual_seed(k)
+            for x in avatar.canonical.parameters():
+                x.grad = 1e-5 * torch.randn(x.shape, generator=generator)
+            optimizer.param_groups[0]["lr"] = 1e-3
+            optimizer.step()
+        return copy.deepcopy(optimizer.state_dict())
+
+    whole, parts = copy.deepcopy(known), copy.deepcopy(known)
+    stepped(whole, range(6))
+    stepped(parts, range(3, 6), stepped(parts, range(3)))
+    assert same(whole, parts)
+
+
+def test_weights_follow_gaussians_and_the_end_of_a_fit_changes_colors_and_sizes_alone(
+    video, body, tmp_path, monkeypatch
+):
+    """``complete`` colours what no frame shows; ``min_scale`` is the least size, in pixels."""
+    schedule = Schedule(densify_every=0, reinit_at=(), rebind_every=2)
+    options = replace(OPTIONS, steps=4, complete=True, min_scale=20.0, schedule=schedule)
+    completed = fit(video, body, options, tmp_path / "completed")
+    monkeypatch.setattr("gva_mi.fit.train.complete_colors", lambda *arguments: None)
+    plain = fit(video, body, options, tmp_path / "plain").state_dict()
+    differ = {k for k, x in completed.state_dict().items() if not torch.equal(x, plain[k])}
+    assert differ == {"canonical.sh"}
+    bound = completed.skin.bind(completed.canonical.means)["weights"]
+    assert torch.equal(completed.canonical.weights, bound)
+    least = 20 * smallest_pixel(video, completed.rig)
+    assert completed.canonical.scales.min().item() == pytest.approx(least)
 
 
 def test_the_avatar_is_saved_and_the_checkpoint_is_gone(fitted):

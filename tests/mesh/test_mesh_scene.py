@@ -23,6 +23,8 @@ def test_a_ball_is_seen_where_the_camera_projects_it(camera, fy):
     mask, normals = image[..., 3], image[image[..., 3] > 0][:, :3]
     assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-5 and normals[:, 2].max() < 0
     rows, columns = np.nonzero(mask)
+    for axis, places in enumerate((columns, rows)):  # x to the right, y down
+        assert np.corrcoef(places, normals[:, axis])[0, 1] > 0.95
     seen = np.array([columns.mean() + 0.5, rows.mean() + 0.5])
     assert np.abs(seen - view.project(where)).max() < 0.15
     assert np.ptp(rows) / np.ptp(columns) == pytest.approx(fy / 150, abs=0.2)

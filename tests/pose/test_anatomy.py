@@ -142,3 +142,11 @@ def test_hands_without_finger_joints_have_no_hinges(at):
     assert not leaf.grad[:, LEFT_HAND].any() and not leaf.grad[:, RIGHT_HAND].any()
     found = anatomy.conditioned(leaf.detach(), white(10), TIMES)
     assert found.isfinite().all() and torch.equal(found[:, LEFT_HAND], leaf[:, LEFT_HAND])
+
+
+def test_free_turns_cost_nothing():
+    """Toes bend both ways, forearms twist, shoulders turn about all axes."""
+    wave = 60 * torch.sin(TIMES / 3.0)
+    assert cost(("left_foot", "x", wave), ("right_foot", "x", -wave)) < 1e-6
+    assert cost(("left_elbow", "x", wave), ("right_elbow", "x", -wave)) < 1e-6
+    assert cost(*(("left_shoulder", axis, wave) for axis in "xyz")) == 0

@@ -6,7 +6,7 @@ import roma
 import torch
 
 from gva_mi.body.kinematics import turn_joints
-from gva_mi.body.pose import JOINTS, PARENTS, Pose
+from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.pose.corrections import Corrections
 from gva_mi.pose.prior.anatomy import Anatomy
 from gva_mi.pose.prior.error_model import FILM_FPS, GROUPS, film_errors
@@ -169,3 +169,11 @@ def test_centring_removes_what_another_shape_would_show(make, axes):
     after = corrections.pose(range(12))
     torch.testing.assert_close(after.transl, before.transl, atol=1e-6, rtol=0)
     torch.testing.assert_close(matrices(after), matrices(before), atol=1e-5, rtol=0)
+
+
+def test_the_face_stays(make, true_pose):
+    corrections = make(true_pose)
+    with torch.no_grad():
+        corrections.turns += 0.5
+    found = corrections.pose(range(len(true_pose))).rotations[:, JAW_AND_EYES].detach()
+    torch.testing.assert_close(found, true_pose.rotations[:, JAW_AND_EYES])

@@ -57,6 +57,14 @@ def test_normals_are_compared_where_they_are_known(cut, frame, points):
     assert float(seen.normal_loss(hidden)) == 0 < float(whole.normal_loss(hidden))
 
 
+@pytest.mark.parametrize("scale", [1, 0.5, 0.37])
+def test_losses_vanish_at_the_target_and_do_not_depend_on_its_size(scale, cut, frame, points):
+    seen = cut(frame, scale, points)
+    target = shown(seen)
+    assert float(seen.silhouette_loss(target)) == float(seen.normal_loss(target)) == 0
+    assert float(seen.silhouette_loss(0 * target)) == pytest.approx(1, abs=1e-5)
+
+
 def test_beyond_the_mask_only_the_silhouette_is_compared(cut, frame, points):
     """So a part that a mask misses counts once."""
     seen = cut(frame, 1, points)

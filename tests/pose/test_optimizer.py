@@ -3,8 +3,9 @@
 import roma
 import torch
 
-from gva_mi.body.pose import JAW_AND_EYES, JOINTS
-from gva_mi.pose.optimize import VectorAdam, turn_rates
+from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Shape
+from gva_mi.pose.optimize import VectorAdam, lever_arms, turn_rates
+from gva_mi.pose.single_frame import joint_weights
 
 
 def descend(start, target, scales, steps=300):
@@ -50,3 +51,14 @@ def test_a_step_moves_the_surface_alike_at_every_joint_but_the_face():
     surface = (rates * arms)[moved & far]
     torch.testing.assert_close(surface, torch.full_like(surface, 0.01))
     assert (rates[moved & ~far] == 0.05).all()
+
+
+def test_lever_arms_and_weights_of_eq_8_fall_along_every_limb(body):
+    arms = lever_arms(body.rest(Shape(torch.zeros(10))), body.weights, body.parents)
+    weights = joint_weights(PARENTS)
+    for side in ("left", "right"):
+        for limb in (("shoulder", "elbow", "wrist", "index1", "index3"), ("hip", "knee", "ankle")):
+            for values in (arms, weights):
+                along = [float(values[JOINTS.index(f"{side}_{name}")]) for name in limb]
+                assert along == sorted(along, reverse=True)
+    assert float(weights[0]) == 1

@@ -75,3 +75,9 @@ def test_hair_and_soles_do_not_bias_depth_if_the_height_is_known(stature, clip, 
     nearer = (clip.pose.transl - refined.pose.transl) @ sight[:3]
     distance = (pelvis + clip.pose.transl) @ sight[:3] + sight[3]
     assert float((nearer / distance).mean().abs()) < 0.01
+
+
+def test_a_refinement_keeps_the_height(stature, clip, body):
+    height = 1.1 * float(stature.height(clip.shape))
+    refined = refine(clip, body, SequenceOptions(size=48, faces=2000, passes=4, height=height))
+    assert float(stature.height(refined.shape)) == pytest.approx(height, abs=0.005)

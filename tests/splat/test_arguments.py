@@ -107,3 +107,12 @@ def test_more_pairs_than_indices_hold():
     camera = Camera(2000, 2000, 1024, 1024, np.eye(4), 4096, 2048)
     with pytest.raises(ValueError, match=r"3000 Gaussians touch 786432000 tiles .* 536870911"):
         render(g, camera)
+
+
+def test_a_bad_number_in_the_last_packet_is_found_where_nothing_is_drawn():
+    s = scene(gaussians=1003)
+    means, opacities = s.gaussians.means.clone(), s.gaussians.opacities.clone()
+    means[1002, 2] = float("nan")
+    opacities[1002] = 0
+    with pytest.raises(ValueError, match=r"means\[1002, 2\] is nan"):
+        draw(s.with_inputs(s.inputs() | {"means": means, "opacities": opacities}))

@@ -232,3 +232,12 @@ def test_other_folders_are_refused(noisy, body, tmp_path):
 def test_bad_options_are_refused(options, sentence):
     with pytest.raises(InputError, match=sentence):
         SynthOptions(**options)
+
+
+def test_a_stopped_subject_leaves_nothing(body, bare, tmp_path):
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_subject(tmp_path / "subject", bare, body, stop)
+    assert not list(tmp_path.iterdir())

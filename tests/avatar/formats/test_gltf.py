@@ -9,7 +9,7 @@ import torch
 
 from gva_mi.avatar.export import save_gltf, surface_colors
 from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS
+from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.skinning import skin_points, strongest
 
 DTYPES = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
@@ -156,3 +156,12 @@ def test_vertices_have_the_colors_of_nearby_gaussians(known):
 def test_without_a_motion_there_is_no_animation(known, tmp_path):
     save_gltf(tmp_path / "a.glb", known)
     assert "animations" not in Read(tmp_path / "a.glb").json
+
+
+def test_consecutive_rotations_take_the_short_way(known, tmp_path):
+    rotations = torch.zeros(8, 55, 3)
+    rotations[:, 0, 1] = torch.linspace(-6, 6, 8)
+    save_gltf(tmp_path / "a.glb", known, Pose(rotations, torch.zeros(8, 3), torch.zeros(8, 10)))
+    read = Read(tmp_path / "a.glb")
+    found = [{(n, path): x for n, path, x in read.moves(k)}[0, "rotation"] for k in range(8)]
+    assert all(a @ b > 0 for a, b in zip(found, found[1:], strict=False))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi import InputError
-from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.avatar.without_body import body_hash, save_without_body, with_body
@@ -66,12 +66,15 @@ def test_nothing_of_the_body_is_in_the_file(file, clothed, body):
     assert body_hash(body) in str(arrays["description"])
 
 
-def test_another_body_is_refused(file, clothed, body, tmp_path):
-    arrays = body.arrays()
-    arrays["v_template"] = arrays["v_template"] * 1.01
-    other = BodyModel(arrays)
-    with pytest.raises(InputError, match="belongs to 'ellipsoid' .* not to 'other'"):
-        with_body(file, read_arrays(file, ""), other, "other")
+def test_no_body_and_another_body_are_refused(file, clothed, body, tmp_path):
+    with pytest.raises(InputError, match="without its body"):
+        Avatar.load(file)
+    for part in ("shapedirs", "v_template"):
+        arrays = body.arrays()
+        arrays[part] = arrays[part] * 1.01
+        other = BodyModel(arrays)
+        with pytest.raises(InputError, match="belongs to 'ellipsoid' .* not to 'other'"):
+            with_body(file, read_arrays(file, ""), other, "other")
     with pytest.raises(InputError, match="made with another body .* than other"):
         save_without_body(tmp_path / "b.npz", clothed, other, "other")
     assert not (tmp_path / "b.npz").exists()

@@ -235,3 +235,11 @@ def test_arrays_of_a_subclass_are_plain_arrays(tmp_path, walk):
         (tmp_path / "m.pkl").write_bytes(data)
         read = read_motion(tmp_path / "m.pkl", TargetBody.read(None), MotionOptions(fps=30))
         assert np.allclose(read.pose.transl, transl, atol=1e-6)
+
+
+def test_a_place_in_other_units_is_doubted(tmp_path, motion):
+    path = np.outer(np.arange(T), [40.0, 0, 0])  # 4 cm a frame, in millimetres
+    for scale, doubts in ((0.001, 0), (1, 1)):
+        np.savez(tmp_path / "m.npz", **motion[1], trans=scale * path, fps=30)
+        notes = read_motion(tmp_path / "m.npz", TargetBody.read(None), MotionOptions(fps=30)).notes
+        assert sum("doubtful: the pelvis goes 1200 m in a second" in n for n in notes) == doubts

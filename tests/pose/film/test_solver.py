@@ -203,3 +203,14 @@ def test_lines_and_the_height_of_the_camera_say_which_way_is_up(known_film, buil
 def test_a_film_of_nobody_is_refused(known_film, built_in_body):
     with pytest.raises(InputError, match="no frame has a person"):
         solved(known_film, built_in_body, without(known_film.landmarks, range(12)))
+
+
+def test_the_order_of_names_does_not_matter_nor_do_unknown_ones(found, known_film, built_in_body):
+    film = known_film.landmarks
+    order = [*np.random.default_rng(0).permutation(len(film.names)), 0]
+    arrays = ("pixels", "confidence", "spread", "metric")
+    shuffled = {name: getattr(film, name)[:, order] for name in arrays}
+    names = (*(film.names[k] for k in order[:-1]), "tail")
+    again = solved(known_film, built_in_body, replace(film, names=names, **shuffled))
+    assert torch.equal(again.pose.rotations, found.pose.rotations)
+    assert torch.equal(again.pose.transl, found.pose.transl)

@@ -193,3 +193,31 @@ def test_leading_dimensions_are_a_batch(arguments, packed):
         joined = [part[name] for part in parts]
         joined = torch.cat(joined) if packed else torch.stack(joined)[:, None]
         assert torch.equal(meta[name], joined), name
+
+
+def test_colors_may_differ_from_camera_to_camera(arguments):
+    a = arguments()
+    twice = torch.stack([a["colors"], 1 - a["colors"]]).detach()
+    found = rasterization(**(a | {"colors": twice}))[0]
+    for c in range(C):
+        assert torch.equal(found[c], rasterization(**(a | {"colors": twice[c]}))[0][c])
+
+
+def test_radius_clip_leaves_out_the_small(arguments):
+    a = arguments()
+    radii = rasterization(**a, packed=False)[2]["radii"]
+    clipped, _, meta = rasterization(**a, packed=False, radius_clip=4.0)
+    kept = (radii > 4).any(dim=-1)
+    assert kept.any() and not kept.all()
+    assert ((meta["radii"] > 0).all(dim=-1) == (kept & (radii > 0).all(dim=-1))).all()
+    for c in range(C):
+        few = {k: a[k][kept[c]] for k in ("means", "quats", "scales", "opacities", "colors")}
+        assert torch.equal(rasterization(**(a | few))[0][c], clipped[c])
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_no_gaussians_give_an_empty_picture(arguments, packed):
+    none = {k: arguments()[k].detach()[:0] for k in "means quats scales opacities colors".split()}
+    colors, _, meta = rasterization(**(arguments() | none), packed=packed)
+    assert colors.shape == (C, H, W, 3) and (colors == 0).all()
+    assert all(meta[k].numel() == 0 for k in ("means2d", "depths", "radii", "conics", "opacities"))

@@ -125,8 +125,7 @@ def motion_of(
     """Return the motion that drives an avatar, and the shape of the person who moved.
 
     A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames a second, and its notes are
-    printed; poses are played as they are, without ``poses`` those trained with the avatar. The file
-    of the avatar's ``body`` is needed for hands given as PCA components.
+    printed; poses are played as they are, without ``poses`` those trained with the avatar.
     """
     given = None if poses is None else Path(poses)
     if given is None or is_pose_file(given):

@@ -23,7 +23,7 @@ def body(
 ) -> None:
     """Write a body file in SMPL-X's format that needs no licence agreement.
 
-    To convert poses of SMPL, SMPL+H or hand components, use gva-mi motion, or with a video gva-mi
+    To convert poses of SMPL or SMPL+H, use gva-mi motion, or with a video gva-mi
     prepare parameters.
 
     Args:

@@ -40,7 +40,7 @@ def motion(
         lens: of a film: focal length, as 26mm of 35 mm film or in pixels; without it, what the film
             records, else a fitted one.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
-            the world is turned upright, and hands that are components of a PCA are its own.
+            the world is turned upright.
         overwrite: replace an existing file.
     """
     if out.suffix != ".npz":

@@ -7,7 +7,7 @@ were lost; angles of more than half a turn; and any axis may be up.
 
 An estimator's motion is in world axes if the estimator gives them; else in camera axes, and then
 the camera is assumed to stand still. A lens of its own in each frame becomes
-one usual lens: :mod:`.one_lens`. Estimators whose file does not say the lens are refused.
+one: :func:`.track.usual_lens`. Estimators whose file does not say the lens are refused.
 """
 
 from __future__ import annotations

@@ -94,6 +94,7 @@ def draw(
         camera,
         options,
         given.background.tolist(),
+        absolute=screen is not None and screen.absolute,
     )
     dr.sync_thread()  # torch reads the memory next
     if screen is not None:
@@ -224,7 +225,7 @@ class Screen:
     def fill(self, saved: SavedState, means: Tensor) -> None:
         """Take over the memory of a forward pass of Gaussians with means (N, 3)."""
         self.grad = self.absgrad = self._rows = None
-        self._projected, self._format = saved.projected, saved.plan.format
+        self._projected, self._format = saved.projected, saved.plan.formats[0]
         self._size = (saved.layout.width, saved.layout.height)
         self._empty = means.new_zeros(0)
 
@@ -285,12 +286,12 @@ class Screen:
 
     @exclusive
     def _splat(self) -> Splat:
-        """Return the splats of all Gaussians, fields (N,)."""
+        """Return the splats of all Gaussians, fields (N,); colours are those of the first chunk."""
         if self._projected is None:
             return Splat.unpack([self._empty] * Splat.columns(self._format), self._format)
         n, columns = dr.width(self._projected.radii), []
         widths = packets.widths(Splat.columns(self._format))
-        for part, width in zip(self._projected.splats, widths, strict=True):
+        for part, width in zip(self._projected.splats[0], widths, strict=True):
             columns += tensor_of(part).view(-1, width)[:n].unbind(1)
         return Splat.unpack(columns, self._format)
 

@@ -9,6 +9,7 @@
 | tiles.py | which Gaussians touch which tile, front to back, and which lane works on it | |
 | pixel.py | one pixel meets one Gaussian: forward, adjoint and tangent step | (11)-(17) |
 | blend.py | the loops around these steps, one tile per SIMD lane; the sums of eq. 16 | (16) |
+| chunks.py | wide colours, some channels at a time | |
 | passes.py | everything in order: forward, adjoint, tangent | |
 
 Below them: inputs.py (the Gaussians and the camera as arrays), records.py (what the kernels pass to

@@ -171,7 +171,7 @@ class Plan:
     harmonics: bool  # whether inputs.colors holds coefficients
     color_width: int  # numbers of each Gaussian in inputs.colors
     channels: int  # D
-    format: RecordFormat  # of the splats
+    formats: tuple[RecordFormat, ...]  # of the splats, one per chunk (chunks.py)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ an argument would be copied at every call.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
@@ -28,7 +28,7 @@ from drjit import ArrayBase as Array
 from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.camera import ArgumentError, Camera
-from gva_mi.splat.kernels import tiles
+from gva_mi.splat.kernels import chunks, tiles
 from gva_mi.splat.kernels.blend import blend, blend_adjoint, blend_tangent, sum_slots
 from gva_mi.splat.kernels.inputs import (
     CameraArrays,
@@ -75,6 +75,10 @@ class SavedState:
     saved_pixels: SavedPixels | None
     stop: Array | None  # where each lane of blend stopped
 
+    def backgrounds(self) -> list[list[Array]]:
+        """The background of each chunk."""
+        return chunks.split_background(self.background, self.plan.formats)
+
 
 @dataclass(frozen=True)
 class Gradients:
@@ -99,6 +103,7 @@ def render_forward(
     camera: Camera,
     options: SplatOptions,
     background: list[float],
+    absolute: bool = False,
     limit: Array | None = None,
 ) -> SavedState:
     """Draw the picture into ``.planes``, padded to whole tiles.
@@ -109,6 +114,8 @@ def render_forward(
         camera: the view.
         options: cut-offs.
         background: one number per channel.
+        absolute: whether the absolute gradient will be requested, which forbids splitting the
+            channels into chunks.
         limit: m, a plane; a pixel shows only the Gaussians nearer than its number.
 
     Raises:
@@ -122,8 +129,8 @@ def render_forward(
     layout, view = Layout(camera.width, camera.height), camera_arrays(camera, options)
     grid = layout.grid(dr.int32_array_t(F))
     behind = [dr.opaque(F, b) for b in background]
-    format, constants = RecordFormat(D, options.depth), options.kernel_constants()
-    plan = Plan(constants, harmonics, inputs.color_width, D, format)
+    formats = chunks.formats(D, options.depth, whole=absolute)
+    plan = Plan(options.kernel_constants(), harmonics, inputs.color_width, D, formats)
     projected = lists = saved_pixels = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)
@@ -134,16 +141,8 @@ def render_forward(
         planes = Planes.of_background(behind, layout.pixels, options.depth)
     else:
         far = None if limit is None else Limit(limit, projected.depths)
-        pixels = tiles.capacity(layout.pixels)  # few sizes for the boxes of a video
-        planes, saved_pixels, stop = blend(
-            projected.splats,
-            lists,
-            grid,
-            behind,
-            far,
-            pixels=pixels,
-            format=format,
-            options=constants,
+        planes, saved_pixels, stop = _composite(
+            projected.splats, lists, grid, behind, far, layout.pixels, plan
         )
     seen = (layout, grid, planes, projected, lists, saved_pixels, stop)
     return SavedState(inputs, plan, camera, view, behind, *seen)
@@ -168,11 +167,11 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     plan, n = saved.plan, len(saved.inputs)
     if saved.lists is None:
         return _gradients_of_nothing(saved, grad, requested)
-    slots, format, by_lanes = _pair_gradients(saved, grad, requested)
+    slots, formats, by_lanes = _composite_adjoint(saved, grad, requested)
     constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
     given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
-    found = gaussians_adjoint(*given, slots, format=format, **constants)
-    by_background = _sum_rows(by_lanes, plan.channels).tolist()  # the host waits for its kernels
+    found = gaussians_adjoint(*given, slots, formats=formats, **constants)
+    by_background = _background_gradient(by_lanes, plan)  # last: the host waits for its kernels
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
@@ -205,38 +204,104 @@ def render_tangent(
     dview = camera_tangent(saved.camera, dT, dK)
     rows = tiles.capacity(len(saved.inputs))
     dsplats = _project_tangent(saved.inputs, saved.view, dinputs, dview, rows=rows, plan=plan)
-    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid, saved.background, behind)
-    pixels = tiles.capacity(saved.layout.pixels)
-    constants = {"pixels": pixels, "format": plan.format, "options": plan.options}
-    return blend_tangent(saved.projected.splats, dsplats, *of_all, **constants)
+    return _composite_tangent(saved, dsplats, behind)
 
 
-def _pair_gradients(
+def _composite(
+    splats: list[packets.Packets],
+    lists: Lists,
+    grid: Grid,
+    background: list[Array],
+    limit: Limit | None,
+    pixels: int,
+    plan: Plan,
+) -> tuple[Planes, SavedPixels, Array]:
+    """Return the picture, its ``SavedPixels``, and where in ``lists.ids`` each lane stopped.
+
+    Args:
+        splats: one entry per chunk.
+        lists, grid, limit: as ``blend`` takes them.
+        background: D arrays of size one.
+        pixels: of the picture, padded to whole tiles.
+        plan: formats of the chunks, and cut-offs.
+    """
+    pictures = []
+    size = tiles.capacity(pixels)  # few sizes for the boxes of a video: few recordings
+    behind, options = chunks.split_background(background, plan.formats), plan.options
+    for part, colors, format in zip(splats, behind, plan.formats, strict=True):
+        picture, saved_pixels, stop = blend(
+            part, lists, grid, colors, limit, pixels=size, format=format, options=options
+        )
+        pictures.append(picture)
+    return chunks.join_planes(pictures, len(background)), saved_pixels, stop
+
+
+def _composite_adjoint(
     saved: SavedState, grad: Planes, requested: RequestedGradients
-) -> tuple[packets.Packets, RecordFormat, Array]:
-    """Return the slots of all pairs, their format, and each lane's gradient by the background."""
-    plan, lists = saved.plan, tiles.walked(saved.lists, saved.stop)
+) -> tuple[list[packets.Packets], tuple[RecordFormat, ...], list[Array]]:
+    """Return the slots of each chunk, their formats, and each lane's gradient by the background.
+
+    Args:
+        saved: the forward pass.
+        grad: dL/dplanes, padded to whole tiles with zeros; alpha and depth may be None.
+        requested: what the slots must hold: the moments are for geometry.
+    """
+    plan, D = saved.plan, len(saved.background)
     colors = requested.colors or plan.harmonics  # harmonics reach the means too
-    slot_format = RecordFormat(
-        plan.channels if colors else 0,
-        grad.depth is not None and requested.geometry,
-        requested.absolute,
-        requested.geometry,  # the moments
-    )
-    slots, by_lanes = blend_adjoint(
-        saved.projected.splats,
-        lists,
-        saved.grid,
-        saved.background,
-        saved.saved_pixels,
-        grad,
-        pairs=dr.width(lists.ids),
-        lanes=dr.width(lists.tile),
-        format=plan.format,
-        slot_format=slot_format,
-        options=plan.options,
-    )
-    return slots, slot_format, by_lanes
+    slots, slot_formats, by_background = [], [], []
+    lists = tiles.walked(saved.lists, saved.stop)
+    pictures = chunks.split_gradient(grad, D, len(plan.formats))
+    parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
+    for part, by_picture, behind, format in parts:
+        depth = by_picture.depth is not None and requested.geometry
+        slot_format = RecordFormat(
+            format.channels if colors else 0, depth, requested.absolute, requested.geometry
+        )
+        memory, shares = blend_adjoint(
+            part,
+            lists,
+            saved.grid,
+            behind,
+            saved.saved_pixels,
+            by_picture,
+            pairs=dr.width(lists.ids),
+            lanes=dr.width(lists.tile),
+            format=format,
+            slot_format=slot_format,
+            options=plan.options,
+        )
+        slots.append(memory)
+        slot_formats.append(slot_format)
+        by_background.append(shares)
+    return slots, tuple(slot_formats), by_background
+
+
+def _composite_tangent(
+    saved: SavedState, dsplats: list[packets.Packets], dbackground: list[Array]
+) -> Planes:
+    """Return the tangent of the picture.
+
+    Args:
+        saved: the forward pass.
+        dsplats: tangents of the splats, one entry per chunk.
+        dbackground: of the background, D arrays of size one.
+    """
+    plan, pictures = saved.plan, []
+    dbehind = chunks.split_background(dbackground, plan.formats)
+    parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
+    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
+    for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
+        constants = {"pixels": tiles.capacity(saved.layout.pixels), "options": plan.options}
+        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, format=format, **constants)
+        pictures.append(picture)
+    return chunks.join_planes(pictures, plan.channels)
+
+
+def _background_gradient(by_lanes: list[Array], plan: Plan) -> list[float]:
+    """Add up the lanes' gradients by the background, (D,), when all kernels have ended."""
+    parts = zip(by_lanes, plan.formats, strict=True)
+    sums = [_sum_rows(shares, format.channels) for shares, format in parts]
+    return np.concatenate(sums)[: plan.channels].tolist()
 
 
 @Frozen
@@ -249,11 +314,12 @@ def project_gaussians(
     plan: Plan,
 ) -> ProjectedMemory:
     F, i = inputs.float_type, inputs.index()
-    splats = packets.empty(Splat, plan.format, rows, F)
+    splats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
     footprints = packets.empty(Footprint, None, rows, F)
     found = project(inputs, plan, view)
-    splat = found.splat if plan.format.depth else replace(found.splat, depth=None)
-    packets.store(splats, splat, i)
+    parts = chunks.split_splat(found.splat, plan.formats)
+    for target, part in zip(splats, parts, strict=True):
+        packets.store(target, part, i)
     packets.store(footprints, found.footprint, i)
     counts = tiles.count(found.footprint, grid)
     radii = dr.select(counts > 0, found.radii, 0)
@@ -270,18 +336,21 @@ def gaussians_adjoint(
     lists: Lists,
     places: Array,
     counts: Array,
-    slots: packets.Packets,
+    slots: list[packets.Packets],
     *,
     rows: int,
     requested: RequestedGradients,
     plan: Plan,
-    format: RecordFormat,
+    formats: tuple[RecordFormat, ...],
 ) -> GradientMemory:
     target = GradientMemory.empty(inputs, rows, plan.color_width, requested)
-    memory = packets.empty(PairGradient, format, rows, inputs.float_type)
-    sum_slots(lists, places, slots, format, memory)
+    memory = [packets.empty(PairGradient, part, rows, inputs.float_type) for part in formats]
+    for part, sums, format in zip(slots, memory, formats, strict=True):
+        sum_slots(lists, places, part, format, sums)
     dr.eval(memory)  # two kernels: a single one would run out of registers
-    slot = packets.load(memory, PairGradient, format, inputs.index())
+    rows_of = zip(memory, formats, strict=True)
+    parts = [packets.load(sums, PairGradient, part, inputs.index()) for sums, part in rows_of]
+    slot = chunks.add_slots(parts, plan.channels)
     project_adjoint(inputs, plan, view, slot, counts > 0, target)
     dr.eval(target)
     return target
@@ -296,11 +365,12 @@ def _project_tangent(
     *,
     rows: int,
     plan: Plan,
-) -> packets.Packets:
+) -> list[packets.Packets]:
     dsplat = project_tangent(inputs, plan, view, dinputs, dview)
-    dsplat = dsplat if plan.format.depth else replace(dsplat, depth=None)
-    dsplats = packets.empty(Splat, plan.format, rows, inputs.float_type)
-    packets.store(dsplats, dsplat, inputs.index())
+    F, i = inputs.float_type, inputs.index()
+    dsplats = [packets.empty(Splat, format, rows, F) for format in plan.formats]
+    for target, part in zip(dsplats, chunks.split_splat(dsplat, plan.formats), strict=True):
+        packets.store(target, part, i)
     dr.eval(dsplats)
     return dsplats
 

@@ -65,7 +65,7 @@ class ProjectedMemory:
     Splats and footprints have unused memory behind the last Gaussian.
     """
 
-    splats: packets.Packets  # read by blend.py
+    splats: list[packets.Packets]  # one per chunk; read by blend.py
     footprints: packets.Packets  # read by tiles.py
     depths: Array  # (N,) m
     counts: Array  # (N,) tiles touched

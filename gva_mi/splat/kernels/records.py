@@ -3,13 +3,13 @@
 | record | written by | read by | one for each |
 |---|---|---|---|
 | ``Footprint`` | ``project`` | tiles.py | Gaussian |
-| ``Splat`` | ``project``, ``project_tangent`` | blend.py, in all directions | Gaussian |
-| ``PairGradient`` | ``blend_adjoint`` | ``sum_slots``, for ``project_adjoint`` | pair |
+| ``Splat`` | ``project``, ``project_tangent`` | blend.py, in all directions | Gaussian, chunk |
+| ``PairGradient`` | ``blend_adjoint`` | ``sum_slots``, for ``project_adjoint`` | pair, chunk |
 | ``CameraGradient`` | ``project_adjoint`` | the host, which adds them up | Gaussian |
 
 In memory a record is a row of floats (packets.py); in a kernel its fields are Dr.Jit arrays, one
-record per lane. A *pair* is a tile and a Gaussian that touches it. Only ``pack`` and ``unpack``
-know the order of the columns.
+record per lane. A *pair* is a tile and a Gaussian that touches it; a *chunk* is some channels of
+the colour (chunks.py). Only ``pack`` and ``unpack`` know the order of the columns.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
 
 # Modules of the commands that share one; each other command has the module of its name.
 MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "track", "render"), "steps")
-MODULES["demo"] = "avatar"
+MODULES |= {"demo": "avatar", "synth": "subjects", "body": "subjects", "motion": "prepare"}
 
 
 def load(verb: str) -> Callable[..., None]:

@@ -51,7 +51,7 @@ class Rates:
     # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: PythonOnly[Share] = 0.0
     light: PythonOnly[Rate] = 2e-3  # direction of the light
-    strength: PythonOnly[Rate] = 5e-3  # of the light, see gva_mi.fit.lambert
+    strength: PythonOnly[Rate] = 5e-3  # of the light, see gva_mi.fit.colors
     residual: PythonOnly[Rate] = 1e-3  # weights of the pose-conditioned MLP
 
 

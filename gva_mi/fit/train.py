@@ -3,7 +3,7 @@
 Each step uses one training frame of the video:
 
 1. lower the learning rate of the means
-2. avatar(pose) → Gaussians, MLP(θ)                      Eq. 5, 6, :mod:`gva_mi.fit.lambert`
+2. avatar(pose) → Gaussians, MLP(θ)                      Eq. 5, 6, :mod:`gva_mi.fit.colors`
 3. render them on a background of a random colour, and on the picture's own
    along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
 4. compare with the person on the same background                            Eq. 9
@@ -55,8 +55,7 @@ from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.core.files import write_arrays
 from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
-from gva_mi.fit.colors import complete_colors, seen_colors
-from gva_mi.fit.lambert import Lambert
+from gva_mi.fit.colors import Lambert, complete_colors, seen_colors
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss

@@ -15,6 +15,11 @@ A camera becomes a sensor:
 
 Mitsuba stores the angle as a float32 number of degrees and turns it back into a focal length, which
 costs a rounding or two. Passing K instead would change pictures in their last bits.
+
+:func:`seen_vertices` asks the mesh's triangles which vertices are visible from given places. A
+vertex x is visible from a place y if its surface faces it, ``n · (y - x) > 0``, and the straight
+line to it meets no triangle. The line starts a little off the surface, so that the triangles around
+the point do not hide it.
 """
 
 from __future__ import annotations
@@ -30,6 +35,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.tensors import tensor_of, to_drjit
+from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera
 
 if TYPE_CHECKING:
@@ -278,3 +284,29 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
     scale = crop.fx / whole.fx
     left, top = whole.cx - crop.cx / scale, whole.cy - crop.cy / scale
     return Tile(float(left), float(top), float(scale), crop.width, crop.height)
+
+
+OFF = 0.002  # metres off the surface
+
+
+def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Tensor:
+    """Return which vertices are visible from each of E viewpoints (E, 3), (E, V) bool.
+
+    Faces are counter-clockwise seen from outside; the edges of pictures are ignored.
+    """
+    load_plugins()
+    import mitsuba as mi
+
+    vertices = vertices.detach().float()
+    normals = vertex_normals(vertices, faces)
+    start, scene = vertices + OFF * normals, scene_of(faces, vertices)
+    columns = lambda x: np.ascontiguousarray(x.T.numpy(), np.float32)
+    found = []
+    for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):
+        toward = viewpoint - start
+        distance = toward.norm(dim=1, keepdim=True)
+        ray = mi.Ray3f(mi.Point3f(columns(start)), mi.Vector3f(columns(toward / distance)))
+        ray.maxt = mi.Float((0.999 * distance[:, 0]).numpy())
+        hidden = torch.from_numpy(np.array(scene.ray_test(ray), dtype=bool))
+        found.append(((normals * toward).sum(1) > 0) & ~hidden)
+    return torch.stack(found)

@@ -26,7 +26,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.data.crop import Box
 from gva_mi.data.ground_truth import truth_of
 from gva_mi.data.video import Video
-from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.splat import Camera
 
 MARGIN = 0.03  # share of the longer side of the mask's box

@@ -43,8 +43,8 @@ from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.data.fingerprint import SYNTH
 from gva_mi.fit import run_folder
+from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.mesh.visibility import seen_vertices
 from gva_mi.study.figures import Figure
 from gva_mi.synthetic import remake_subject
 from gva_mi.synthetic.subject import Subject

@@ -2,7 +2,7 @@
 
 ==================  ================================================================
 ``options``         all options
-``subject_folder``  a subject's folder: written, copied with other errors, its person
+``subject_folder``  a subject's folder: its poses, cameras and exposures; copied with other errors
 ``people``          the person: shape, colours, cut of the clothes
 ``rest_body``       the body below the clothes, and closed surfaces around it
 ``garments, hair``  clothes and hair as such surfaces
@@ -15,7 +15,6 @@
 ``footwork``        feet that do not slide, legs that reach for them
 ``cameras``         cameras on white; the phone in a room, and its film
 ``furniture, room`` rooms
-``staging``         poses, cameras and exposures of the video
 ``render``          rays and light
 ``error_models``    distributions over the errors of a recording
 ``pose_errors``     errors of poses and camera

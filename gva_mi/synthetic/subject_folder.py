@@ -31,11 +31,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
@@ -51,14 +52,136 @@ from gva_mi.data.ground_truth import BODY, load_ground_truth
 from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
 from gva_mi.synthetic import motion
-from gva_mi.synthetic.cameras import camera_around, write_phone_film
+from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand, write_phone_film
 from gva_mi.synthetic.estimates import PictureErrors, Pipeline, write_estimates, write_pictures
 from gva_mi.synthetic.foreign_body import Closest, closest
-from gva_mi.synthetic.options import FILM, MOTION, NOVEL_POSE, NOVEL_VIEW, RENDER, SynthOptions
+from gva_mi.synthetic.options import (
+    BLUR,
+    CAMERA,
+    FILM,
+    MOTION,
+    NOVEL_POSE,
+    NOVEL_VIEW,
+    RENDER,
+    ROOM,
+    SynthOptions,
+)
 from gva_mi.synthetic.render import Moment, Renderer
-from gva_mi.synthetic.room import Room
-from gva_mi.synthetic.staging import Staging, lowered
-from gva_mi.synthetic.subject import Subject
+from gva_mi.synthetic.room import Room, draw_room
+from gva_mi.synthetic.subject import MEMORY, Subject
+
+THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
+
+
+@dataclass(frozen=True)
+class Staging:
+    """A subject's video before it is rendered. Moments are in rounds of the motion."""
+
+    options: SynthOptions
+    body: BodyModel  # that the subject is drawn on
+    subject: Subject
+
+    def points(self, pose: Pose) -> np.ndarray:
+        """Return some points of the surface without folds, (T, n, 3), metres."""
+        index = np.arange(0, len(self.subject.vertices), THINNED)
+        return self.subject.skinned(self.body, pose, index)
+
+    @cached_property
+    def poses(self) -> list[Pose]:
+        """The video's poses, and those one step, two steps, ... before its frames."""
+        return self.poses_at(motion.times(self.options.frames))
+
+    @cached_property
+    def _lowest(self) -> np.ndarray:
+        """The height of the lowest point of each frame before it is put on the ground, (T,)."""
+        lowest = self.points(self._performed(motion.times(self.options.frames)))[..., 1].min(1)
+        if self.options.motion == "turn":  # stands on the ground in all frames together
+            lowest = np.full_like(lowest, lowest.min())
+        return lowest
+
+    def _performed(self, t: np.ndarray) -> Pose:
+        joints = self.body.rest(self.subject.shape).joints.numpy()
+        options, expressions = self.options, self.body.num_expressions
+        return motion.perform(options.motion, t, joints, expressions, options.random(MOTION))
+
+    def poses_at(self, t: np.ndarray) -> list[Pose]:
+        """Return the poses at moments (T,), and those one step, two steps, ... before."""
+        frames, found = motion.times(self.options.frames), []
+        for k in range(MEMORY + 1):
+            at = motion.before(t, k)
+            drop = np.interp(at, frames, self._lowest, period=1)
+            found.append(lowered(self._performed(at), drop.astype("f4")))
+        return found
+
+    @cached_property
+    def phone(self) -> PhoneCamera:
+        """The phone of a film in a room."""
+        rng, points = self.options.random(CAMERA), self.points(self.poses[0])
+        return PhoneCamera.draw(rng, points, self.options.size)
+
+    def cameras_at(self, t: np.ndarray) -> list[Camera]:
+        """Return the cameras at moments (T,): all the same, held by hand, or on a circle."""
+        options = self.options
+        if options.camera == "held":
+            hand = held_by_hand(np.random.default_rng([*options.entropy(CAMERA), 1]))
+            return [self.phone.camera(*hand(seconds)) for seconds in t * motion.DURATION]
+        if options.scene == "room":
+            return [self.phone.camera()] * len(t)
+        points = self.points(self.poses[0])
+        if options.camera == "circles":
+            return [camera_around(points, options.size, 2 * np.pi * turn) for turn in t % 1.0]
+        return [camera_around(points, options.size)] * len(t)
+
+    @cached_property
+    def cameras(self) -> list[Camera]:
+        """The video's cameras, one a frame."""
+        return self.cameras_at(motion.times(self.options.frames))
+
+    def room(self) -> Room | None:
+        """Draw the room around the subject; None for a video on white."""
+        if self.options.scene == "white":
+            return None
+        points, rng = self.points(self.poses[0]), self.options.random(ROOM)
+        return draw_room(rng, self.subject.look.person, points, self.cameras)
+
+    @property
+    def height(self) -> float:
+        """The person's height at rest, metres."""
+        rest = self.body.rest(self.subject.shape).vertices[:, 1]
+        return float(rest.max() - rest.min())
+
+    def exposures(self) -> Iterator[tuple[Moment, ...]]:
+        """Yield the moments of each frame of the video: several while the shutter is open."""
+        share = self.options.shutter / self.options.frames
+        if share == 0:
+            yield from self.still(self.poses, self.cameras)
+            return
+        t, steps = motion.times(self.options.frames), (np.arange(BLUR) + 0.5) / BLUR
+        opens, closes = (self.poses_at(t + 0.5 * side * share) for side in (-1, 1))
+        cameras = [self.cameras_at(t + (step - 0.5) * share) for step in steps]
+        for k in range(len(t)):
+            first, last = (self._surface(poses, k) for poses in (opens, closes))
+            between = [first + np.float32(step) * (last - first) for step in steps]
+            seen = zip(between, cameras, strict=True)
+            yield tuple(Moment(surface, of_step[k]) for surface, of_step in seen)
+
+    def still(self, poses: Sequence[Pose], cameras: Sequence[Camera]) -> Iterator[tuple[Moment]]:
+        """Yield the one moment of each frame of poses as :meth:`poses_at` returns them."""
+        for k, camera in enumerate(cameras):
+            yield (Moment(self._surface(poses, k), camera),)
+
+    def _surface(self, poses: Sequence[Pose], k: int) -> np.ndarray:
+        """Return the surface of frame k, (N, 3) float32, metres."""
+        now, *past = (pose[k] for pose in poses)
+        return self.subject.posed(self.body, now, past)[0]
+
+
+def lowered(pose: Pose, drop: np.ndarray) -> Pose:
+    """Move poses down by ``drop`` (T,), metres."""
+    transl = pose.transl.clone()
+    transl[:, 1] -= torch.from_numpy(drop)
+    return replace(pose, transl=transl)
+
 
 PHONE_FILM = "film.mp4"
 

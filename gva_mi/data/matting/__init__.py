@@ -2,11 +2,10 @@
 
 A network knows roughly where the person is; the pictures know exactly where the outline runs.
 
-================  ===============================================================================
-:mod:`.film`      masks of a film: start here
+================  ==================================================================================
+:mod:`.film`      masks of a film, and the smoothest outline with its soft pixels: start here
 :mod:`.camera`    the part of the pictures that is looked at, and how the camera moved
 :mod:`.plate`     the background without the person, gathered over the whole film
 :mod:`.odds`      evidence of each pixel: person or background, by colours and shadows
-:mod:`.outline`   the smoothest outline that agrees with the evidence, and its soft pixels
-================  ===============================================================================
+================  ==================================================================================
 """

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 import trimesh
 
-from gva_mi.mesh.visibility import seen_vertices
+from gva_mi.mesh.mesh_scene import seen_vertices
 
 EYE = np.array([[0.0, 0.0, 5.0]])
 

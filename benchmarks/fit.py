@@ -21,9 +21,6 @@ from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.data.cameras import save_cameras
-from gva_mi.data.pictures import write_image
-from gva_mi.data.video import Video, load_video
 from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
@@ -31,6 +28,9 @@ from gva_mi.fit.renders import DRAWN, render_frame
 from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
+from gva_mi.subject.cameras import save_cameras
+from gva_mi.subject.pictures import write_image
+from gva_mi.subject.video import Video, load_video
 
 FRAMES = 9  # of the turn; every eighth is a test frame
 FILLED = 0.8  # of the picture's height by the subject

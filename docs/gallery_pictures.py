@@ -26,17 +26,17 @@ from PIL import Image
 from gva_mi import app
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.smplx import load_body
-from gva_mi.data.normals import normal_colors
-from gva_mi.data.pictures import in_8_bits, read_image
-from gva_mi.data.splits import spread
-from gva_mi.data.video import Video, load_video
+from gva_mi.evaluate.measure import SplitView
+from gva_mi.evaluate.pictures import shown_views, turntable
+from gva_mi.evaluate.regions import person_box
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import CameraPath, cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.splat.axes import with_axes
-from gva_mi.study.evaluate import SplitView
-from gva_mi.study.pictures import shown_views, turntable
-from gva_mi.study.regions import person_box
+from gva_mi.subject.normals import normal_colors
+from gva_mi.subject.pictures import in_8_bits, read_image
+from gva_mi.subject.splits import spread
+from gva_mi.subject.video import Video, load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
 ROW_HEIGHT = 440  # pixels of a row of the overview

@@ -27,7 +27,7 @@ from gva_mi.core.stamp import RESULTS_VERSIONS
 
 HERE = Path(__file__).parent
 STAMP = "made_from"  # in a notebook's metadata
-RESULTS = {"refine": "gva_mi.pose", "avatar": "gva_mi.fit"}  # packages that make them
+RESULTS = {"refine": "gva_mi.refine", "avatar": "gva_mi.fit"}  # packages that make them
 
 
 def made_from(notebook, path):

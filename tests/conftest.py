@@ -188,7 +188,7 @@ def subject(tmp_path_factory, known, camera, turning):
 
 @pytest.fixture(scope="session")
 def video(subject):
-    from gva_mi.data.video import load_video
+    from gva_mi.subject.video import load_video
 
     return load_video(subject)
 
@@ -196,10 +196,10 @@ def video(subject):
 @pytest.fixture(scope="session")
 def doubled(subject, tmp_path_factory):
     """The video whose pictures have each pixel four times."""
-    from gva_mi.data.cameras import save_cameras
-    from gva_mi.data.folder import CAMERAS
-    from gva_mi.data.pictures import read_image, write_image
-    from gva_mi.data.video import load_video
+    from gva_mi.subject.cameras import save_cameras
+    from gva_mi.subject.folder import CAMERAS
+    from gva_mi.subject.pictures import read_image, write_image
+    from gva_mi.subject.video import load_video
 
     folder = shutil.copytree(subject, tmp_path_factory.mktemp("doubled") / "subject")
     for part, channels in (("frames", 3), ("masks", 1)):

@@ -24,9 +24,9 @@ HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck"),
     "pymeshlab": ("gva_mi.avatar", "gva_mi.mesh.surface"),
     "viser": ("gva_mi.viewer",),
-    "transformers": ("gva_mi.data.networks",),
-    "onnxruntime": ("gva_mi.data.networks",),
-    "ai_edge_litert": ("gva_mi.data.networks",),
+    "transformers": ("gva_mi.networks",),
+    "onnxruntime": ("gva_mi.networks",),
+    "ai_edge_litert": ("gva_mi.networks",),
     "tyro": ("gva_mi.cli",),
 }  # fmt: skip
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle

@@ -28,7 +28,7 @@ SHORT = {  # set after the parameter cell
     "4_fitting_an_avatar": "SIZE, FRAMES, STEPS = 48, 9, 8",
     "5_reinitialising_on_the_surface": "SIZE, FRAMES, STEPS = 48, 9, 10",
     "6_an_ablation": "",
-    "9_a_film": "SIDE, FRAMES, PASSES, STEPS = 192, 12, 1, 8",
+    "9_a_phone_video": "SIDE, FRAMES, PASSES, STEPS = 192, 12, 1, 8",
     "8_hands": "SIZE, FRAMES, STEPS, PASSES = 128, 9, 10, 2",
 }
 PARTS = ("overview", "you will learn", "setup", "reference", "initial state", "results",

@@ -18,7 +18,7 @@ from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.renders import CameraPath
-from gva_mi.pose import SequenceOptions, SingleFrameOptions
+from gva_mi.refine import SequenceOptions, SingleFrameOptions
 from gva_mi.splat import SplatOptions
 
 KINDS = (

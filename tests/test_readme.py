@@ -100,8 +100,8 @@ def test_every_option_named_alone_exists():
 def test_tables_list_every_source_error_model_and_extra():
     import tomllib
 
-    from gva_mi.data.importers.datasets import DATASETS
-    from gva_mi.data.importers.estimators import KINDS
+    from gva_mi.readers.datasets import DATASETS
+    from gva_mi.readers.estimators import KINDS
     from gva_mi.synthetic.error_models import ERROR_MODELS
 
     sources, people, installation = (
@@ -119,7 +119,7 @@ def test_readmes_commands_run_one_after_the_other(tmp_path, cli, monkeypatch):
     for command in in_blocks(ROOT / "README.md"):
         verb, *words = shlex.split(command)[1:]
         if verb == "avatar":
-            continue  # needs a film of a person, and minutes: tests/cli/test_avatar.py makes one
+            continue  # needs a video of a person, and minutes: tests/cli/test_avatar.py makes one
         small = ["--size", "32", "48"] if "--path" in words else shlex.split(QUICK.get(verb, ""))
         cli.works(verb, *words, *small)
     assert (tmp_path / "renders/video.mp4").exists() and (tmp_path / "run/report.html").exists()
@@ -131,14 +131,14 @@ def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monk
     from gva_mi import app
     from gva_mi.fit.options import FitOptions
     from gva_mi.fit.renders import CameraPath
-    from gva_mi.pose.sequence import SequenceOptions
+    from gva_mi.refine.sequence import SequenceOptions
 
     (program,) = (
         block for kind, block in BLOCKS.findall((ROOT / "README.md").read_text())
         if kind == "python" and "gva_mi.app" in block
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(app, "prepare", lambda film, out: shutil.copytree(subject, out))
+    monkeypatch.setattr(app, "prepare", lambda recording, out: shutil.copytree(subject, out))
     for step, options in (
         (app.refine, SequenceOptions(passes=1, size=32)), (app.fit, FitOptions(steps=20)),
         (app.render, CameraPath(frames=2, size=(32, 48))),

@@ -4,7 +4,7 @@
 
     from gva_mi.app import evaluate, fit, prepare, refine, render
 
-    prepare("film.mp4", "me/subject")
+    prepare("video.mp4", "me/subject")
     refine("me/subject")
     fit("me/subject", "me/run")
     evaluate("me/run", "me/subject")
@@ -15,7 +15,7 @@ what it writes, prints what it found, and replaces nothing unless asked to. Opti
 
 * ``steps.py``: one function for each step up to the evaluation;
 * ``driving.py``: ``render``, and what drives an avatar;
-* ``whole.py``: all steps on a film (``avatar``), or on a synthetic subject (``demo``).
+* ``whole.py``: all steps on a video (``avatar``), or on a synthetic subject (``demo``).
 """
 
 from gva_mi.app.driving import render

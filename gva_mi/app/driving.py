@@ -23,14 +23,14 @@ from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.stamp import is_fresh, results_version, stamp, start_folder
-from gva_mi.data.cameras import load_cameras
-from gva_mi.data.film import write_film
-from gva_mi.data.folder import VIDEO, frame_name
-from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.track import TargetBody
-from gva_mi.data.pictures import read_background, read_image, write_image
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba
+from gva_mi.readers.motions import MotionOptions, read_motion
+from gva_mi.readers.track import TargetBody
+from gva_mi.subject.cameras import load_cameras
+from gva_mi.subject.folder import VIDEO, frame_name
+from gva_mi.subject.pictures import read_background, read_image, write_image
+from gva_mi.subject.video_file import write_video
 
 RENDERED = "render.json"  # every folder of renders holds it
 
@@ -49,7 +49,7 @@ def render(
     body: Path | str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a video.
 
     If it was interrupted, the same call resumes it.
 
@@ -62,8 +62,8 @@ def render(
         cameras: a file of cameras: one for all frames, or one for each.
         background: a colour, such as white or #ff8800, or a picture file.
         alpha: pictures are transparent around the avatar.
-        video: also write video.mp4 there; not with ``alpha``, which films cannot hold.
-        fps: frames a second of films; motions of other programs are resampled to it.
+        video: also write video.mp4 there; not with ``alpha``, which videos cannot hold.
+        fps: frames a second of videos; motions of other programs are resampled to it.
         body: see above; for an avatar without its body.
         overwrite: replace existing renders.
     """
@@ -71,7 +71,7 @@ def render(
     if cameras is not None and path != CameraPath():
         raise InputError("render: give --cameras, or say where cameras stand; not both")
     if video and alpha:
-        raise InputError("render: a film cannot be transparent; give --video or --alpha, not both")
+        raise InputError("render: a video cannot be transparent; give --video or --alpha, not both")
     body = run_folder.body_of_run(run, None if body is None else Path(body))
     avatar = run_folder.load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, fps, body)
@@ -87,7 +87,7 @@ def render(
     names = [*files, VIDEO] if video else files
 
     def images(missing: Collection[str]) -> Iterator[np.ndarray]:
-        """Render and write the missing pictures, and yield them; for a film yield all."""
+        """Render and write the missing pictures, and yield them; for a video yield all."""
         drawn = [k for k, file in enumerate(files) if file in missing]
         layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
         for k in range(len(files)) if VIDEO in missing else drawn:
@@ -102,7 +102,7 @@ def render(
     folder = _missing(out, names, overwrite, about, made_of)
     with folder as missing, bar("render") as progress:
         if VIDEO in missing:
-            write_film(out / VIDEO, images(missing), fps, "playable")
+            write_video(out / VIDEO, images(missing), fps, "playable")
         else:
             deque(images(missing), maxlen=0)
     say(f"{len(pictures)} pictures: {out}")

@@ -1,4 +1,4 @@
-"""One function for each step from a video to an avatar, and how steps open their inputs.
+"""One function for each step from a video to an avatar.
 
 Paths may be text. ``body`` is always a body in SMPL-X's format; without it the one that belongs to
 the subject or the run, else the built-in body. An input that cannot be used raises an InputError,
@@ -16,18 +16,15 @@ from pathlib import Path
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.without_body import require_body_of
 from gva_mi.body.pose import Pose
-from gva_mi.body.smplx import BodyModel, body_name, load_body
+from gva_mi.body.smplx import body_name, load_body
 from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_room
-from gva_mi.data.check import check_subject
-from gva_mi.data.fingerprint import PREPARED, prepared_body, require_same_body
-from gva_mi.data.folder import POSES, REFINED_POSES
-from gva_mi.data.importers.own_masks import MaskOptions
-from gva_mi.data.problems import CheckReport
-from gva_mi.data.silhouettes import sanity_check
-from gva_mi.data.video import Video, load_video
+from gva_mi.evaluate.measure import Metrics, measure_run
+from gva_mi.evaluate.refinement import Evaluation, describe, refine_videos
+from gva_mi.evaluate.report import write_report
+from gva_mi.evaluate.scores import Scorer
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import find_weights
@@ -38,19 +35,22 @@ from gva_mi.fit.photometric import (
     write_tracking,
 )
 from gva_mi.fit.train import fit as fit_avatar
-from gva_mi.pose.film.prepare_film import FilmOptions, prepare_film
-from gva_mi.pose.observed_video import RefineOptions
-from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.evaluate import Metrics, measure_run
-from gva_mi.study.refinement import Evaluation, describe, refine_videos
-from gva_mi.study.report import write_report
-from gva_mi.study.scores import Scorer
+from gva_mi.readers.own_masks import MaskOptions
+from gva_mi.refine.observed_video import RefineOptions
+from gva_mi.refine.sequence import SequenceOptions
+from gva_mi.stage1.prepare import RecordingOptions, prepare_video
+from gva_mi.subject.check import check_subject
+from gva_mi.subject.fingerprint import PREPARED
+from gva_mi.subject.folder import POSES, REFINED_POSES
+from gva_mi.subject.opened import body_of, open_subject
+from gva_mi.subject.problems import CheckReport
+from gva_mi.subject.video import load_video
 
 
 def prepare(
-    film: Path | str,
+    recording: Path | str,
     out: Path | str,
-    options: FilmOptions = FilmOptions(),  # noqa: B008 (frozen)
+    options: RecordingOptions = RecordingOptions(),  # noqa: B008 (frozen)
     own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
     *,
     person: int | None = None,
@@ -58,29 +58,29 @@ def prepare(
     body: Path | str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Make a subject's folder of a film: frames, masks, camera, landmarks and stage-1 poses.
+    """Make a subject's folder of a video: frames, masks, camera, landmarks and stage-1 poses.
 
     Args:
-        film: a film of one person who turns round once, or a folder of its pictures.
+        recording: a video of one person who turns round once, or a folder of its pictures.
         out: the subject's folder.
-        options: what is known of the film.
+        options: what is known of the video.
         own_masks: masks that come from another program.
         person: where there are several, the number from the left; without it, the largest.
-        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the film records,
+        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the video records,
             else a fitted one.
         body: see above.
         overwrite: replace a folder that was prepared here.
     """
-    film, out = Path(film), Path(out)
+    recording, out = Path(recording), Path(out)
     if not overwrite and (out / PREPARED).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
-        notes = prepare_film(
-            folder, film, options, None if body is None else Path(body), person=person, lens=lens,
-            own_masks=own_masks, progress=progress,
+        notes = prepare_video(
+            folder, recording, options, None if body is None else Path(body), person=person,
+            lens=lens, own_masks=own_masks, progress=progress,
         )  # fmt: skip
     for note in notes:
-        say(f"{film}: {note}")
+        say(f"{recording}: {note}")
     say(f"subject: {out}")
 
 
@@ -129,9 +129,9 @@ def refine(
     Args:
         subjects: a folder with video, masks, cameras, stage-1 poses and perhaps normals; or several
             folders.
-        options: whose type chooses the method, as for :func:`gva_mi.pose.refine.refine`.
-        normals: how the normals were made, as :mod:`gva_mi.data.normals` names it, or "none": they
-            are not used. Without it as normals.json says.
+        options: whose type chooses the method, as for :func:`gva_mi.refine.refine.refine`.
+        normals: how the normals were made, as :mod:`gva_mi.subject.normals` names it, or "none":
+            they are not used. Without it as normals.json says.
         workers: processes on this machine; any number gives the same bits.
         body: see above; without it that of the first subject.
         overwrite: replace existing refined poses.
@@ -140,14 +140,12 @@ def refine(
     folders = [Path(folder) for folder in folders]
     if not folders:
         raise InputError("refine: give the folder of a subject, or of several")
-    model = load_body(body_of(folders[0], body))
+    body = body_of(folders[0], body)
     for folder in folders:
-        if (folder / REFINED_POSES).exists():  # a missing subject is named by load_video
+        if (folder / REFINED_POSES).exists():  # a missing subject is named when it is opened
             require_room(folder / REFINED_POSES, overwrite)
-        require_same_body(folder, model)
-    videos = [load_video(folder, normals=normals) for folder in folders]
-    for video in videos:
-        _warn_if_outside_masks(video, model)
+    opened = [open_subject(folder, folder / POSES, body, normals) for folder in folders]
+    videos, model = [subject.video for subject in opened], opened[0].model
     found = []
     with ExitStack() as held:
         for folder in folders:
@@ -184,10 +182,10 @@ def fit(
     """
     subject, out = Path(subject), Path(out)
     if resume:
-        body = body or run_folder.source_of(out, "body", subject)
-        poses = poses or run_folder.source_of(out, "poses", subject)
-    body, poses = body_of(subject, body), poses_of(subject, poses)
-    video, model = _opened(subject, poses, body)
+        opened = run_folder.open_fitted(out, subject, poses, body)
+    else:
+        opened = open_subject(subject, poses, body)
+    video, model = opened.video, opened.model
     for frame, reason in video.absent.items():
         say(f"{subject}: frame {frame} is left out: {reason}")
     video.require_train_frames()
@@ -200,7 +198,7 @@ def fit(
         with bar("fit") as progress:
             avatar = fit_avatar(
                 video, model, options, out, offsets=video.offsets_of(len(model.v_template)),
-                sources=run_folder.sources_of(poses, body, subject), resume=resume,
+                sources=run_folder.sources_of(opened.poses, opened.body, subject), resume=resume,
                 progress=progress,
             )  # fmt: skip
     say(f"{options.all_steps} steps in {time.perf_counter() - start:.0f} s")
@@ -230,10 +228,9 @@ def evaluate(
     """
     run, subject = Path(run), Path(subject)
     avatar = Avatar.load(run / run_folder.AVATAR)
-    body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
-    poses = poses_of(subject, poses or run_folder.source_of(run, "poses", subject))
-    video, model = _opened(subject, poses, body)
-    require_body_of(avatar, model, body_name(body))
+    opened = run_folder.open_fitted(run, subject, poses, body)
+    video, model = opened.video, opened.model
+    require_body_of(avatar, model, body_name(opened.body))
     video.require_train_frames()
     with folder_lock(run, "gva-mi evaluate"):
         require_room(run / run_folder.METRICS, overwrite=True)
@@ -241,7 +238,9 @@ def evaluate(
         trained = run_folder.under_trained_poses(video, run)
         about = {"scorer": scorer, "fit_to_pictures": fit_poses}
         with bar("evaluate") as progress:
-            metrics = measure_run(run, avatar, video, "full", model, poses, progress, **about)
+            metrics = measure_run(
+                run, avatar, video, "full", model, opened.poses, progress, **about
+            )
         page = run / run_folder.REPORT
         write_report(page, run, avatar, trained, title or subject.resolve().name, model)
     for table in metrics.tables():
@@ -279,9 +278,9 @@ def track(
     out = subject / TRACKED_POSES
     require_room(out, overwrite)
     avatar = run_folder.load_avatar(run)
-    body = body or run_folder.source_of(run, "body", subject) or body_of(subject)
-    start, own = poses_of(subject, poses), run / run_folder.TRAINED_POSES
-    video, model = _opened(subject, start, body)
+    opened = open_subject(subject, poses, body or run_folder.source_of(run, "body", subject))
+    video, model, start = opened.video, opened.model, opened.poses
+    own = run / run_folder.TRAINED_POSES
     offsets = video.offsets_of(len(model.v_template))
     if poses is None and own.exists():
         if others := run_folder.other_pictures(run, video):
@@ -299,49 +298,3 @@ def track(
     say(f"loss {found.losses_before.nanmean():.4f} → {found.losses.nanmean():.4f}")
     say(f"poses: {out}")
     return found.pose
-
-
-def body_of(subject: Path, given: Path | str | None = None) -> Path | None:
-    """Return the file of the given body; without it the one that a subject was prepared for.
-
-    None is the built-in body.
-
-    Raises:
-        InputError: the file is gone.
-    """
-    if given is not None:
-        return Path(given)
-    found = prepared_body(subject)
-    if found is not None and not found.exists():
-        raise InputError(
-            f"{subject}: was prepared for the body {found}, which is gone; give it with --body"
-        )
-    return found
-
-
-def poses_of(subject: Path, given: Path | str | None = None) -> Path:
-    """Return the file of the given poses; without it the refined poses, else stage 1's.
-
-    Unrefined poses are no error, but a line mentions them.
-    """
-    if given is not None:
-        return Path(given)
-    if not (subject / REFINED_POSES).exists():
-        say(f"{subject}: no {REFINED_POSES}, the stage-1 poses are used as they are")
-        return subject / POSES
-    return subject / REFINED_POSES
-
-
-def _opened(subject: Path, poses: Path, body: Path | None) -> tuple[Video, BodyModel]:
-    """Open a video under some poses, and its body, which must be that of the subject."""
-    model = load_body(body)
-    require_same_body(subject, model)
-    video = load_video(subject, poses)
-    _warn_if_outside_masks(video, model)
-    return video, model
-
-
-def _warn_if_outside_masks(video: Video, model: BodyModel) -> None:
-    """Warn if the body does not stand where the masks are, before the work starts."""
-    if doubt := sanity_check(video, model):
-        say(doubt)

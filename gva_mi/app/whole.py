@@ -1,14 +1,14 @@
-"""All steps at once: on a film of one person, each resumable, or on a synthetic subject.
+"""All steps at once: on a video of one person, each resumable, or on a synthetic subject.
 
 ::
 
     out/
       subject/      the folder that the steps before a fit write
       run/          the fit, its metrics and its report
-      report.html   of a film: the page about the avatar, with films beside it
-      avatar.json   of a film: the stamp of each step (:mod:`gva_mi.core.stamp`)
+      report.html   of a video: the page about the avatar, with videos beside it
+      avatar.json   of a video: the stamp of each step (:mod:`gva_mi.core.stamp`)
 
-Of a film, the same call made again repeats only steps that are unfinished, or that depend on
+Of a video, the same call made again repeats only steps that are unfinished, or that depend on
 something that changed.
 """
 
@@ -29,25 +29,25 @@ from gva_mi.core.files import make_room, read_json, write_json
 from gva_mi.core.options import PictureSide, Seed, options_of
 from gva_mi.core.stamp import results_version, stamp, start_folder
 from gva_mi.core.tasks import usual_workers
-from gva_mi.data.fingerprint import PREPARED
-from gva_mi.data.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
-from gva_mi.data.importers.footage import files_of
-from gva_mi.data.importers.own_masks import MaskOptions
-from gva_mi.data.landmarks import Landmarks
-from gva_mi.data.problems import CheckReport
-from gva_mi.data.splits import Splits
-from gva_mi.data.video import load_video
+from gva_mi.evaluate.report import FINDINGS, write_avatar_report
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
-from gva_mi.pose.film.film_check import check_film
-from gva_mi.pose.film.prepare_film import FilmOptions, FilmRecord
-from gva_mi.pose.sequence import SequenceOptions
-from gva_mi.study.report import FINDINGS, write_film_report
+from gva_mi.readers.own_masks import MaskOptions
+from gva_mi.refine.sequence import SequenceOptions
+from gva_mi.stage1.prepare import RecordingOptions, Stage1Record
+from gva_mi.stage1.video_check import check_recording
+from gva_mi.subject.fingerprint import PREPARED
+from gva_mi.subject.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
+from gva_mi.subject.footage import files_of
+from gva_mi.subject.landmarks import Landmarks
+from gva_mi.subject.problems import CheckReport
+from gva_mi.subject.splits import Splits
+from gva_mi.subject.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 from gva_mi.synthetic.options import VideoFrames
 
 SUBJECT, RUN = "subject", "run"
-FILM_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # what every such folder holds
+VIDEO_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # what every such folder holds
 PERSON = "amira"  # of the demo: one of the named subjects
 
 QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
@@ -61,11 +61,11 @@ QUALITY = {  # passes of the refinement, passes before its prior is inferred, st
 class AvatarEffort:
     """How much work an avatar is worth."""
 
-    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a film will do
+    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a video will do
     # Steps of the fit, before which half as many find better poses, unless it is a draft; without
     # it, by the quality.
     steps: FromOne | None = None
-    # Leave every 8th frame and a tenth of the film in one piece (of a long film fewer, at most 16
+    # Leave every 8th frame and a tenth of the video in one piece (of a long video fewer, at most 16
     # each) out of training, to measure the avatar there; no: all frames train it.
     test_frames: bool = True
 
@@ -76,14 +76,14 @@ class AvatarEffort:
 
     def fitting(self) -> FitOptions:
         """Return the options of the fit."""
-        options = FitOptions(steps=self.steps or QUALITY[self.quality][-1]).of_film()
+        options = FitOptions(steps=self.steps or QUALITY[self.quality][-1]).of_video()
         return replace(options, first_steps=0) if self.quality == "draft" else options
 
 
 def avatar(
-    film: Path | str,
+    recording: Path | str,
     out: Path | str,
-    options: FilmOptions = FilmOptions(),  # noqa: B008 (frozen)
+    options: RecordingOptions = RecordingOptions(),  # noqa: B008 (frozen)
     effort: AvatarEffort = AvatarEffort(),  # noqa: B008 (frozen)
     own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
     *,
@@ -92,24 +92,24 @@ def avatar(
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Make an avatar of a film: prepare, check, refine, fit, evaluate, report.
+    """Make an avatar of a video: prepare, check, refine, fit, evaluate, report.
 
     If it was interrupted, the same call goes on; with other options it repeats only the steps that
     depend on them.
 
     Args:
-        film: a film of one person who turns round once, or a folder of its pictures.
+        recording: a video of one person who turns round once, or a folder of its pictures.
         out: the folder.
         options, own_masks, person, lens: as of :func:`gva_mi.app.prepare`.
         effort: how much work the avatar is worth.
         body: a body in SMPL-X's format; without it the built-in body.
         overwrite: replace an avatar that is there.
     """
-    film, out = Path(film), Path(out)
-    if not film.exists():
-        raise InputError(f"{film}: no such film or folder of pictures")
+    recording, out = Path(recording), Path(out)
+    if not recording.exists():
+        raise InputError(f"{recording}: no such video or folder of pictures")
     model = load_body(body)  # a bad file is refused before any work
-    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {film.name}"
+    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {recording.name}"
     refining, fitting = effort.refining(options.height), effort.fitting()
     refined, findings = subject / REFINED_POSES, subject / FINDINGS
 
@@ -124,11 +124,11 @@ def avatar(
     def report(begun: bool) -> None:
         trained = run_folder.under_trained_poses(load_video(subject, refined), run)
         with bar("report") as progress:
-            write_film_report(out, run, trained, model, title, progress)
+            write_avatar_report(out, run, trained, model, title, progress)
 
     given = [asdict(options), asdict(own_masks), person, lens]
     known = {"person": person, "lens": lens, "body": body, "overwrite": True}
-    sources = [film, *filter(None, [body, *vars(own_masks).values()])]
+    sources = [recording, *filter(None, [body, *vars(own_masks).values()])]
     parts = (FRAMES, MASKS, CAMERAS, LANDMARKS, POSES, PREPARED)
     prepared = [*filter(None, [body]), *(subject / name for name in parts)]
     fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
@@ -136,7 +136,7 @@ def avatar(
     before_fit = [*prepared, subject / SPLITS, refined]
     steps = [
         Step("prepare", "refine", given, sources, [subject / PREPARED],
-             lambda begun: prepare(film, subject, options, own_masks, **known)),
+             lambda begun: prepare(recording, subject, options, own_masks, **known)),
         Step("check", "refine", None, prepared, [findings], lambda begun: _check(subject, body)),
         Step("refine", "refine", refining, prepared, [refined],
              lambda begun: refine(subject, refining, workers=usual_workers(), body=body,
@@ -148,7 +148,9 @@ def avatar(
         Step("report", "avatar", None, [*before_fit, *fitted, findings, *measured], [page], report),
     ]  # fmt: skip
     with folder_lock(out, "gva-mi avatar"):
-        StepFolder(out, FILM_MARKER, stamp(files_of(film) or [film]), overwrite).follow(steps)
+        StepFolder(out, VIDEO_MARKER, stamp(files_of(recording) or [recording]), overwrite).follow(
+            steps
+        )
     say(f"avatar: {run / run_folder.AVATAR}")
     say(f"report: {page}")
 
@@ -189,7 +191,7 @@ class StepFolder:
             with expecting(self._path, expected):
                 if found["source"] != source:
                     raise InputError(
-                        f"{folder}: was made of another film; choose another folder, or give "
+                        f"{folder}: was made of another video; choose another folder, or give "
                         "--overwrite to replace it"
                     )
                 self._steps = {name: dict(step) for name, step in found["steps"].items()}
@@ -219,11 +221,13 @@ class StepFolder:
 
 
 def _check(subject: Path, body: Path | None) -> None:
-    """Compare the folder with itself, and the film with a good one."""
-    report, record = check(subject, body=body), FilmRecord.load(subject)
+    """Compare the folder with itself, and the video with a good one."""
+    report, record = check(subject, body=body), Stage1Record.load(subject)
     video, landmarks = load_video(subject), Landmarks.load(subject / LANDMARKS)
     with bar("check") as progress:
-        found = check_film(video, load_body(body), landmarks, record.fps, record.crowded, progress)
+        found = check_recording(
+            video, load_body(body), landmarks, record.fps, record.crowded, progress
+        )
     found = CheckReport(report.frames, list(found), [], report.figures)
     for line in found.lines(110):
         say(line)
@@ -233,9 +237,9 @@ def _check(subject: Path, body: Path | None) -> None:
 
 def _split(subject: Path, test_frames: bool) -> None:
     """Choose the frames that are left out of training."""
-    count = FilmRecord.load(subject).frames
+    count = Stage1Record.load(subject).frames
     every = Splits(list(range(count)), [])
-    splits = Splits.of_film(count) if test_frames else every
+    splits = Splits.of_video(count) if test_frames else every
     write_json(subject / SPLITS, splits.to_json())
 
 

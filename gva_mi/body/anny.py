@@ -63,7 +63,7 @@ def build_anny() -> dict[str, np.ndarray]:
     except ImportError as error:
         raise InputError(
             f"the body 'anny' needs the package anny, which is not installed ({error}); "
-            "pip install 'gva_mi[anny]' (0.6 GB), or use the built-in body: --source puppet"
+            "pip install 'gva_mi[anny]' (0.6 GB), or use the built-in body: --source built-in"
         ) from None
     source = _Source(anny.Anny(rig="makehuman", topology="anny", facial_actions="all").float())
     template, template_joints = source.person(source.average)

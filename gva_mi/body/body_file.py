@@ -34,9 +34,9 @@ SMPL-X    55      jaw, two eyes, 15 joints per hand
 A file is *lifted* to 55 joints: missing joints get no skinning weights, and the mitten becomes the
 middle finger's first knuckle. The lifted body is exactly the old one.
 
-Poses of these formats are converted by :mod:`gva_mi.data.importers`.
+Poses of these formats are converted by :mod:`gva_mi.readers`.
 
-**The built-in body**, ``puppet.npz``, is under the licence of this package. It is generated from
+**The built-in body**, ``built_in.npz``, is under the licence of this package. It is generated from
 scratch, as a smooth union of simple solids, by ``python -m tools.body_generator``.
 
 * 11,000 vertices, watertight, connected, symmetric; denser at hands, face and toes.
@@ -58,7 +58,7 @@ from gva_mi.core.files import read_arrays, require_array, require_keys
 from gva_mi.core.options import Within
 from gva_mi.core.pickles import read_objects
 
-BUILT_IN_BODY = Path(__file__).with_name("puppet.npz")
+BUILT_IN_BODY = Path(__file__).with_name("built_in.npz")
 # Its coefficients; one unit is a clear but common deviation (height: 4 %).
 SHAPES = (
     "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",

@@ -209,7 +209,7 @@ class BodyModel(nn.Module):
         return flat, joints.unflatten(1, (-1, 3))
 
 
-BUILT_IN_NAME = "puppet"  # the built-in body on the command line and in records
+BUILT_IN_NAME = "built-in"  # the built-in body on the command line and in records
 
 
 def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> BodyModel:
@@ -217,7 +217,7 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
     Args:
         path: a file such as ``SMPLX_NEUTRAL.npz``, see :mod:`gva_mi.body.body_file`; None or
-            ``puppet`` is the built-in body.
+            ``built-in`` is the built-in body.
         dtype: float32 or float64.
 
     Raises:

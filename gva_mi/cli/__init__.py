@@ -9,7 +9,7 @@
                                                                             └──────▶ track
 
 ``prepare`` makes such a subject/ from a real video, and ``check`` reports what is wrong with one.
-``avatar`` runs all steps on a film, ``demo`` on a synthetic subject. Each command reads a folder,
+``avatar`` runs all steps on a video, ``demo`` on a synthetic subject. Each command reads a folder,
 writes a folder, and can be run alone; no output is replaced unless asked for. A command reads its
 arguments and calls the library: for a step the function of its name in :mod:`gva_mi.app`. A new
 command is a function in a new file, and a line in :data:`VERBS`.
@@ -23,8 +23,8 @@ from importlib import import_module
 VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "demo": "all of it on a synthetic subject: synth, refine, fit, evaluate, report",
     "synth": "make a synthetic subject: a video with masks, normals, poses and ground truth",
-    "avatar": "all of it on a film of one person: prepare, refine, fit, evaluate, report",
-    "prepare": "make a subject from a film, or from a video, masks, and an estimator's poses",
+    "avatar": "all of it on a video of one person: prepare, refine, fit, evaluate, report",
+    "prepare": "make a subject from a video, or from a video, masks, and an estimator's poses",
     "check": "report everything that is wrong with a subject's folder",
     "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
     "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
@@ -34,7 +34,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "render": "drive an avatar by any poses, seen by any cameras",
     "view": "turn, pose and play an avatar in the browser",
     "export": "write an avatar or its poses for other programs",
-    "motion": "make poses that drive an avatar, from a film or a motion of AMASS, AIST++ ...",
+    "motion": "make poses that drive an avatar, from a video or a motion of AMASS, AIST++ ...",
     "study": "refine or fit several synthetic subjects and measure the errors",
     "body": "write a body file that needs no licence agreement",
     "gradcheck": "check the gradients of the renderer, of an avatar, or of rendered normals",

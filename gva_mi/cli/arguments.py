@@ -23,10 +23,10 @@ def given(options: object) -> dict[str, str]:
 
 
 def nth_person(text: str | None) -> int | None:
-    """Return the person of a film that ``--person`` names, from the left; None: the largest."""
+    """Return the person of a video that ``--person`` names, from the left; None: the largest."""
     if text is not None and not (text.isdecimal() and 1 <= int(text) <= MOST_PEOPLE):
         raise InputError(
-            f"--person of a film must be a number from 1 to {MOST_PEOPLE}, from the left; "
+            f"--person of a video must be a number from 1 to {MOST_PEOPLE}, from the left; "
             f"got {text}"
         )
     return None if text is None else int(text)

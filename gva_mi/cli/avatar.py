@@ -1,4 +1,4 @@
-"""The commands ``avatar`` and ``demo``: all steps, on a film or on a synthetic subject."""
+"""The commands ``avatar`` and ``demo``: all steps, on a video or on a synthetic subject."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gva_mi import app
 from gva_mi.app import AvatarEffort, DemoOptions
 from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.core.options import Within
-from gva_mi.data.importers.own_masks import MaskOptions
-from gva_mi.pose.film.prepare_film import FilmOptions
+from gva_mi.readers.own_masks import MaskOptions
+from gva_mi.stage1.prepare import RecordingOptions
 
 
 def avatar(
-    film: Positional[Path],
-    film_options: Flat[FilmOptions] = FilmOptions(),  # noqa: B008 (frozen)
+    recording: Positional[Path],
+    video_options: Flat[RecordingOptions] = RecordingOptions(),  # noqa: B008 (frozen)
     effort: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
     own_masks: Flat[MaskOptions] = MaskOptions(),  # noqa: B008 (frozen)
     *,
@@ -27,26 +27,26 @@ def avatar(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make an avatar of a film: prepare, check, refine, fit, evaluate, report.
+    """Make an avatar of a video: prepare, check, refine, fit, evaluate, report.
 
     If it was interrupted, the same command goes on; with other options it repeats only the steps
     that depend on them. Each step is also a command of its own.
 
     Args:
-        film: a film of one person who turns round once, or a folder of its pictures.
-        film_options: of the film.
+        recording: a video of one person who turns round once, or a folder of its pictures.
+        video_options: of the video.
         effort: how much work the avatar is worth.
         own_masks: masks that come from another program.
-        out: folder for the subject (out/subject), the run (out/run), films and the page
+        out: folder for the subject (out/subject), the run (out/run), videos and the page
             (out/report.html).
         person: where there are several, the number from the left; without it, the largest.
-        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the film records,
+        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the video records,
             else a fitted one.
         body: a body in SMPL-X's format; without it the built-in body.
         overwrite: replace an avatar that is there.
     """
     app.avatar(
-        film, out, film_options, effort, own_masks, person=person, lens=lens, body=body,
+        recording, out, video_options, effort, own_masks, person=person, lens=lens, body=body,
         overwrite=overwrite,
     )  # fmt: skip
 

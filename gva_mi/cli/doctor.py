@@ -20,7 +20,7 @@ PACKAGES = {  # that commands need, by the extra that installs them
     "avatar": ("av", "PIL", "jinja2", "matplotlib", "roma", "tyro"),
 }
 OPTIONAL = {  # that most users do without: the commands that need each, and the extra
-    "ai_edge_litert": ("`gva-mi avatar`, `prepare film` and `motion FILM`", "film"),
+    "ai_edge_litert": ("`gva-mi avatar`, `prepare video` and `motion VIDEO`", "video"),
     "viser": ("`gva-mi view`", "viewer"),
     "transformers": ("`gva-mi prepare --masks sam`", "sam"),
     "onnxruntime": ("`gva-mi prepare --normals FILE.onnx`", "onnx"),

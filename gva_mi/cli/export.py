@@ -60,7 +60,7 @@ def export(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Write an avatar or its poses in a file of other programs. Films are made by render.
+    """Write an avatar or its poses in a file of other programs. Videos are made by render.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
@@ -69,7 +69,7 @@ def export(
             .glb (the surface with skeleton and skin), or .npz (poses as AMASS has them, or with
             --no-rig the avatar).
         body: the body file of an avatar without its body, or for --no-rig; without it the built-in
-            puppet.
+            built-in body.
         overwrite: replace what is there.
     """
     suffix = out.suffix.lower()
@@ -85,7 +85,7 @@ def _require_meant(out: Path, suffix: str, options: ExportOptions) -> None:
         there = ", ".join(f"{name} ({what})" for name, (what, _) in FORMATS.items())
         raise InputError(
             f"{out}: no format ends in {suffix or out.name}; expected {there}; gva-mi render "
-            "--video makes films"
+            "--video makes videos"
         )
     for name, option in given(options).items():
         meant = [kind for kind, (_, effective) in FORMATS.items() if name in effective]

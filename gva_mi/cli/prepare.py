@@ -1,4 +1,4 @@
-"""Commands that make a subject or a motion of the files of others, or of a film."""
+"""Commands that make a subject or a motion of the files of others, or of a video."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
-from gva_mi.data.fingerprint import FILM, PREPARED
-from gva_mi.data.importers.datasets import DATASETS
-from gva_mi.data.importers.estimators import KINDS
-from gva_mi.data.importers.motions import Motion, MotionOptions, motion_of_poses, read_motion
-from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
-from gva_mi.data.importers.track import TargetBody
-from gva_mi.pose.film.prepare_film import FilmOptions, FilmSource, motion_of_film
+from gva_mi.readers.datasets import DATASETS
+from gva_mi.readers.estimators import KINDS
+from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_motion
+from gva_mi.readers.prepare import PrepareOptions, prepare_folder
+from gva_mi.readers.track import TargetBody
+from gva_mi.stage1.prepare import RecordingOptions, RecordingSource, motion_of_video
+from gva_mi.subject.fingerprint import PREPARED, RECORDING
 
-FILMS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
-OF_FILMS = ("body", "person", "lens", "masks")  # of PrepareOptions
+VIDEO_FILES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
+OF_VIDEOS = ("body", "person", "lens", "masks")  # of PrepareOptions
 _HELP = (
-    f"{FILM}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; or the "
-    f"data set: {', '.join(DATASETS)}; "
+    f"{RECORDING}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; "
+    f"or the data set: {', '.join(DATASETS)}; "
     '"auto" recognises it by its keys and files'
 )
 
@@ -37,36 +37,36 @@ def prepare(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[PrepareOptions] = PrepareOptions(),  # noqa: B008 (frozen)
-    film: Flat[FilmOptions] = FilmOptions(),  # noqa: B008 (frozen)
+    recording: Flat[RecordingOptions] = RecordingOptions(),  # noqa: B008 (frozen)
     *,
     overwrite: Switch = False,
 ) -> None:
-    """Make a subject's folder of a film; of a video, masks and an estimator's file; or a data set.
+    """Make a subject's folder of a video; of a video, masks and an estimator's file; or a data set.
 
     Args:
         kind: kind of the source.
-        source: the film, or a folder of its pictures; the estimator's file or folder; or the data
+        source: the video, or a folder of its pictures; the estimator's file or folder; or the data
             set's folder of one subject; pickles run no code.
         out: the subject's folder.
         options: pictures, masks, lens and body that belong to the source.
-        film: of a film.
+        recording: of a video.
         overwrite: replace a folder that was prepared here.
     """
-    if kind not in ("auto", FILM) and kind not in (kinds := {**KINDS, **DATASETS}):
-        raise InputError(f"prepare: kind must be auto, {FILM}, {', '.join(kinds)}; got {kind}")
-    if kind == FILM:
-        wrong = [option for name, option in given(options).items() if name not in OF_FILMS]
+    if kind not in ("auto", RECORDING) and kind not in (kinds := {**KINDS, **DATASETS}):
+        raise InputError(f"prepare: kind must be auto, {RECORDING}, {', '.join(kinds)}; got {kind}")
+    if kind == RECORDING:
+        wrong = [option for name, option in given(options).items() if name not in OF_VIDEOS]
         if wrong:
-            raise InputError(f"prepare: {wrong[0]} is not for a {FILM}")
+            raise InputError(f"prepare: {wrong[0]} is not for a {RECORDING}")
         app.prepare(
-            source, out, film, options, person=nth_person(options.person), lens=options.lens,
+            source, out, recording, options, person=nth_person(options.person), lens=options.lens,
             body=options.body, overwrite=overwrite,
         )  # fmt: skip
         return
-    if wrong := given(film):
-        raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {FILM}; got {kind}")
+    if wrong := given(recording):
+        raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {RECORDING}; got {kind}")
     if options.body is None:
-        raise InputError("prepare: give --body, the body of the poses; puppet is the built-in one")
+        raise InputError("prepare: give --body, the body of the poses: a body file, or built-in")
     body = TargetBody.read(options.body)
     if not overwrite and (out / PREPARED).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
@@ -81,22 +81,22 @@ def motion(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
-    film: Flat[FilmSource] = FilmSource(),  # noqa: B008 (frozen)
+    recording: Flat[RecordingSource] = RecordingSource(),  # noqa: B008 (frozen)
     *,
     lens: str | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a film.
+    """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a video.
 
     Args:
         source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a
-            film, whose largest person moves, or the --person of this number from the left.
+            video, whose largest person moves, or the --person of this number from the left.
         out: the poses, .npz.
         options: options of the conversion.
-        film: of a film: what is known of it, and which part of it is used.
-        lens: of a film: focal length, as 26mm of 35 mm film or in pixels; without it, what the film
-            records, else a fitted one.
+        recording: of a video: what is known of it, and which part of it is used.
+        lens: of a video: focal length, as 26mm of 35 mm film or in pixels; without it, what the
+            video records, else a fitted one.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright.
         overwrite: replace an existing file.
@@ -105,12 +105,14 @@ def motion(
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
     target = TargetBody.read(body)
-    of_film = [*given(film).values(), *(["--lens"] if lens else [])]
-    if source.suffix.lower() in FILMS:
-        known = FilmOptions(**vars(film))
-        found = _of_film(source, known, lens, target, options)
-    elif of_film:
-        raise InputError(f"motion: {of_film[0]} is for films ({', '.join(FILMS)}); got {source}")
+    of_video = [*given(recording).values(), *(["--lens"] if lens else [])]
+    if source.suffix.lower() in VIDEO_FILES:
+        known = RecordingOptions(**vars(recording))
+        found = _of_video(source, known, lens, target, options)
+    elif of_video:
+        raise InputError(
+            f"motion: {of_video[0]} is for videos ({', '.join(VIDEO_FILES)}); got {source}"
+        )
     else:
         found = read_motion(source, target, options)
     save_poses(out, found.pose, found.shape, stage=1)
@@ -119,13 +121,19 @@ def motion(
     say(f"{len(found.pose)} poses: {out}")
 
 
-def _of_film(
-    film: Path, known: FilmOptions, lens: str | None, body: TargetBody, options: MotionOptions
+def _of_video(
+    recording: Path,
+    known: RecordingOptions,
+    lens: str | None,
+    body: TargetBody,
+    options: MotionOptions,
 ) -> Motion:
-    """Return the motion of one person in a film."""
+    """Return the motion of one person in a video."""
     person = nth_person(options.person)
     with bar("motion") as progress:
-        found = motion_of_film(film, known, body.model, person=person, lens=lens, progress=progress)
+        found = motion_of_video(
+            recording, known, body.model, person=person, lens=lens, progress=progress
+        )
     solved, fps = found.solved, found.pictures.fps
-    motion = motion_of_poses(str(film), solved.pose, solved.shape, fps, body, options)
+    motion = motion_of_poses(str(recording), solved.pose, solved.shape, fps, body, options)
     return replace(motion, notes=(*motion.notes, *found.notes))

@@ -6,18 +6,18 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from gva_mi.app.steps import body_of
 from gva_mi.body.smplx import load_body
 from gva_mi.cli.arguments import Switch
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
-from gva_mi.data.folder import CAMERAS
-from gva_mi.data.pictures import read_background
-from gva_mi.data.video import load_video
+from gva_mi.evaluate.figures import pivot, table, to_json
+from gva_mi.evaluate.scores import Scorer, pairs_of_pictures, pairs_of_subject, score_pictures
 from gva_mi.fit.perceptual import find_weights
-from gva_mi.study.figures import pivot, table, to_json
-from gva_mi.study.scores import Scorer, pairs_of_pictures, pairs_of_subject, score_pictures
+from gva_mi.subject.folder import CAMERAS
+from gva_mi.subject.opened import body_of
+from gva_mi.subject.pictures import read_background
+from gva_mi.subject.video import load_video
 
 
 def score(
@@ -31,13 +31,13 @@ def score(
 ) -> None:
     """Score renders of any method: whole picture, box, mask, hands, face.
 
-    Files are paired by the last number in their names, films in their order.
+    Files are paired by the last number in their names, videos in their order.
 
     Args:
-        renders: a film or a folder of pictures; with alpha, they are put on the background.
-        truth: a film or a folder of pictures, or a subject's folder, whose masks and poses give
+        renders: a video or a folder of pictures; with alpha, they are put on the background.
+        truth: a video or a folder of pictures, or a subject's folder, whose masks and poses give
             box, mask, hands and face.
-        masks: of the person in the pictures of truth: a film, a folder, or a .npy (T, H, W).
+        masks: of the person in the pictures of truth: a video, a folder, or a .npy (T, H, W).
         background: the colour behind the renders, on which masked pictures are put; none: pictures
             stay as they are.
         out: also write the table to this .json file.

@@ -13,12 +13,12 @@ from gva_mi import app
 from gva_mi.cli.arguments import Flat, Switch
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, Workers
-from gva_mi.data.pictures import require_picture
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.photometric import PhotometricOptions
 from gva_mi.fit.renders import CameraPath
-from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.refine.sequence import SequenceOptions
+from gva_mi.subject.pictures import require_picture
 
 WRONG = 1  # exit code of a check that found errors
 
@@ -93,7 +93,7 @@ def fit(
     options: Flat[FitOptions] = FitOptions(),  # noqa: B008 (frozen)
     *,
     out: Path,
-    preset: Literal["default", "paper", "film"] = "default",
+    preset: Literal["default", "paper", "video"] = "default",
     poses: Path | None = None,
     body: Path | None = None,
     overwrite: Switch = False,
@@ -105,7 +105,7 @@ def fit(
         subject: a folder with video, masks, cameras and poses.
         options: options of the fit.
         out: the run's folder.
-        preset: paper: all options as the paper prints them; film: those of `gva-mi avatar`.
+        preset: paper: all options as the paper prints them; video: those of `gva-mi avatar`.
             Explicit options override it.
         poses: the poses to fit under; without it the refined ones, else those of stage 1.
         body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
@@ -116,7 +116,7 @@ def fit(
     app.fit(subject, out, options, poses=poses, body=body, overwrite=overwrite, resume=resume)
 
 
-fit.presets = {"paper": paper.FIT, "film": app.AvatarEffort().fitting()}
+fit.presets = {"paper": paper.FIT, "video": app.AvatarEffort().fitting()}
 
 
 def evaluate(
@@ -183,7 +183,7 @@ def render(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Drive an avatar by any poses, seen by any cameras: pictures, or a film.
+    """Drive an avatar by any poses, seen by any cameras: pictures, or a video.
 
     If it was interrupted, the same command resumes it.
 
@@ -197,8 +197,8 @@ def render(
         background: a colour, such as white or #ff8800, or a picture file.
         alpha: pictures are transparent around the avatar.
         video: also write video.mp4 there; not with --alpha.
-        fps: frames a second of films; motions of other programs are resampled to it.
-        body: the body file of an avatar without its body; without it the run's, or the puppet.
+        fps: frames a second of videos; motions of other programs are resampled to it.
+        body: the body file of an avatar without its body; without it the run's or the built-in one.
         overwrite: replace existing renders.
     """
     app.render(

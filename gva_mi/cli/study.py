@@ -1,4 +1,4 @@
-"""The command ``gva-mi study``: measure a step on held-out synthetic subjects, or on real films."""
+"""The command ``gva-mi study``: measure a step on held-out subjects, synthetic or real."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
 from gva_mi.core.tasks import local_executor
-from gva_mi.data.importers.world import Axis, axis_of
-from gva_mi.pose.film.prepare_film import FilmOptions
-from gva_mi.pose.stature import PERSON_HEIGHTS
+from gva_mi.evaluate.figures import Table, pivot, table, to_json
+from gva_mi.prior.stature import PERSON_HEIGHTS
+from gva_mi.readers.world import Axis, axis_of
+from gva_mi.stage1.prepare import RecordingOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out, variants_named
 from gva_mi.study.engine import (
     REFINED,
@@ -34,7 +35,6 @@ from gva_mi.study.engine import (
     Study,
     run_study,
 )
-from gva_mi.study.figures import Table, pivot, table, to_json
 from gva_mi.study.multiview import multiview
 from gva_mi.study.report import study_tables, write_study_report
 
@@ -44,7 +44,7 @@ class _Choice:
     """Options of both studies."""
 
     out: Path  # folder for results and subjects; missing subjects are generated
-    # held-out: never tuned on; limits: one subject's film, with one thing changed at a time.
+    # held-out: never tuned on; limits: one subject's video, with one thing changed at a time.
     cases: Literal["held-out", "tuning", "all", "limits"] = "held-out"
     # Number of the held-out set; once you tune on its results, take the next.
     held_out_set: Annotated[int, Within(1, 1000)] = 1
@@ -83,16 +83,16 @@ class AvatarChoice(_Choice):
 
 @options_of("study multiview")
 class MultiviewChoice:
-    """Compare stage 1 of real films with points that several calibrated cameras see.
+    """Compare stage 1 of real videos with points that several calibrated cameras see.
 
-    Each film is solved alone, as `gva-mi prepare film` does. Landmarks of all films together give
-    points in space, which err by a few centimetres. Prints lengths in millimetres.
+    Each video is solved alone, as `gva-mi prepare video` does. Landmarks of all videos together
+    give points in space, which err by a few centimetres. Prints lengths in millimetres.
     """
 
-    films: Positional[Path]  # folder of the films, named after their cameras
+    recordings: Positional[Path]  # folder of the videos, named after their cameras
     calibration: Positional[Path]  # of the cameras, as Pose2Sim, anipose and FreeMoCap write it
     up: Axis = "z"  # axis of the calibration's world
-    known_lens: Switch = False  # films are solved with their true focal lengths
+    known_lens: Switch = False  # videos are solved with their true focal lengths
     # The person's height, metres; without it, that of an average person.
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     json_file: Annotated[Path | None, arg(name="json")] = None  # where to write all figures
@@ -156,14 +156,14 @@ def _print(found: Table) -> None:
 
 
 def _multiview(what: MultiviewChoice) -> None:
-    """Solve the films, then print and write a row for each camera."""
+    """Solve the videos, then print and write a row for each camera."""
     if what.json_file is not None:
         require_room(what.json_file, overwrite=True)
-    options = FilmOptions(height=what.height)
+    options = RecordingOptions(height=what.height)
     with bar("study") as progress:
         figures = multiview(
-            what.films, what.calibration, load_body(), options, axis_of(what.up), what.known_lens,
-            progress,
+            what.recordings, what.calibration, load_body(), options, axis_of(what.up),
+            what.known_lens, progress,
         )  # fmt: skip
     _print(table(pivot(figures, ("subject",), ("region",)), "camera"))
     if what.json_file is not None:

@@ -18,7 +18,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_replaceable, require_room
 from gva_mi.core.tasks import usual_workers
-from gva_mi.data.fingerprint import SYNTH
+from gva_mi.subject.fingerprint import SYNTH
 from gva_mi.synthetic import SynthOptions, make_subject
 
 
@@ -47,7 +47,7 @@ def synth(
 
 def body(
     *,
-    source: Literal["puppet", "anny"] = "puppet",
+    source: Literal["built-in", "anny"] = "built-in",
     out: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
@@ -57,7 +57,7 @@ def body(
     prepare parameters.
 
     Args:
-        source: "puppet", the built-in body, or "anny", the free realistic body.
+        source: "built-in", the built-in body, or "anny", the free realistic body.
         out: the body file, .npz; without it, a file named after the source in the working folder.
         overwrite: replace an existing file.
     """

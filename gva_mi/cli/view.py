@@ -23,8 +23,8 @@ from gva_mi.core.console import say
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
-from gva_mi.data.video import Video, load_video
 from gva_mi.fit.run_folder import TRAINED_POSES, body_of_run, load_avatar, other_pictures
+from gva_mi.subject.video import Video, load_video
 from gva_mi.viewer.panel import FPS, Panel
 from gva_mi.viewer.server import Shapes, address, pages, serving, when_moved
 from gva_mi.viewer.session import Session
@@ -47,7 +47,7 @@ def view(
         poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
             the poses trained with the avatar.
         subject: the folder of the video that these poses belong to, shown beside the avatar.
-        body: the body file of an avatar without its body; without it the run's, or the puppet.
+        body: the body file of an avatar without its body; without it the run's or the built-in one.
         host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
         port: port of the page; 0 picks a free one.
     """
@@ -90,8 +90,8 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
 def _expressions(avatar: Avatar) -> Sequence[str]:
     """Return what each coefficient of the avatar's expression does, or its number."""
     count = avatar.rig.expression_joints.shape[2]
-    of_puppet = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
-    return EXPRESSIONS if of_puppet else [f"expression {k + 1}" for k in range(count)]
+    of_built_in = count == len(EXPRESSIONS) and avatar.rig.body == digest(load_body())
+    return EXPRESSIONS if of_built_in else [f"expression {k + 1}" for k in range(count)]
 
 
 def _turning_joints(avatar: Avatar) -> Sequence[str]:

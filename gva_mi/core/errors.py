@@ -86,5 +86,5 @@ def reason_of(error: BaseException) -> str:
 def is_memory(error: BaseException) -> bool:
     """Return whether an error means that memory ran out; torch and the system have their own."""
     if isinstance(error, MemoryError):
-        return not hasattr(error, "errno")  # FFmpeg says so of damaged films
+        return not hasattr(error, "errno")  # FFmpeg says so of damaged videos
     return isinstance(error, RuntimeError | ImportError) and bool(_NO_MEMORY.search(str(error)))

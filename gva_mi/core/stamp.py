@@ -32,8 +32,9 @@ from typing import Any
 
 import numpy as np
 
+from gva_mi.core.atomic import require_writable
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import make_room, read_json, require_writable, write_json
+from gva_mi.core.files import make_room, read_json, write_json
 
 # Raise the number when the same inputs and options give other results than before: "refine" of
 # poses from pictures, in stage 1 and 2; "avatar" of a fit, its evaluation and its pictures.

@@ -27,12 +27,12 @@ from drjit.llvm import Float, Float64, Int32, UInt32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
-from gva_mi.data.crop import Box
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.packets import store_rows
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.tiles import capacity
+from gva_mi.subject.crop import Box
 
 
 @dataclass(frozen=True)

@@ -70,13 +70,13 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.held import head_weights
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.video import Frame, Video
 from gva_mi.fit.renders import DRAWN
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.jit.rowwise import Lane, launch
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
 from gva_mi.splat import Camera, render
 from gva_mi.splat.kernels.sh import C0
+from gva_mi.subject.video import Frame, Video
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -17,11 +17,11 @@ from gva_mi.fit.poses import PoseOptions
 # Defaults of the parts in a fit, where they differ from the parts' own.
 REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
 
-# For films. Weight of the alpha term: where a mask may be wrong, the picture outvotes it only if
+# For videos. Weight of the alpha term: where a mask may be wrong, the picture outvotes it only if
 # person and background differ by more than this, the mean over channels in [0, 1].
-FILM_ALPHA = 0.05
-FILM_MASK_ERROR = 0.003  # masks that follow the pictures are off by a pixel, others by several
-FILM_SH_DECAY = 0.01  # errors of poses look like changes of the light, and slopes would learn them
+VIDEO_ALPHA = 0.05
+VIDEO_MASK_ERROR = 0.003  # masks that follow the pictures are off by a pixel, others by several
+VIDEO_SH_DECAY = 0.01  # errors of poses look like changes of the light, and slopes would learn them
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -125,10 +125,10 @@ class FitOptions:
 
     def __post_init__(self) -> None:
         if self.first_steps and not self.poses.trained:
-            raise InputError("fit: --preset film trains poses first; got --poses.no-trained")
+            raise InputError("fit: --preset video trains poses first; got --poses.no-trained")
 
-    def of_film(self) -> FitOptions:
-        """Return the options for a film, whose masks are finer and poses worse than others'.
+    def of_video(self) -> FitOptions:
+        """Return the options for a video, whose masks are finer and poses worse than others'.
 
         A first fit improves the poses, if poses are trained. In the band where masks are uncertain,
         a Gaussian in the colours of the background before it costs nothing
@@ -142,12 +142,12 @@ class FitOptions:
         return replace(
             self,
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
-            mask_error=self.mask_error if chosen else FILM_MASK_ERROR,
+            mask_error=self.mask_error if chosen else VIDEO_MASK_ERROR,
             still_camera=True,
             complete=True,
             poses=replace(self.poses, wrists=False),
-            rates=replace(self.rates, sh_decay=self.rates.sh_decay or FILM_SH_DECAY),
-            loss=replace(self.loss, alpha=self.loss.alpha or FILM_ALPHA),
+            rates=replace(self.rates, sh_decay=self.rates.sh_decay or VIDEO_SH_DECAY),
+            loss=replace(self.loss, alpha=self.loss.alpha or VIDEO_ALPHA),
         )
 
     @property

@@ -12,7 +12,7 @@ from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.avatar.rig import SkinningOptions
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.poses import PoseOptions
-from gva_mi.pose.single_frame import SingleFrameOptions
+from gva_mi.refine.single_frame import SingleFrameOptions
 
 SKINNING = SkinningOptions(spread=0.0, neighbours=1, joints=4)  # Eq. 5
 REINIT = ReinitOptions(  # Sec. 4.3; steps of the filter and sizes are not printed

@@ -1,12 +1,12 @@
 """Photometric tracking: poses fitted to the pictures through the splatted avatar.
 
 A fixed avatar is a better judge of poses than a bare body because it has the person's clothes and
-colours. All frames together descend (:mod:`gva_mi.pose.optimize`) on
+colours. All frames together descend (:mod:`gva_mi.refine.optimize`) on
 
     1. L = mean_k L_k(R_k exp(δ_k), t_k + τ_k) + E(δ, τ)
 
 where ``E`` is the energy of the rotations δ of all joints and of the shifts τ under their prior
-(:mod:`gva_mi.pose.corrections`, with the initial poses as its stage 1). Jaw and expression are
+(:mod:`gva_mi.refine.corrections`, with the initial poses as its stage 1). Jaw and expression are
 corrected along (:mod:`gva_mi.fit.poses`). ``L_k`` compares the avatar with the picture of a frame:
 
     2. P   = C + (1 - A) I
@@ -32,7 +32,7 @@ evaluated on, so scores of test frames under them have a separate row.
 
 Pictures of a tall person are shrunk first, to :data:`TALL` pixels of height or a little more: poses
 are as good, and take half the time or less. A long video is cut into overlapping clips
-(:mod:`gva_mi.pose.clips`), which are fitted separately because distant frames share no unknowns.
+(:mod:`gva_mi.refine.clips`), which are fitted separately because distant frames share no unknowns.
 
 Tracking writes two files into the subject's folder::
 
@@ -60,15 +60,13 @@ from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.options import Metres, PythonOnly, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
-from gva_mi.data.crop import NoEvidence, gather, person_extent
-from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.splits import spread
-from gva_mi.data.video import Frame, Video
 from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
 from gva_mi.fit.renders import DRAWN
-from gva_mi.pose.clips import cut, join
-from gva_mi.pose.optimize import (
+from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.stage1_poses import Stage1
+from gva_mi.refine.clips import cut, join
+from gva_mi.refine.optimize import (
     DescentOptions,
     Learn,
     PartFrames,
@@ -78,9 +76,11 @@ from gva_mi.pose.optimize import (
     lever_arms,
     worse_frames,
 )
-from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.stage1 import Stage1
 from gva_mi.splat import Camera, render
+from gva_mi.subject.crop import NoEvidence, gather, person_extent
+from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.splits import spread
+from gva_mi.subject.video import Frame, Video
 
 MARGIN = 0.1  # share of the box around the person, added on each side
 SMALLEST_SIDE = 16  # pixels of that box
@@ -146,7 +146,7 @@ class PictureAndMask:
 
 
 class PictureEvidence:
-    """Pictures of some frames under one avatar: a :class:`gva_mi.pose.optimize.Evidence`.
+    """Pictures of some frames under one avatar: a :class:`gva_mi.refine.optimize.Evidence`.
 
     The avatar is fixed, so frames share no unknowns; the leaves beside their poses are their faces.
 

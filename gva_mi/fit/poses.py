@@ -2,8 +2,8 @@
 
 Masks and normals leave errors in poses, and errors blur the avatar, which becomes the mean of
 frames that do not quite agree. So the gradient of each step (Eq. 9) also updates the corrections of
-its frame's pose, as in the refinement (:mod:`gva_mi.pose.corrections`). After every ``every`` steps
-of the fit, poses take a step of their own on
+its frame's pose, as in the refinement (:mod:`gva_mi.refine.corrections`). After every ``every``
+steps of the fit, poses take a step of their own on
 
     1. L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
@@ -51,14 +51,14 @@ from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import compose
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
-from gva_mi.pose.clips import cut
-from gva_mi.pose.corrections import Corrections
-from gva_mi.pose.optimize import PriorWeight, Steps, VectorAdam, lever_arms, optimiser
-from gva_mi.pose.prior.anatomy import Anatomy
-from gva_mi.pose.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
-from gva_mi.pose.prior.inference import updated_process
-from gva_mi.pose.prior.process import ProcessPrior
-from gva_mi.pose.stage1 import Stage1, turns_between
+from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
+from gva_mi.prior.inference import updated_process
+from gva_mi.prior.process import ProcessPrior
+from gva_mi.prior.stage1_poses import Stage1, turns_between
+from gva_mi.refine.clips import cut
+from gva_mi.refine.corrections import Corrections
+from gva_mi.refine.optimize import PriorWeight, Steps, VectorAdam, lever_arms, optimiser
 from gva_mi.splat import Camera
 
 JAW = JOINTS.index("jaw")

@@ -25,9 +25,9 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PythonOnly, Within, options_of
-from gva_mi.data.pictures import MOST_PIXELS, in_8_bits, require_size
-from gva_mi.data.video import Frame
 from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at, render
+from gva_mi.subject.pictures import MOST_PIXELS, in_8_bits, require_size
+from gva_mi.subject.video import Frame
 
 Kind = Literal["turntable", "orbit", "static"]
 _TURN = 72  # default number of pictures of a turntable

@@ -11,8 +11,8 @@
       first/               the run with whose poses this one began, if it has first_steps
       poses.npz            of all frames, if poses were trained; see gva_mi.fit.poses
       avatar.npz           the fitted avatar, written when the run is finished
-      metrics.json         of its evaluation: gva_mi.study.evaluate
-      report.html          the evaluation as a page: gva_mi.study.report
+      metrics.json         of its evaluation: gva_mi.evaluate.measure
+      report.html          the evaluation as a page: gva_mi.evaluate.report
 
 Every file is written atomically: after a kill it is the old one or the new one, whole.
 """
@@ -31,7 +31,7 @@ import torch
 
 from gva_mi.avatar.avatar import AVATAR_FILE, Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
-from gva_mi.avatar.reinit import SurfaceMesh
+from gva_mi.avatar.surface import SurfaceMesh
 from gva_mi.avatar.without_body import WITHOUT_BODY, with_body
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
@@ -39,8 +39,9 @@ from gva_mi.core.atomic import part_of, write_bytes
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_bytes, read_json, write_arrays
 from gva_mi.core.stamp import STAMP_BYTES, stamp, write_record
-from gva_mi.data.video import Video
 from gva_mi.splat import Gaussians
+from gva_mi.subject.opened import OpenedSubject, open_subject
+from gva_mi.subject.video import Video
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
@@ -169,6 +170,14 @@ def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
     if path is not None and not path.exists():
         raise InputError(f"{run}: was fitted with {path}, which is gone; give it with --{what}")
     return path
+
+
+def open_fitted(
+    run: Path, subject: Path, poses: Path | str | None, body: Path | str | None
+) -> OpenedSubject:
+    """Open a subject with the poses and the body that a run was fitted with, unless given."""
+    poses = poses or source_of(run, "poses", subject)
+    return open_subject(subject, poses, body or source_of(run, "body", subject))
 
 
 def body_of_run(run: Path, given: Path | None) -> Path | None:

@@ -15,7 +15,7 @@ only for what is plainly inside or outside.
 
 B must be known: between two shins, say, all of the background lies near an outline, and with a
 wrong one Gaussians in the colours of the floor would fill the gap. A camera that stands still shows
-it in other frames (:mod:`gva_mi.data.matting.plate`). Where no frame does, or where the plate
+it in other frames (:mod:`gva_mi.matting.plate`). Where no frame does, or where the plate
 disagrees with what is seen nearby, the nearest background of the same frame takes its place.
 
 Only the part of the picture with the person, the window or a Gaussian is compared; elsewhere render
@@ -44,19 +44,19 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.data import backdrop
-from gva_mi.data.cameras import depths
-from gva_mi.data.crop import Box, Extent
-from gva_mi.data.matting.plate import Plate
-from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.splits import spread
-from gva_mi.data.video import Frame, Video
 from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import flat_array, load_columns
 from gva_mi.jit.tensors import PRECISION
+from gva_mi.matting.plate import Plate
 from gva_mi.splat import Camera, Gaussians, Image, SplatOptions
 from gva_mi.splat.kernels.tiles import Layout
+from gva_mi.subject import backdrop
+from gva_mi.subject.cameras import depths
+from gva_mi.subject.crop import Box, Extent
+from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.splits import spread
+from gva_mi.subject.video import Frame, Video
 
 
 @dataclass(frozen=True)

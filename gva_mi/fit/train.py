@@ -28,7 +28,7 @@ of the gradient of a Gaussian in plain view.
 A move along the line of sight hardly changes a picture. If all pictures are from one side, that is
 one axis in all of them, and noise along it moves Gaussians as far as pictures move them aside. So
 for such people (``one_sided``) the coordinates of a place, or of a rotation, share one v, as in
-the optimiser of poses (:mod:`gva_mi.pose.optimize`):
+the optimiser of poses (:mod:`gva_mi.refine.optimize`):
 
 9. v <- β2 v + (1 - β2) |g|²
 """
@@ -53,7 +53,6 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.core.files import write_arrays
-from gva_mi.data.video import Video
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import Lambert, complete_colors, seen_colors
 from gva_mi.fit.losses import Distance, render_losses
@@ -69,6 +68,7 @@ from gva_mi.fit.samples import (
     torch_state,
 )
 from gva_mi.splat import Screen, render
+from gva_mi.subject.video import Video
 
 # Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
 HOLD_EVERY, HOLD_BODY_EVERY = 10, 100

@@ -12,7 +12,7 @@ A study's folder holds::
 
     takes/, videos/     the subjects, made where they are missing
     KIND.json           {"kind", "made_with", "versions", "stamp", "cases": {name: case},
-                         "figures": rows of gva_mi.study.figures, whose subject is a case's name}
+                         "figures": rows of gva_mi.evaluate.figures, whose subject is a case's name}
     KIND.html           the same as a page
     runs/CASE/VARIANT/  runs of the avatar study, in the form of gva_mi.fit.run_folder
 
@@ -40,22 +40,22 @@ from gva_mi.core.files import read_json
 from gva_mi.core.options import PythonOnly, Within, from_json, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS, is_fresh, stamp, write_record
 from gva_mi.core.tasks import Task, run
-from gva_mi.data.fingerprint import FILM, fingerprint
-from gva_mi.data.folder import POSES, REFINED_POSES
-from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
-from gva_mi.data.splits import Splits
-from gva_mi.data.video import Video, load_video
+from gva_mi.evaluate.figures import Figure, figures_from, to_json
+from gva_mi.evaluate.measure import measure_run
+from gva_mi.evaluate.refinement import Evaluation, mask_iou, write_refinement
+from gva_mi.evaluate.similarity import zoomed
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.paper import REFINE
 from gva_mi.fit.train import fit
-from gva_mi.pose.refine import refine
-from gva_mi.pose.sequence import SequenceOptions
+from gva_mi.refine.refine import refine
+from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.study.cases import AvatarVariant, StudyCase
-from gva_mi.study.evaluate import measure_run
-from gva_mi.study.figures import Figure, figures_from, to_json
 from gva_mi.study.filmed import Filming, VideoOptions, Work, height_of
-from gva_mi.study.refinement import Evaluation, mask_iou, write_refinement
-from gva_mi.study.similarity import zoomed
+from gva_mi.subject.fingerprint import RECORDING, fingerprint
+from gva_mi.subject.folder import POSES, REFINED_POSES
+from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.subject.splits import Splits
+from gva_mi.subject.video import Video, load_video
 from gva_mi.synthetic.foreign_body import closest
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
@@ -201,7 +201,7 @@ class RefineStudy(Study):
     kind = "refine"
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
-        """Film the takes, then refine each case."""
+        """Video the takes, then refine each case."""
         measured = []
         for case, variant in missing:
             given = self.filming.subject(case), case, variant, self.body, self.options
@@ -238,7 +238,7 @@ def refine_case(
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = load_video(subject, normals=None if case.normals else "none")
     truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
-    if case.noise == FILM or known:  # the stage 1 of films was given the height, too
+    if case.noise == RECORDING or known:  # the stage 1 of videos was given the height, too
         options = replace(options, height=height_of(truth))
     if not known:
         refined = refine(video, body, options, progress)
@@ -285,7 +285,7 @@ class AvatarStudy(Study):
         return super().made_with | {"refine_version": RESULTS_VERSIONS["refine"]}
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
-        """Film the takes, refine each case, then fit each variant."""
+        """Video the takes, refine each case, then fit each variant."""
         cases = list(dict.fromkeys(case for case, _ in missing))
         made = self.body, self.options.refine, self.stamp
         prepared = [
@@ -299,7 +299,7 @@ class AvatarStudy(Study):
         (row,) = (row for row in self.rows if row.name == variant)
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
-        options = options.of_film() if case.noise == FILM else options
+        options = options.of_video() if case.noise == RECORDING else options
         return VariantRun(self.filming.subject(case), out, row, self.body, options, self.stamp)
 
 

@@ -1,7 +1,7 @@
 """The videos of a study: a subject is rendered once, and each error model degrades a copy.
 
-The error model "film" is the real one: networks and the film solver see the pictures. The poses of
-:mod:`gva_mi.pose.film` stand in a world of their own. They are brought to the world of the ground
+The error model "video" is the real one: networks and stage 1 see the pictures. The poses of
+:mod:`gva_mi.stage1` stand in a world of their own. They are brought to the world of the ground
 truth: the camera sees the same, and errors can be measured.
 """
 
@@ -25,18 +25,18 @@ from gva_mi.core.console import Progress
 from gva_mi.core.files import write_json
 from gva_mi.core.options import PictureSide, PythonOnly, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS
-from gva_mi.data.fingerprint import FILM, PREPARED, SYNTH, require_same_body
-from gva_mi.data.folder import MASKS, SPLITS, TRUTH, SubjectWriter
-from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
-from gva_mi.data.matting.film import film_masks
-from gva_mi.data.pictures import in_8_bits
-from gva_mi.pose.film.prepare_film import FilmOptions, motion_of_film
+from gva_mi.matting.masks import video_masks
 from gva_mi.splat import Camera
+from gva_mi.stage1.prepare import RecordingOptions, motion_of_video
 from gva_mi.study.cases import StudyCase, Take
+from gva_mi.subject.fingerprint import PREPARED, RECORDING, SYNTH, require_same_body
+from gva_mi.subject.folder import MASKS, SPLITS, TRUTH, SubjectWriter
+from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.subject.pictures import in_8_bits
 from gva_mi.synthetic import degrade, make_subject
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
-ALL = 240.0  # pictures a second, more than any of these films has: every picture is used
+ALL = 240.0  # pictures a second, more than any of these videos has: every picture is used
 
 
 class Work(NamedTuple):
@@ -56,7 +56,7 @@ class VideoOptions:
 
     frames: VideoFrames = 64  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
-    lens: bool = True  # of films, the focal length is given, as most phones record it
+    lens: bool = True  # of videos, the focal length is given, as most phones record it
     novel: PythonOnly[NovelPictures] = 0  # pictures of novel poses, and as many of novel views
 
 
@@ -70,14 +70,14 @@ class Filming:
     def subject(self, case: StudyCase) -> Path:
         """Return the folder of a case's video, existing or not.
 
-        A film's masks and poses are results of this program, so its folder names their version.
+        A video's masks and poses are results of this program, so its folder names their version.
         """
         made = case.noise
-        if made == FILM:
+        if made == RECORDING:
             made += f"{RESULTS_VERSIONS['refine']}{'' if self.options.lens else '-anylens'}"
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
-    def film(
+    def recording(
         self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
     ) -> None:
         """Make the videos of some cases that are missing."""
@@ -87,7 +87,7 @@ class Filming:
             if not take.exists():
                 made = case.take.synth(options.frames, options.size, options.novel)
                 make_subject(take, made, body)
-            if not subject.exists() and case.noise == FILM:
+            if not subject.exists() and case.noise == RECORDING:
                 watch_take(take, subject, body, options.lens)
             elif not subject.exists():
                 degrade(take, subject, case.noise, case.draw, body)
@@ -98,7 +98,7 @@ class Filming:
         cases = list(dict.fromkeys(cases))
         takes = dict.fromkeys(case.take for case in cases)
         several = ([case for case in cases if case.take == take] for take in takes)
-        return [Work(partial(self.film, own, body)) for own in several]
+        return [Work(partial(self.recording, own, body)) for own in several]
 
     def _name(self, take: Take) -> str:
         frames, size = take.frames or self.options.frames, take.size or self.options.size
@@ -107,11 +107,11 @@ class Filming:
 
 
 def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> None:
-    """Write a copy of a synthetic subject with what its film gives: pictures, masks and poses.
+    """Write a copy of a synthetic subject with what its video gives: pictures, masks and poses.
 
-    The film is the compressed one, ``film.mp4``; the steps are those of ``gva-mi prepare film``.
+    The video is the compressed one, ``phone.mp4``; the steps are those of ``gva-mi prepare video``.
     The height is known. A camera that was held by hand is taken for one that stands, as in any
-    film: then the true poses are those that the first camera would have seen so.
+    video: then the true poses are those that the first camera would have seen so.
 
     Args:
         take: a folder that ``gva-mi synth --scene room`` made.
@@ -131,9 +131,9 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
             writer.truth.poses(steadied(truth), truth.shape, stage=2)
             writer.truth.cameras([camera] * len(truth.cameras))
         seen: dict[int, np.ndarray] = {}
-        motion = motion_of_film(
-            take / "film.mp4",
-            FilmOptions(height=height_of(truth), fps=ALL),
+        motion = motion_of_video(
+            take / "phone.mp4",
+            RecordingOptions(height=height_of(truth), fps=ALL),
             body,
             lens=str(camera.fx) if lens else None,
             on_silhouette=lambda k, silhouette: seen.update({k: in_8_bits(silhouette)}),
@@ -141,7 +141,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         pictures, solved = motion.pictures.pictures, motion.solved
         for k, picture in enumerate(pictures):
             writer.frame(k, picture)
-        film_masks(pictures, [seen[k] for k in range(len(pictures))], folder / MASKS)
+        video_masks(pictures, [seen[k] for k in range(len(pictures))], folder / MASKS)
         writer.landmarks(motion.watched.landmarks)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         writer.poses(pose, solved.shape, stage=1)
@@ -149,7 +149,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
             writer.truth.cameras([camera] * len(pictures))
         found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
         writer.cameras([found] * len(pictures))
-        write_json(folder / PREPARED, {"kind": FILM})
+        write_json(folder / PREPARED, {"kind": RECORDING})
 
 
 def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Camera) -> Pose:

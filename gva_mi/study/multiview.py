@@ -1,9 +1,9 @@
-"""Stage 1 of real films: what one camera says, against what several calibrated ones see.
+"""Stage 1 of real videos: what one camera says, against what several calibrated ones see.
 
 Real people come without ground truth. Where calibrated cameras film one person at the same time,
-each film alone gives poses, a lens and the direction up, and the landmarks of all films give points
-in space. These err by a few centimetres, and a landmark is not quite the joint that it is named
-after.
+each video alone gives poses, a lens and the direction up, and the landmarks of all videos give
+points in space. These err by a few centimetres, and a landmark is not quite the joint that it is
+named after.
 
 A calibration is a TOML file with a table for each camera, as Pose2Sim, anipose and FreeMoCap write
 it: ``name``, ``size``, ``matrix``, ``distortions`` and ``rotation``, ``translation`` from the world
@@ -14,11 +14,11 @@ to the camera. Points X follow from where the cameras see them:
 by iteratively reweighted direct linear transformation (Hartley and Zisserman, *Multiple View
 Geometry*, ch. 12): one camera that is far off is outvoted.
 
-Figures (:mod:`gva_mi.study.figures`) of a camera are means over the frames: focal lengths and the
-median distance of landmarks from the points, pixels of the film; the angle between the directions
-up; the distance of joints; the depth of the hips' middle, beyond the points'; the distance of
-joints with the hips' middle in the same place (aligned), of that across the line of sight (aside),
-and of the network's own metres, aligned, scaled as fits best.
+Figures (:mod:`gva_mi.evaluate.figures`) of a camera are means over the frames: focal lengths and
+the median distance of landmarks from the points, pixels of the video; the angle between the
+directions up; the distance of joints; the depth of the hips' middle, beyond the points'; the
+distance of joints with the hips' middle in the same place (aligned), of that across the line of
+sight (aside), and of the network's own metres, aligned, scaled as fits best.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import require_file
-from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.landmark_noise import person_sizes
-from gva_mi.pose.film.prepare_film import FilmOptions, SolvedMotion, motion_of_film
-from gva_mi.pose.film.solver import SolvedFilm
-from gva_mi.study.figures import Figure
+from gva_mi.evaluate.figures import Figure
+from gva_mi.observe.landmark_noise import person_sizes
+from gva_mi.stage1.prepare import RecordingOptions, SolvedMotion, motion_of_video
+from gva_mi.stage1.solver import Stage1Solution
+from gva_mi.subject.landmarks import BODY, Landmarks
 
 CALIBRATION = (
     "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
@@ -142,13 +142,13 @@ def triangulate(
 
 def compare(
     camera: CalibratedCamera,
-    solved: SolvedFilm,
+    solved: Stage1Solution,
     landmarks: Landmarks,
     body: BodyModel,
     X: np.ndarray,
     up: np.ndarray,
 ) -> list[Figure]:
-    """Compare one film's stage 1 with points X (T, 33, 3) of the world, in the order of BODY.
+    """Compare one video's stage 1 with points X (T, 33, 3) of the world, in the order of BODY.
 
     ``up`` (3,) is the world's direction up.
     """
@@ -190,60 +190,62 @@ def multiview(
     folder: Path,
     calibration: Path,
     body: BodyModel,
-    options: FilmOptions,
+    options: RecordingOptions,
     up: np.ndarray,
     known_lens: bool,
     progress: Progress | None = None,
 ) -> list[Figure]:
-    """Solve the film of each camera alone, and compare it with all of them.
+    """Solve the video of each camera alone, and compare it with all of them.
 
     Args:
-        folder: of the films, which start at the same time and have the same frames.
+        folder: of the videos, which start at the same time and have the same frames.
         calibration: of the cameras.
         body: of the poses.
-        options: of the films.
+        options: of the videos.
         up: (3,) the world's direction up.
-        known_lens: whether each film is solved with its true focal length.
+        known_lens: whether each video is solved with its true focal length.
         progress: called as the work goes on.
 
     Raises:
-        InputError: a file is missing, or films differ in their frames.
+        InputError: a file is missing, or videos differ in their frames.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; expected films that are named after cameras")
+        raise InputError(f"{folder}: no such folder; expected videos that are named after cameras")
     cameras = read_calibration(calibration)
-    films = [_film_of(folder, camera) for camera in cameras]
+    recordings = [_video_of(folder, camera) for camera in cameras]
     motions: list[SolvedMotion] = []
-    for k, (film, camera) in enumerate(zip(films, cameras, strict=True)):
+    for k, (recording, camera) in enumerate(zip(recordings, cameras, strict=True)):
         scale = min(1.0, options.side / min(camera.size))
         lens = str(scale * camera.K[0, 0]) if known_lens else None
-        part = part_of_progress(progress, k, 1, len(films))
-        motions.append(motion_of_film(film, options, body, lens=lens, progress=part))
+        part = part_of_progress(progress, k, 1, len(recordings))
+        motions.append(motion_of_video(recording, options, body, lens=lens, progress=part))
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(
-                f"{film}: its pictures are not at the same times as those of {films[0]}; expected "
-                "films that start together and have one rate and length"
+                f"{recording}: its pictures are not at the same times as those of {recordings[0]}; "
+                "expected videos that start together and have one rate and length"
             )
     rays, seen, tau = (np.stack(x) for x in zip(*map(_seen, cameras, motions), strict=True))
-    X = triangulate(cameras, rays.reshape(len(films), -1, 2), seen.reshape(len(films), -1), tau)
+    X = triangulate(
+        cameras, rays.reshape(len(recordings), -1, 2), seen.reshape(len(recordings), -1), tau
+    )
     X = X.reshape(*rays.shape[1:3], 3)
     found = [(motion.solved, motion.watched.landmarks) for motion in motions]
     figures = []
-    for camera, film in zip(cameras, found, strict=True):
-        figures += compare(camera, *film, body, X, up)
+    for camera, recording in zip(cameras, found, strict=True):
+        figures += compare(camera, *recording, body, X, up)
     return figures
 
 
-def _film_of(folder: Path, camera: CalibratedCamera) -> Path:
-    """Return the film of a camera: the file in a folder that is named after it."""
+def _video_of(folder: Path, camera: CalibratedCamera) -> Path:
+    """Return the video of a camera: the file in a folder that is named after it."""
     named = sorted(path for path in folder.iterdir() if path.stem == camera.name)
-    films = [path for path in named if path.suffix != ".toml"]
-    if len(films) != 1:
+    recordings = [path for path in named if path.suffix != ".toml"]
+    if len(recordings) != 1:
         raise InputError(
-            f"{folder}: expected one film of the camera {camera.name}, of that name, "
-            f"found {len(films)}"
+            f"{folder}: expected one video of the camera {camera.name}, of that name, "
+            f"found {len(recordings)}"
         )
-    return films[0]
+    return recordings[0]
 
 
 def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> tuple[np.ndarray, np.ndarray, float]:

@@ -13,7 +13,7 @@
 ``motion``          motions of the video, and held-out poses
 ``actions``         squats, steps, and gestures with the arms
 ``footwork``        feet that do not slide, legs that reach for them
-``cameras``         cameras on white; the phone in a room, and its film
+``cameras``         cameras on white; the phone in a room, and its video
 ``furniture, room`` rooms
 ``render``          rays and light
 ``error_models``    distributions over the errors of a recording

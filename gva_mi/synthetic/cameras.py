@@ -1,7 +1,7 @@
 """Cameras of a synthetic subject: one around the person on white, or a phone in a room.
 
 The phone stands at eye height and looks down, with the whole person in view. One tilt and one focal
-length hold for a film. Held by hand, it sways slowly and trembles. Its film has the noise of a
+length hold for a video. Held by hand, it sways slowly and trembles. Its video has the noise of a
 sensor,
 
 1. ``noisy = picture + N(0, σ²)``,  ``σ = σ₀ · (1 − 0.5 · picture)``
@@ -33,11 +33,11 @@ EDGE = 0.03  # share of the picture that is free around all places of the person
 TILT = np.radians(15)  # most that the phone looks down
 # Held by hand: slow sway of position (m) and direction (rad), and a tremor of 4 to 9 Hz (rad).
 SWAY, DRIFT, TREMOR = 0.015, 0.008, 0.0007
-# Of its film.
-SENSOR_NOISE = (1.0, 3.5)  # grey levels of 255: σ₀ of a film
+# Of its video.
+SENSOR_NOISE = (1.0, 3.5)  # grey levels of 255: σ₀ of a video
 BITS_PER_PIXEL = 0.27  # as of 17 Mbit/s for 1920 x 1080 at 30 a second
 LEAST_BIT_RATE = 10_000  # bits a second that the encoder accepts
-# Always one thread; mbtree reads uninitialised memory: see gva_mi.data.pictures.
+# Always one thread; mbtree reads uninitialised memory: see gva_mi.subject.pictures.
 ENCODER = {"threads": "1", "mbtree": "0", "preset": "veryfast"}
 
 
@@ -132,7 +132,7 @@ def held_by_hand(
     return lambda t: (at(sway, t), at(drift, t) + at(tremor, t))
 
 
-def write_phone_film(
+def write_phone_video(
     path: Path, pictures: Iterable[np.ndarray], fps: Fraction, rng: np.random.Generator
 ) -> None:
     """Write pictures (H, W, 3) 8-bit, of even sides, as an .mp4 of H.264 with BT.709 colours."""

@@ -14,10 +14,10 @@ import numpy as np
 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.files import write_json
-from gva_mi.data.folder import MASKS, NORMALS, TRUTH, SubjectWriter, frame_name
-from gva_mi.data.normals import NormalMaps, in_convention
-from gva_mi.data.pictures import read_image
 from gva_mi.splat import Camera
+from gva_mi.subject.folder import MASKS, NORMALS, TRUTH, SubjectWriter, frame_name
+from gva_mi.subject.normals import NormalMaps, in_convention
+from gva_mi.subject.pictures import read_image
 from gva_mi.synthetic.error_models import USUAL, ErrorParameters, draw_errors
 from gva_mi.synthetic.foreign_body import Closest
 from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions

@@ -18,7 +18,7 @@ from gva_mi.synthetic.subject import Subject, draw_subject
 
 # Random number streams, one for each purpose.
 MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
-MISTAKEN, MISSING, FIGURE, OUTFIT, CAMERA, ROOM, FILM = 7, 8, 11, 12, 13, 14, 15
+MISTAKEN, MISSING, FIGURE, OUTFIT, CAMERA, ROOM, RECORDING = 7, 8, 11, 12, 13, 14, 15
 BLUR = 4  # moments while the shutter is open, which share the samples
 MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
@@ -39,7 +39,9 @@ class SynthOptions:
     # A phone held by hand, in a room, or one that circles once around the person on white: with
     # error model none.
     camera: Literal["stands", "held", "circles"] = "stands"
-    scene: Literal["white", "room"] = "white"  # what is behind the person; a room also has film.mp4
+    scene: Literal["white", "room"] = (
+        "white"  # what is behind the person; a room also has phone.mp4
+    )
     error_model: str = "bursts"  # error model of poses, masks and normals; none: exact
     error_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
     figure: PythonOnly[Literal["own", "stretched", "anny"]] = "own"  # body of the person

@@ -20,8 +20,8 @@ from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES, Pose, Shape
 from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
-from gva_mi.data.normals import Convention
 from gva_mi.splat import Camera
+from gva_mi.subject.normals import Convention
 from gva_mi.synthetic.pose_errors import runs
 
 FEET_FRAMES = 6.0  # mean number of consecutive frames without a foot

@@ -4,7 +4,7 @@
 :func:`remake_subject` makes its person again.
 
 Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
-white, in the light of the room. ``film.mp4`` is the film that a phone would make in a room.
+white, in the light of the room. ``phone.mp4`` is the video that a phone would make in a room.
 
 Files outside ``truth`` are estimates of a pipeline (see ``estimates``), cameras included, whose
 focal length may be wrong. All in ``truth`` is exact:
@@ -16,7 +16,7 @@ focal length may be wrong. All in ``truth`` is exact:
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
 ``novel_pose``          poses that the video does not hold
-``film.json``           height of the person, of a video in a room
+``person.json``           height of the person, of a video in a room
 ======================  ========================================================================
 
 A picture depends only on its :class:`RenderJob`: one process computes all surfaces, and every job
@@ -45,23 +45,23 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_arrays, write_json
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import in_order, worker_processes
-from gva_mi.data.film import write_film
-from gva_mi.data.fingerprint import SYNTH, fingerprint, require_same_body
-from gva_mi.data.folder import FRAMES, SPLITS, TRUTH, VIDEO, SubjectWriter
-from gva_mi.data.ground_truth import BODY, load_ground_truth
-from gva_mi.data.splits import Splits
 from gva_mi.splat import Camera
+from gva_mi.subject.fingerprint import SYNTH, fingerprint, require_same_body
+from gva_mi.subject.folder import FRAMES, SPLITS, TRUTH, VIDEO, SubjectWriter
+from gva_mi.subject.ground_truth import BODY, load_ground_truth
+from gva_mi.subject.splits import Splits
+from gva_mi.subject.video_file import write_video
 from gva_mi.synthetic import motion
-from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand, write_phone_film
+from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand, write_phone_video
 from gva_mi.synthetic.estimates import PictureErrors, Pipeline, write_estimates, write_pictures
 from gva_mi.synthetic.foreign_body import Closest, closest
 from gva_mi.synthetic.options import (
     BLUR,
     CAMERA,
-    FILM,
     MOTION,
     NOVEL_POSE,
     NOVEL_VIEW,
+    RECORDING,
     RENDER,
     ROOM,
     SynthOptions,
@@ -115,7 +115,7 @@ class Staging:
 
     @cached_property
     def phone(self) -> PhoneCamera:
-        """The phone of a film in a room."""
+        """The phone of a video in a room."""
         rng, points = self.options.random(CAMERA), self.points(self.poses[0])
         return PhoneCamera.draw(rng, points, self.options.size)
 
@@ -183,7 +183,7 @@ def lowered(pose: Pose, drop: np.ndarray) -> Pose:
     return replace(pose, transl=transl)
 
 
-PHONE_FILM = "film.mp4"
+PHONE_VIDEO = "phone.mp4"
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyMod
     near = closest(body, truth.body, truth.pose, truth.shape)
     pipeline = Pipeline(options, body, truth.cameras, near)
     with atomic_dir(Path(out)) as folder:
-        for name in (VIDEO, PHONE_FILM, FRAMES, TRUTH, SPLITS):
+        for name in (VIDEO, PHONE_VIDEO, FRAMES, TRUTH, SPLITS):
             if (subject / name).is_dir():
                 shutil.copytree(subject / name, folder / name, copy_function=_link)
             elif (subject / name).exists():
@@ -350,11 +350,11 @@ class _Recording:
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors = list(self.render(jobs))
-        write_film(folder / VIDEO, colors)
+        write_video(folder / VIDEO, colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motion.DURATION)
-            write_phone_film(folder / PHONE_FILM, colors, fps, options.random(FILM))
-            write_json(truth.folder / "film.json", {"height_m": staging.height})
+            write_phone_video(folder / PHONE_VIDEO, colors, fps, options.random(RECORDING))
+            write_json(truth.folder / "person.json", {"height_m": staging.height})
         pipeline.write(folder)
 
     def write_novel_poses(self, folder: Path) -> None:

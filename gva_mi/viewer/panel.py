@@ -16,7 +16,7 @@ from gva_mi.viewer.state import Angles, Mode, State
 if TYPE_CHECKING:
     import viser
 
-FPS = 30  # frames a second, as films are exported
+FPS = 30  # frames a second, as videos are exported
 FASTEST = 60
 WIDEST = 3.0  # expression coefficients, standard deviations
 ZERO: Angles = (0.0, 0.0, 0.0)

@@ -13,10 +13,10 @@ import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose
-from gva_mi.data.pictures import in_8_bits
-from gva_mi.data.video import Video
 from gva_mi.fit.renders import layer_of, over
 from gva_mi.splat import Camera
+from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.video import Video
 from gva_mi.viewer.panel import Panel
 from gva_mi.viewer.server import Page, Shapes
 from gva_mi.viewer.state import ShownPose, State, ViewerCamera, posed

@@ -27,10 +27,10 @@ from gva_mi.body.kinematics import joint_places
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.so3 import compose
-from gva_mi.data.pictures import MOST_PIXELS
 from gva_mi.fit.renders import CameraPath, cylinder, shots
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.splat.reference import rotation
+from gva_mi.subject.pictures import MOST_PIXELS
 
 Mode = Literal["Gaussians", "surface", "skeleton"]
 Angles = tuple[float, float, float]  # degrees about x, y and z: a rotation vector

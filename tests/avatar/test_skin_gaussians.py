@@ -5,8 +5,8 @@ import roma
 import torch
 
 from gva_mi.avatar import lbs_reference
-from gva_mi.avatar.lbs_transforms import PIECE, SparseWeights
-from gva_mi.avatar.skin_gaussians import LARGEST, light_vector, skin_gaussians
+from gva_mi.avatar.lbs_transforms import LARGEST, PIECE, SparseWeights
+from gva_mi.avatar.skin_gaussians import light_vector, skin_gaussians
 from gva_mi.splat.axes import matrices
 from gva_mi.splat.reference import rotation
 

@@ -13,7 +13,7 @@ from gva_mi.core.errors import InputError
 
 def test_a_missing_package_is_explained_and_a_cached_body_needs_none(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "anny", None)
-    with pytest.raises(InputError, match=r"pip install 'gva_mi\[anny\]'.*--source puppet"):
+    with pytest.raises(InputError, match=r"pip install 'gva_mi\[anny\]'.*--source built-in"):
         anny_body(tmp_path)
     (tmp_path / FILE).write_bytes(b"")
     assert anny_body(tmp_path) == tmp_path / FILE

@@ -1,4 +1,4 @@
-"""``gva-mi avatar``, ``prepare film`` and ``motion`` of a film, by the real networks."""
+"""``gva-mi avatar``, ``prepare video`` and ``motion`` of a video, by the real networks."""
 
 import json
 import shutil
@@ -8,21 +8,21 @@ import pytest
 
 from gva_mi.body.pose import JOINTS, load_poses
 from gva_mi.body.smplx import load_body
-from gva_mi.data.film import write_film
-from gva_mi.data.ground_truth import truth_of
-from gva_mi.data.importers.keypoints import LAYOUTS
-from gva_mi.data.landmarks import Landmarks
-from gva_mi.data.networks.segment_anything import MaskGuess, SegmentAnything
-from gva_mi.data.pictures import read_image
-from gva_mi.data.video import load_video
+from gva_mi.networks.segment_anything import MaskGuess, SegmentAnything
+from gva_mi.readers.keypoints import LAYOUTS
+from gva_mi.subject.ground_truth import truth_of
+from gva_mi.subject.landmarks import Landmarks
+from gva_mi.subject.pictures import read_image
+from gva_mi.subject.video import load_video
+from gva_mi.subject.video_file import write_video
 
 FRAMES = 12
 
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
-    """A folder with a short film of a synthetic subject, and its height."""
-    from gva_mi.pose.stature import Stature
+    """A folder with a short video of a synthetic subject, and its height."""
+    from gva_mi.prior.stature import Stature
     from gva_mi.synthetic import SynthOptions, make_subject
 
     folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()
@@ -41,21 +41,21 @@ def filmed(tmp_path_factory):
     )
     video = load_video(folder)
     images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
-    write_film(folder / "film.mp4", images, fps=10, way="playable")
+    write_video(folder / "video.mp4", images, fps=10, way="playable")
     shape = load_poses(folder / "truth/poses.npz")[1]
-    return folder / "film.mp4", round(float(Stature.of(body).height(shape)), 2)
+    return folder / "video.mp4", round(float(Stature.of(body).height(shape)), 2)
 
 
 @pytest.mark.slow
-def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
-    """All steps, then none of them; and the same film twice is the same folder, to the bit."""
-    film, height = filmed
-    command = ("avatar", film, "--height", height, "--quality", "draft", "--steps", 40)
+def test_a_video_becomes_an_avatar_once(filmed, tmp_path, cli):
+    """All steps, then none of them; and the same video twice is the same folder, to the bit."""
+    recording, height = filmed
+    command = ("avatar", recording, "--height", height, "--quality", "draft", "--steps", 40)
     command += ("--out", tmp_path / "me")
     cli.works(*command)
     me = tmp_path / "me"
     assert all((me / name).stat().st_size > 1000 for name in ("turntable.mp4", "walk.mp4"))
-    found = json.loads((me / "subject/film_check.json").read_text())
+    found = json.loads((me / "subject/video_check.json").read_text())
     assert "short" in {finding["what"] for finding in found["findings"]}
     page = (me / "report.html").read_text()
     assert "What to film better" in page and f"given as {height:.2f} m" in page
@@ -78,7 +78,7 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
     assert {row["split"] for row in rows if row["metric"] == "SSIM"} == {"train"}
 
     again = tmp_path / "again"
-    assert cli("prepare", "film", film, again, "--height", height)[0] == 0
+    assert cli("prepare", "video", recording, again, "--height", height)[0] == 0
     for path in sorted(again.rglob("*.*")):
         if path.name != "splits.json":  # without test frames by now
             there = me / "subject" / path.relative_to(again)
@@ -86,9 +86,9 @@ def test_a_film_becomes_an_avatar_once(filmed, tmp_path, cli):
 
 
 @pytest.mark.slow
-def test_a_film_drives_an_avatar(filmed, tmp_path, cli):
-    film, height = filmed
-    cli.works("motion", film, tmp_path / "m.npz", "--height", height, "--fps", 20)
+def test_a_video_drives_an_avatar(filmed, tmp_path, cli):
+    recording, height = filmed
+    cli.works("motion", recording, tmp_path / "m.npz", "--height", height, "--fps", 20)
     pose, _ = load_poses(tmp_path / "m.npz")
     assert 2 * FRAMES - 3 <= len(pose) <= 2 * FRAMES
     assert np.abs(pose.transl[0].numpy()).max() < 1e-5  # at rest's place
@@ -97,8 +97,8 @@ def test_a_film_drives_an_avatar(filmed, tmp_path, cli):
 @pytest.mark.slow
 def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
     """Joints that are known, as COCO's keypoints."""
-    film, height = filmed
-    video, body = load_video(film.parent), load_body()
+    recording, height = filmed
+    video, body = load_video(recording.parent), load_body()
     truth = truth_of(video, body)
     known = truth.body(truth.pose, truth.shape).joints.double().numpy()
     names = [name for name in LAYOUTS[17] if name in JOINTS]
@@ -109,7 +109,7 @@ def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
         rows = [[*at[name], 0.9] if name in at else [0, 0, 0] for name in LAYOUTS[17]]
         people.append({"image_id": f"{k}.jpg", "keypoints": np.ravel(rows).tolist()})
     (tmp_path / "k.json").write_text(json.dumps(people))
-    given = ("prepare", "film", film, tmp_path / "s", "--height", height)
+    given = ("prepare", "video", recording, tmp_path / "s", "--height", height)
     said = cli.works(*given, "--keypoints", tmp_path / "k.json")
     assert f"in {FRAMES} of {FRAMES} frames" in said
     found = Landmarks.load(tmp_path / "s/landmarks.npz")
@@ -119,10 +119,10 @@ def test_own_keypoints_take_the_network_s_place(filmed, tmp_path, cli):
 
 @pytest.mark.slow
 def test_own_masks_take_the_place_of_those_found(filmed, tmp_path, cli):
-    """A subject's masks are written as they are given, for every second picture of the film."""
-    film, height = filmed
-    given = ("prepare", "film", film, tmp_path / "s", "--height", height, "--fps", 5)
-    own = film.parent / "masks"
+    """A subject's masks are written as they are given, for every second picture of the video."""
+    recording, height = filmed
+    given = ("prepare", "video", recording, tmp_path / "s", "--height", height, "--fps", 5)
+    own = recording.parent / "masks"
     assert f"masks of {own}" in cli.works(*given, "--masks", own)
     found = sorted((tmp_path / "s/masks").iterdir())
     assert len(found) == FRAMES // 2
@@ -133,8 +133,10 @@ def test_own_masks_take_the_place_of_those_found(filmed, tmp_path, cli):
 @pytest.mark.slow
 def test_segment_anything_helps_to_find_the_masks(filmed, tmp_path, cli, monkeypatch):
     """With the person's true outlines as its guesses, masks are better than without."""
-    film, height = filmed
-    true = [read_image(film.parent / f"truth/masks/{k:06d}.png", 1) > 127 for k in range(FRAMES)]
+    recording, height = filmed
+    true = [
+        read_image(recording.parent / f"truth/masks/{k:06d}.png", 1) > 127 for k in range(FRAMES)
+    ]
 
     class Knowing:
         def __init__(self):
@@ -150,36 +152,36 @@ def test_segment_anything_helps_to_find_the_masks(filmed, tmp_path, cli, monkeyp
     off = {}
     (tmp_path / "config.json").write_text("{}")
     for name, more in (("alone", ()), ("both", ("--masks", tmp_path))):
-        cli.works("prepare", "film", film, tmp_path / name, "--height", height, *more)
+        cli.works("prepare", "video", recording, tmp_path / name, "--height", height, *more)
         found = [read_image(tmp_path / f"{name}/masks/{k:06d}.png", 1) > 127 for k in range(FRAMES)]
         off[name] = sum((a != b).sum() for a, b in zip(found, true, strict=True))
     assert off["both"] < 0.9 * off["alone"]
 
 
 SENTENCES = {
-    "no film": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such film or folder of pictures"),
-    "no body": (("avatar", "{film}", "--out", "me", "--body", "b.npz"), "b.npz: no such file"),
-    "height": (("avatar", "{film}", "--out", "me", "--height", 175), "from 0.4 to 2.6 metres"),
-    "not of films": (
-        ("prepare", "film", "{film}", "me", "--frames", "m"), "--frames is not for a film",
+    "no video": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such video or folder of pictures"),
+    "no body": (("avatar", "{video}", "--out", "me", "--body", "b.npz"), "b.npz: no such file"),
+    "height": (("avatar", "{video}", "--out", "me", "--height", 175), "from 0.4 to 2.6 metres"),
+    "not of videos": (
+        ("prepare", "video", "{video}", "me", "--frames", "m"), "--frames is not for a video",
     ),
-    "of films": (
-        ("prepare", "wham", "w.pkl", "me", "--height", 1.7), "--height is for a film; got wham",
+    "of videos": (
+        ("prepare", "wham", "w.pkl", "me", "--height", 1.7), "--height is for a video; got wham",
     ),
-    "person": (("prepare", "film", "{film}", "me", "--person", "left"), "a number from 1 to 20"),
-    "lens": (("prepare", "film", "{film}", "me", "--lens", "wide"), "--lens must be a focal"),
+    "person": (("prepare", "video", "{video}", "me", "--person", "left"), "a number from 1 to 20"),
+    "lens": (("prepare", "video", "{video}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
-    "no masks": (("avatar", "{film}", "--out", "me", "--masks", "m"), "m: no such film or folder"),
-    "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for films"),
+    "no masks": (("avatar", "{video}", "--out", "me", "--masks", "m"), "m: no such video"),
+    "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for videos"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SENTENCES)
 def test_what_cannot_be_done_is_one_sentence(name, tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write_film(tmp_path / "f.mp4", np.zeros((2, 32, 32, 3), np.uint8))
+    write_video(tmp_path / "f.mp4", np.zeros((2, 32, 32, 3), np.uint8))
     arguments, sentence = SENTENCES[name]
-    code, _, err = cli(*(str(a).format(film="f.mp4") for a in arguments))
+    code, _, err = cli(*(str(a).format(video="f.mp4") for a in arguments))
     lines = [line for line in err.splitlines() if "gva-mi: " in line]
     assert code == 2 and len(lines) == 1 and sentence in lines[0], err
     assert not (tmp_path / "me/subject").exists() and not (tmp_path / "o.npz").exists()

@@ -17,6 +17,6 @@ def test_it_writes_the_body(tmp_path, capsys, monkeypatch):
     body(out=out, overwrite=True)
     monkeypatch.chdir(tmp_path / "a")
     body()
-    assert (tmp_path / "a/puppet.npz").read_bytes() == BUILT_IN_BODY.read_bytes()
+    assert (tmp_path / "a/built-in.npz").read_bytes() == BUILT_IN_BODY.read_bytes()
     with pytest.raises(InputError, match="a body file ends in .npz"):
         body(out=tmp_path / "body.pkl")

@@ -20,7 +20,7 @@ from gva_mi.cli.parse import parse
 from gva_mi.core.console import complete_streams, say
 from gva_mi.core.errors import expecting
 from gva_mi.core.options import ranges
-from gva_mi.study.evaluate import ALIGNED
+from gva_mi.evaluate.measure import ALIGNED
 
 TINY = ("--size", 64, "--frames", 6)
 
@@ -122,13 +122,13 @@ def test_a_preset_sets_the_defaults_and_explicit_options_override_it():
     from gva_mi.fit import paper
     from gva_mi.fit.options import FitOptions
     from gva_mi.fit.poses import PoseOptions
-    from gva_mi.pose import SequenceOptions
+    from gva_mi.refine import SequenceOptions
 
     words = ["subject", "--out", "run", "--steps", "7", "--poses.trained", "--preset"]
     of = lambda *last: parse(load("fit"), "fit", [*words, *last]).keywords["options"]
     assert of("paper") == replace(paper.FIT, steps=7, poses=PoseOptions())
     assert of("default").rates != of("paper").rates
-    assert of("film") == replace(FitOptions(steps=2000).of_film(), steps=7)
+    assert of("video") == replace(FitOptions(steps=2000).of_video(), steps=7)
     refined = parse(load("refine"), "refine", ["subject", "--preset=paper", "--size", "99"])
     assert refined.keywords["options"] == SequenceOptions(passes=paper.REFINE.passes, size=99)
 
@@ -147,7 +147,7 @@ def test_positional_arguments_are_shown_by_their_names_and_choices_as_such(cli):
     assert " KIND SOURCE OUT" in cli.works("prepare", "--help").splitlines()[0]
     assert " SUBJECTS ..." in cli.works("refine", "--help").splitlines()[0]
     assert " {splat,growth,fit,mesh}" in cli.works("bench", "--help").splitlines()[0]
-    missing = cli.fails("prepare", "film.mp4", "me")
+    missing = cli.fails("prepare", "video.mp4", "me")
     assert "OUT" in missing and "SOURCE" not in missing and "PATH" not in missing
 
 

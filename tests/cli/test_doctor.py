@@ -14,10 +14,10 @@ def test_every_component_is_listed(cli):
 
 def test_a_missing_optional_package_is_fine_and_names_its_commands_and_extra(monkeypatch):
     monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {})
-    monkeypatch.setattr("gva_mi.cli.doctor.OPTIONAL", {"no_such_module": ("`gva-mi x`", "film")})
+    monkeypatch.setattr("gva_mi.cli.doctor.OPTIONAL", {"no_such_module": ("`gva-mi x`", "video")})
     (missing,) = (x for x in examine() if x.name == "no_such_module")
     assert missing.fine and missing.found.startswith("none; `gva-mi x` would need it")
-    assert "'gva_mi[film]'" in missing.found
+    assert "'gva_mi[video]'" in missing.found
 
 
 @pytest.mark.parametrize("there", [False, True])

@@ -67,7 +67,7 @@ def test_an_avatar_without_its_body_needs_the_same_body(run, known, body, cli):
     np.savez(run.parent / "other.npz", **arrays)
     other = ("--body", run.parent / "other.npz")
     err = cli.fails("export", shared, "--out", run / "b.ply", *other)
-    assert "belongs to 'puppet'" in err and "not to 'other'" in err
+    assert "belongs to 'built-in'" in err and "not to 'other'" in err
     err = cli.fails("export", run, "--no-rig", "--out", run / "b.npz", *other)
     assert f"made with another body ({digest(body)}) than other" in err
     assert not list(run.glob("b.*"))
@@ -80,7 +80,7 @@ BAD = {
     "meaningless": (("--out", "a.ply", "--fps", 2), "--fps is for .glb and .npz, not for .ply"),
     "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
     "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz, not for .ply"),
-    "film": (("--out", "a.mp4"), "gva-mi render --video makes films"),
+    "video": (("--out", "a.mp4"), "gva-mi render --video makes videos"),
     "no file": (("--out", "run/avatar.npz/a.ply"), "cannot be written to"),
     "exists": (("--out", "run/poses.npz"), "exists already; give --overwrite"),
 }

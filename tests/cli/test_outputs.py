@@ -15,11 +15,11 @@ from gva_mi.avatar.export import save_gltf
 from gva_mi.body.pose import Pose
 from gva_mi.core.atomic import folder_lock
 from gva_mi.core.files import write_arrays, write_json
-from gva_mi.data.film import write_film
-from gva_mi.data.pictures import write_image
 from gva_mi.fit.run_folder import save_state
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
+from gva_mi.subject.pictures import write_image
+from gva_mi.subject.video_file import write_video
 
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 
@@ -39,7 +39,7 @@ WRITERS = {
     "a.npz": lambda path, known: write_arrays(path, a=NOISE),
     "a.json": lambda path, known: write_json(path, {"a": "x" * 1000}),
     "a.png": lambda path, known: write_image(path, NOISE),
-    "a.mp4": lambda path, known: write_film(path, [NOISE] * 3),
+    "a.mp4": lambda path, known: write_video(path, [NOISE] * 3),
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
     "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
@@ -84,7 +84,7 @@ COMMANDS = {  # {} is the folder that output goes to
     "study": "study refine --out {}/new",
     "body": "body --out {}/a.npz",
     "check": "check {subject} --sheet {}/a.png",
-    "prepare": "prepare auto {subject}/poses.npz {}/new --body puppet",
+    "prepare": "prepare auto {subject}/poses.npz {}/new --body built-in",
 }
 LOCKED = ("avatar", "demo", "refine", "fit", "evaluate", "track", "render", "study")
 
@@ -129,7 +129,7 @@ def test_overwriting_a_folder_does_not_cost_an_input_that_lies_in_it(tmp_path, c
     out = shutil.copytree(subject, tmp_path / "out")
     for words in (
         f"fit {subject} --out {out} --poses {out}/poses.npz",
-        f"prepare film {out} {out}",
+        f"prepare video {out} {out}",
     ):
         err = cli.fails(*words.split(), "--overwrite")
         assert f"lies in {out}, which --overwrite would remove" in err

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.cameras import save_cameras
-from gva_mi.data.film import Film
-from gva_mi.data.pictures import read_image, write_image
+from gva_mi.subject.cameras import save_cameras
+from gva_mi.subject.pictures import read_image, write_image
+from gva_mi.subject.video_file import VideoFile
 
 SMALL = ("--size", 32, 48)
 
@@ -35,7 +35,7 @@ def test_alpha_is_transparent(run, cli):
 
     out = run.parent / "out"
     given = ("render", run, "--out", out, "--path", "orbit", "--alpha", *SMALL)
-    assert "a film cannot be transparent" in cli.fails(*given, "--video")
+    assert "a video cannot be transparent" in cli.fails(*given, "--video")
     cli.works(*given)
     assert len(pictures(out)) == 3
     wanted = [np.asarray(Image.open(out / name)) for name in pictures(out)]
@@ -43,11 +43,11 @@ def test_alpha_is_transparent(run, cli):
     assert np.abs(wanted[0].astype(int) - wanted[1]).mean() > 1
 
 
-def test_a_film_over_a_picture(run, cli):
+def test_a_video_over_a_picture(run, cli):
     write_image(run.parent / "wall.png", np.full((10, 90, 3), (0, 0, 255), np.uint8))
     out = ("--out", run.parent / "out", "--background", run.parent / "wall.png", "--video")
     cli.works("render", run, *out, "--path", "orbit", *SMALL)
-    images = Film(run.parent / "out/video.mp4")
+    images = VideoFile(run.parent / "out/video.mp4")
     assert len(images) == 3 and images[0].shape == (48, 32, 3)
     assert np.abs(images[0][:3, :3].astype(int) - (0, 0, 255)).max() < 25
     assert np.abs(images[0].astype(int) - (0, 0, 255)).max() > 60  # somebody is there

@@ -16,7 +16,7 @@ class Stopped(Exception):
 def follow(tmp_path):
     """Run two steps, of which the second reads what the first wrote; return which of them ran."""
 
-    def run(amount=1, factor=2, stop=None, source="film", overwrite=False):
+    def run(amount=1, factor=2, stop=None, source="video", overwrite=False):
         ran, folder = [], tmp_path / "out"
         first, second = folder / "first", folder / "second"
 
@@ -65,7 +65,7 @@ def test_a_stopped_step_is_told_that_it_was_begun(follow):
 
 def test_what_is_there_is_not_lost(follow, tmp_path):
     follow()
-    with pytest.raises(InputError, match="was made of another film; .* --overwrite to replace it"):
+    with pytest.raises(InputError, match="was made of another video; .* --overwrite to replace it"):
         follow(source="other")
     assert follow() == []
     assert follow(source="other", overwrite=True) == ["first", "second"]

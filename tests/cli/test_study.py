@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from gva_mi.evaluate.figures import Figure
 from gva_mi.study import engine
 from gva_mi.study.cases import HELD_OUT, LIMITS, VARIANTS, StudyCase
-from gva_mi.study.figures import Figure
 
 REFINED = [
     Figure(region="body", alignment="absolute", metric="change", value=-0.75),

@@ -10,11 +10,11 @@ from gva_mi import app
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import load_poses, save_poses
-from gva_mi.data.video import load_video
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED, PhotometricOptions
 from gva_mi.fit.train import fit
+from gva_mi.subject.video import load_video
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from gva_mi.data.splits import Splits
 from gva_mi.fit.colors import seen_colors
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
+from gva_mi.subject.splits import Splits
 
 
 def test_a_video_of_a_known_person_gives_back_its_colors(video, body, known):

@@ -9,7 +9,6 @@ from samples.subjects import write_subject
 from torch.nn.functional import normalize
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.data.video import load_video
 from gva_mi.fit.colors import (
     AWAY,
     Places,
@@ -19,6 +18,7 @@ from gva_mi.fit.colors import (
 )
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.subject.video import load_video
 
 NOISE = 2.0  # of colours that no frame shows
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.crop import Box
 from gva_mi.fit.backgrounds import Cutout
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.samples import SampleTarget
 from gva_mi.splat import Camera, Image
+from gva_mi.subject.crop import Box
 
 ALL = LossOptions(perceptual=0.3, residual=0.7, alpha=0.2, ssim=0.4)
 H, W = 16, 20

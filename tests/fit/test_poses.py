@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
-from gva_mi.pose.stage1 import turns_between
+from gva_mi.prior.stage1_poses import turns_between
 
 STEPS = 300
 OPTIONS = PoseOptions(every=3)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.data.backdrop import behind, unsure
-from gva_mi.data.crop import Box
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.samples import (
     FrameSampler,
     box_of_gaussians,
 )
 from gva_mi.splat import Gaussians, Image, render
+from gva_mi.subject.backdrop import behind, unsure
+from gva_mi.subject.crop import Box
 
 TRAIN = [0, 1, 2, 4, 5]
 

@@ -12,6 +12,8 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.errors import InputError
+from gva_mi.evaluate.figures import where
+from gva_mi.evaluate.measure import evaluate
 from gva_mi.fit import run_folder
 from gva_mi.fit.colors import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
@@ -19,8 +21,6 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit, make_adam
-from gva_mi.study.evaluate import evaluate
-from gva_mi.study.figures import where
 
 STEPS = 24
 OPTIONS = FitOptions(
@@ -263,7 +263,7 @@ def test_a_second_fit_starts_anew_with_the_poses_of_the_first(video, body, tmp_p
         with pytest.raises(Killed):
             fit(video, body, both, tmp_path / "run", resume=True, progress=killed_at(step))
     assert same(fit(video, body, both, tmp_path / "run", resume=True), wanted)
-    with pytest.raises(InputError, match="--preset film trains poses first"):
+    with pytest.raises(InputError, match="--preset video trains poses first"):
         replace(both, poses=PoseOptions(trained=False))
 
 

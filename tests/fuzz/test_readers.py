@@ -19,7 +19,7 @@ from samples.seeds import seeds as good_files
 
 from gva_mi.core.errors import InputError
 
-READERS = ("subject", "film", "run", "study", "gaussians", "body", "motion", "wham", "gvhmr",
+READERS = ("subject", "video", "run", "study", "gaussians", "body", "motion", "wham", "gvhmr",
            "romp", "zju", "smplerx")  # fmt: skip
 SECONDS, MEMORY = 20, 3 << 30  # that one file may take
 QUICK, THOROUGH = 12, 400  # files for each reader

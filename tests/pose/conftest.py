@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
-from gva_mi.data.landmarks import Landmarks
-from gva_mi.data.video import Frame, Outline
 from gva_mi.mesh.surface import CoarseBody
 from gva_mi.splat import Camera
+from gva_mi.subject.landmarks import Landmarks
+from gva_mi.subject.video import Frame, Outline
 
 
 @dataclass

@@ -182,7 +182,7 @@ SUBJECTS = TAKEN | {
     "frame is cut": cut(FRAME),
     "frame is of another size": picture(FRAME, (50, 48)),
     "frame claims 100,000 pixels a side": text(FRAME, claims(100_000, 100_000)),
-    "film is text": both(gone("frames"), text("video.mp4", "x")),
+    "video is text": both(gone("frames"), text("video.mp4", "x")),
     "mask is of another size": picture(MASK, (47, 48), "L"),
     "mask is a .npy of NaN": mask_as_npy(lambda x: x * NAN),
     "masks are missing": gone("masks"),

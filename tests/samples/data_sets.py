@@ -7,7 +7,7 @@ MOVE take to the camera.
 import numpy as np
 
 from gva_mi.body.rotations import to_matrices, to_rotvecs
-from gva_mi.data.pictures import write_image
+from gva_mi.subject.pictures import write_image
 
 matrices, vectors = to_matrices, to_rotvecs
 
@@ -18,7 +18,7 @@ TURN, MOVE = np.array([0.1, -0.4, 0.05]), np.array([0.2, 0.1, 0.5])  # x_cam = R
 OTHER_K = np.array([[90.0, 0, 30], [0, 95, 27], [0, 0, 1]])  # of a second camera
 OTHER_TURN, OTHER_MOVE = np.array([-0.2, 1.1, 0.3]), np.array([-0.4, 0.2, 1.0])
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's first pixel is centred at 0
-BUILT_IN_BODY = ("--body", "puppet")
+BUILT_IN_BODY = ("--body", "built-in")
 MASK = np.zeros((HEIGHT, WIDTH), np.uint8)
 MASK[10:40, 20:40] = 255
 

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 
-from gva_mi.data.pictures import read_image, write_image
+from gva_mi.subject.pictures import read_image, write_image
 from samples.broken_cases import both, cameras, poses, text
 
 

@@ -8,10 +8,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from gva_mi.data.importers.estimators import VideoInfo, read_estimator
-from gva_mi.data.importers.prepare import PrepareOptions, prepare_folder
-from gva_mi.data.importers.track import TargetBody
-from gva_mi.data.networks.normals import NormalNetwork, NormalsSpec
+from gva_mi.networks.normals import NormalNetwork, NormalsSpec
+from gva_mi.readers.estimators import VideoInfo, read_estimator
+from gva_mi.readers.prepare import PrepareOptions, prepare_folder
+from gva_mi.readers.track import TargetBody
 from samples import data_sets as filmed
 from samples.estimates import WRITTEN
 from samples.networks import onnx_file
@@ -37,7 +37,7 @@ def importers():
 
     def prepared(kind, write):
         def read(folder, _=None):
-            options = PrepareOptions(body=Path("puppet"), views=("all",))
+            options = PrepareOptions(body=Path("built-in"), views=("all",))
             with TemporaryDirectory() as out:
                 prepare_folder(Path(out), kind, folder, options, built_in)
 

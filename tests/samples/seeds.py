@@ -17,20 +17,20 @@ from gva_mi.avatar.without_body import save_without_body
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import is_pose_file
 from gva_mi.body.smplx import load_body
-from gva_mi.data.film import write_film
-from gva_mi.data.fingerprint import fingerprint, require_same_body
-from gva_mi.data.importers.motions import MotionOptions, read_motion
-from gva_mi.data.importers.track import TargetBody
-from gva_mi.data.video import load_video
+from gva_mi.evaluate.figures import Figure
+from gva_mi.evaluate.measure import Metrics
+from gva_mi.evaluate.refinement import load_refinement
 from gva_mi.fit import run_folder
+from gva_mi.readers.motions import MotionOptions, read_motion
+from gva_mi.readers.track import TargetBody
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.scene import random_scene
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT
 from gva_mi.study.engine import Outcome, Study
-from gva_mi.study.evaluate import Metrics
-from gva_mi.study.figures import Figure
-from gva_mi.study.refinement import load_refinement
+from gva_mi.subject.fingerprint import fingerprint, require_same_body
+from gva_mi.subject.video import load_video
+from gva_mi.subject.video_file import write_video
 
 W, H, T = 32, 24, 3
 target = functools.cache(lambda: TargetBody.read(None))
@@ -75,11 +75,13 @@ def seeds(subject, avatar):
         copied(folder)
         shutil.rmtree(folder / "frames")
         shutil.rmtree(folder / "normals")
-        write_film(folder / "video.mp4", [np.full((48, 48, 3), 40 * k, np.uint8) for k in range(6)])
+        write_video(
+            folder / "video.mp4", [np.full((48, 48, 3), 40 * k, np.uint8) for k in range(6)]
+        )
 
     def run(folder):
         avatar.save(folder / "avatar.npz")
-        save_without_body(folder / "bare.npz", avatar, body, "the built-in puppet")
+        save_without_body(folder / "bare.npz", avatar, body, "the built-in body")
         options = {"options": {"steps": 3, "seed": 0}, "versions": {}, "video": {"frames": "0"}}
         (folder / "options.json").write_text(json.dumps(options))
         state = {"step": 3, "avatar": avatar.record(), "history": {"loss": [1.0, 2.0]}}
@@ -146,7 +148,7 @@ def seeds(subject, avatar):
 
     return {
         "subject": (copied, opened),
-        "film": (filmed, opened),
+        "video": (filmed, opened),
         "run": (run, read_run),
         "study": (study, read_study),
         "gaussians": (gaussians, read_gaussians),

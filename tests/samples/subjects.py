@@ -3,10 +3,10 @@
 import torch
 
 from gva_mi.body.pose import save_poses
-from gva_mi.data.cameras import save_cameras
-from gva_mi.data.pictures import in_8_bits, write_image
 from gva_mi.fit.renders import DRAWN
 from gva_mi.splat import render
+from gva_mi.subject.cameras import save_cameras
+from gva_mi.subject.pictures import in_8_bits, write_image
 
 
 def write_subject(folder, avatar, camera, pose, shape):

@@ -17,18 +17,15 @@ from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
 from gva_mi.core.stamp import RESULTS_VERSIONS
-from gva_mi.data.cameras import save_cameras
-from gva_mi.data.fingerprint import FILM
-from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.pictures import write_image
-from gva_mi.data.video import load_video
+from gva_mi.evaluate import measure
+from gva_mi.evaluate.figures import Figure, where
+from gva_mi.evaluate.measure import ALIGNED, AS_REFINED, Metrics
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED, PhotometricOptions
 from gva_mi.fit.renders import render_frame, render_layer
 from gva_mi.fit.run_folder import load_avatar
-from gva_mi.pose import SequenceOptions
-from gva_mi.pose.stature import Stature
-from gva_mi.study import evaluate
+from gva_mi.prior.stature import Stature
+from gva_mi.refine import SequenceOptions
 from gva_mi.study.cases import FULL, NO_HANDS, TUNING, variants_named
 from gva_mi.study.engine import (
     MADE_WITH,
@@ -42,9 +39,12 @@ from gva_mi.study.engine import (
     run_study,
     with_true_focal,
 )
-from gva_mi.study.evaluate import ALIGNED, AS_REFINED, Metrics
-from gva_mi.study.figures import Figure, where
 from gva_mi.study.filmed import Filming, VideoOptions, height_of
+from gva_mi.subject.cameras import save_cameras
+from gva_mi.subject.fingerprint import RECORDING
+from gva_mi.subject.ground_truth import load_ground_truth
+from gva_mi.subject.pictures import write_image
+from gva_mi.subject.video import load_video
 
 MADE = {"options": {"frames": 8}, "results_version": 1}
 
@@ -98,15 +98,15 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
     ):
         assert other.stamp != made
-    # Avatars begin with refined poses, and masks and poses of a film are results, too.
+    # Avatars begin with refined poses, and masks and poses of a video are results, too.
     avatars = lambda: AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]).stamp
     filming = Filming(tmp_path, VideoOptions())
-    films = lambda: [filming.subject(case) for case in TUNING]
-    before, filmed = avatars(), films()
+    recordings = lambda: [filming.subject(case) for case in TUNING]
+    before, filmed = avatars(), recordings()
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
-    changed = [one != two for one, two in zip(filmed, films(), strict=True)]
-    assert changed == [case.noise == FILM for case in TUNING]
+    changed = [one != two for one, two in zip(filmed, recordings(), strict=True)]
+    assert changed == [case.noise == RECORDING for case in TUNING]
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
@@ -164,7 +164,7 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     bare = next(case for case in TUNING if case.take.bare)
     case = replace(bare, noise="focal", draw=51)
     filming = Filming(tmp_path, VideoOptions(frames=3, size=48))
-    filming.film([case], body)
+    filming.recording([case], body)
     video = load_video(filming.subject(case))
     truth = load_ground_truth(video.truth, body)
     zoomed = with_true_focal(truth, video, body)
@@ -250,7 +250,7 @@ def runs(subject, tmp_path_factory, body, known, camera, turning):
         shutil.copy(case / name, case / "truth" / name)
     few = lambda frames: PhotometricOptions(passes=1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "_pose_fit_options", few)
+        patch.setattr(measure, "_pose_fit_options", few)
         run = VariantRun(case, folder / "run", NO_HANDS, body, OPTIONS, "made")
         yield run, run.solve()
 

@@ -1,15 +1,15 @@
-"""The error model "film": networks and solver see a rendered subject, in the true world."""
+"""The error model "video": networks and solver see a rendered subject, in the true world."""
 
 import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape
-from gva_mi.data.ground_truth import GroundTruth, load_ground_truth
-from gva_mi.data.video import load_video
-from gva_mi.pose.errors import means, pose_errors
+from gva_mi.evaluate.pose_errors import means, pose_errors
 from gva_mi.splat.camera import Camera, look_at
 from gva_mi.study.filmed import steadied, watch_take
+from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.subject.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
 
@@ -35,7 +35,7 @@ def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_bod
     video = load_video(tmp_path / "filmed")
     truth = load_ground_truth(video.truth, built_in_body)
     errors = means(pose_errors(built_in_body, (video.pose, video.shape), truth))
-    assert video.kind == "film" and len(video) == len(video.landmarks) == 12
+    assert video.kind == "video" and len(video) == len(video.landmarks) == 12
     assert video.normals is None
     assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120
     watch_take(tmp_path / "take", tmp_path / "any", built_in_body, lens=False)

@@ -8,9 +8,8 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.core.errors import InputError
-from gva_mi.data.landmarks import BODY, Landmarks
-from gva_mi.pose.film.solver import SolvedFilm
 from gva_mi.splat import Camera, look_at
+from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.study.multiview import (
     COMPARED,
     CalibratedCamera,
@@ -19,6 +18,7 @@ from gva_mi.study.multiview import (
     read_calibration,
     triangulate,
 )
+from gva_mi.subject.landmarks import BODY, Landmarks
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
 NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED]
@@ -93,14 +93,14 @@ def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):
         read_calibration(path)
 
 
-def test_a_camera_without_a_film_is_named(tmp_path, built_in_body):
+def test_a_camera_without_a_video_is_named(tmp_path, built_in_body):
     with pytest.raises(InputError, match="nowhere: no such folder"):
         multiview(tmp_path / "nowhere", tmp_path / "a.toml", built_in_body, None, None, False)
     with pytest.raises(InputError, match="none.toml: no such file; expected a camera's name"):
         multiview(tmp_path, tmp_path / "none.toml", built_in_body, None, None, False)
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (tmp_path / "a.toml").write_text(text)
-    with pytest.raises(InputError, match="one film of the camera a, of that name, found 0"):
+    with pytest.raises(InputError, match="one video of the camera a, of that name, found 0"):
         multiview(tmp_path, tmp_path / "a.toml", built_in_body, None, None, False)
 
 
@@ -118,7 +118,7 @@ def solved(cameras, built_in_body):
     local, one = cameras[0].place(X), np.ones((3, len(BODY)))
     pixels = local[..., :2] / local[..., 2:] * 500 + [160, 240]
     landmarks = Landmarks(BODY, pixels, one, one, 1.3 * local)
-    return SolvedFilm(pose, shape, camera, 0.0), landmarks, X
+    return Stage1Solution(pose, shape, camera, 0.0), landmarks, X
 
 
 def compared(*given):
@@ -127,22 +127,22 @@ def compared(*given):
 
 
 def test_true_poses_have_no_error(cameras, solved, built_in_body):
-    film, landmarks, X = solved
-    row = compared(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
+    recording, landmarks, X = solved
+    row = compared(cameras[0], recording, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
     assert row.pop("lens, px") == row.pop("true lens, px") == 500
     assert row.pop("up, degrees") < 1e-3 and np.abs([*row.values()]).max() < 1e-2
 
 
 def test_errors_are_those_of_the_poses(cameras, solved, built_in_body):
-    film, landmarks, X = solved
+    recording, landmarks, X = solved
     away = cameras[0].R[2] * 0.1  # of the line of sight, in the world
-    film.pose.transl[:] += torch.from_numpy(away).float()
-    row = compared(cameras[0], film, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
+    recording.pose.transl[:] += torch.from_numpy(away).float()
+    row = compared(cameras[0], recording, landmarks, built_in_body, X, np.array([0.0, 1, 0]))
     assert [row["depth, mm"], row["joints, mm"]] == pytest.approx([100, 100], abs=0.1)
     assert row["aligned, mm"] < 0.1
-    film.pose.rotations[:, JOINTS.index("left_elbow")] = 0
+    recording.pose.rotations[:, JOINTS.index("left_elbow")] = 0
     up = np.array([0.1, 1, 0]) / 1.01**0.5
-    row = compared(cameras[0], film, landmarks, built_in_body, X, up)
+    row = compared(cameras[0], recording, landmarks, built_in_body, X, up)
     assert row["wrist"] > 50 and row["elbow"] < 0.1
     assert row["up, degrees"] == pytest.approx(np.degrees(np.arctan(0.1)), abs=1e-3)
 
@@ -154,17 +154,17 @@ def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
 
     options = SynthOptions(seed=101, frames=12, size=256, samples=4, novel_poses=0, novel_views=0)
     make_subject(tmp_path / "take", options, built_in_body)
-    films = tmp_path / "films"
-    films.mkdir()
+    recordings = tmp_path / "videos"
+    recordings.mkdir()
     for name in "ab":
-        (films / f"{name}.mp4").write_bytes((tmp_path / "take/video.mp4").read_bytes())
+        (recordings / f"{name}.mp4").write_bytes((tmp_path / "take/video.mp4").read_bytes())
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (tmp_path / "cameras.toml").write_text(text.replace("640.0, 480.0", "256.0, 256.0"))
     main(
         [
             "study",
             "multiview",
-            str(films),
+            str(recordings),
             str(tmp_path / "cameras.toml"),
             "--height",
             "1.7",

@@ -1,18 +1,18 @@
-"""Cameras see the whole person; a phone looks down a little, and its film has noise."""
+"""Cameras see the whole person; a phone looks down a little, and its video has noise."""
 
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from gva_mi.data.film import Film
+from gva_mi.subject.video_file import VideoFile
 from gva_mi.synthetic.cameras import (
     BITS_PER_PIXEL,
     HEIGHT,
     TILT,
     PhoneCamera,
     camera_around,
-    write_phone_film,
+    write_phone_video,
 )
 
 
@@ -45,19 +45,19 @@ def test_the_camera_sees_the_whole_surface(ball, azimuth, elevation):
     assert np.ptp(pixels, axis=0).max() > 40
 
 
-def test_a_film_shows_the_pictures_with_noise_and_always_the_same(tmp_path):
+def test_a_video_shows_the_pictures_with_noise_and_always_the_same(tmp_path):
     y, x = np.mgrid[:96, :64]
     pictures = [
         np.stack([2 * x + 3 * k, 2 * y, 250 - 2 * y], axis=-1).astype(np.uint8) for k in range(20)
     ]
     files = []
     for name in ("a.mp4", "b.mp4"):
-        write_phone_film(tmp_path / name, pictures, Fraction(40, 3), np.random.default_rng(0))
+        write_phone_video(tmp_path / name, pictures, Fraction(40, 3), np.random.default_rng(0))
         files.append((tmp_path / name).read_bytes())
     assert files[0] == files[1]
     assert len(files[0]) < 3 * BITS_PER_PIXEL / 8 * 96 * 64 * 20
-    film = Film(tmp_path / "a.mp4")
-    assert len(film) == 20
-    for seen, true in zip(film, pictures, strict=True):
+    recording = VideoFile(tmp_path / "a.mp4")
+    assert len(recording) == 20
+    for seen, true in zip(recording, pictures, strict=True):
         off = seen.astype(int) - true
         assert np.abs(off.mean((0, 1))).max() < 3 and off.std() < 8

@@ -10,12 +10,12 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.body.pose import load_poses
-from gva_mi.data.cameras import load_cameras
-from gva_mi.data.film import Film
-from gva_mi.data.fingerprint import require_same_body
-from gva_mi.data.ground_truth import load_ground_truth
-from gva_mi.data.pictures import read_image
-from gva_mi.data.video import load_video
+from gva_mi.subject.cameras import load_cameras
+from gva_mi.subject.fingerprint import require_same_body
+from gva_mi.subject.ground_truth import load_ground_truth
+from gva_mi.subject.pictures import read_image
+from gva_mi.subject.video import load_video
+from gva_mi.subject.video_file import VideoFile
 from gva_mi.synthetic import SynthOptions, degrade, make_subject
 from gva_mi.synthetic.error_models import draw_errors
 
@@ -51,7 +51,7 @@ def test_the_folder_opens_as_a_video(noisy, body):
     assert len(video) == 3 and video.size == (64, 64) and video.normals
     assert video.truth == noisy / "truth"
     require_same_body(noisy, body)
-    for k, image in enumerate(Film(noisy / "video.mp4")):
+    for k, image in enumerate(VideoFile(noisy / "video.mp4")):
         assert np.array_equal(image, read_image(noisy / f"frames/{k:06d}.png", 3))
     for frame in video.frames():
         assert 0.02 < frame.mask.mean() < 0.5
@@ -149,13 +149,13 @@ def test_a_folder_of_a_room(body, bare, tmp_path):
     room, again = tmp_path / "room", tmp_path / "again"
     names = {str(path.relative_to(room)) for path in room.rglob("*") if path.is_file()}
     assert all((room / name).read_bytes() == (again / name).read_bytes() for name in names)
-    video, film = load_video(room), Film(room / "film.mp4")
-    assert len(video) == len(film) == 3
+    video, recording = load_video(room), VideoFile(room / "phone.mp4")
+    assert len(video) == len(recording) == 3
     pose, shape = load_poses(room / "truth/poses.npz")
     for k, frame in enumerate(video.frames()):
         beside = frame.image[frame.mask < 0.01]
         assert (beside > 0.97).mean() < 0.5 and beside.std() > 0.03  # not white
-        assert np.abs(film[k] / 255 - frame.image).mean() < 0.05
+        assert np.abs(recording[k] / 255 - frame.image).mean() < 0.05
         # The true pose is that of the middle of the exposure, and no pixel of it is cut off.
         camera = load_cameras(room / "truth/cameras.npz")[k]
         column, row = camera.project(body(pose[k], shape).vertices[0].double().numpy()).T
@@ -164,7 +164,7 @@ def test_a_folder_of_a_room(body, bare, tmp_path):
     held_out = read_image(room / "truth/novel_pose/frames/000000.png", 3)
     mask = read_image(room / "truth/novel_pose/masks/000000.png", 1)
     assert (held_out[mask == 0] == 255).all()
-    about = json.loads((room / "truth/film.json").read_text())
+    about = json.loads((room / "truth/person.json").read_text())
     y = body.rest(shape).vertices[:, 1]
     assert about["height_m"] == pytest.approx(float(y.max() - y.min()), abs=1e-5)
 

@@ -1,7 +1,7 @@
 """Generate the built-in body; ``python -m tools.body_generator`` rebuilds its file bit by bit.
 
     anatomy (solids) → left half by marching cubes → decimated → mirrored → weights, regressor,
-    shapes → puppet.npz
+    shapes → built_in.npz
 
 Only the left half is modelled, with its border on the plane x = 0, so the body is exactly
 symmetric. Grid and triangles are finer at fingers, face and toes.

@@ -13,10 +13,10 @@ import pytest
 
 from gva_mi.avatar.avatar import AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
-from gva_mi.data.film import write_film
-from gva_mi.data.video import load_video
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.train import fit
+from gva_mi.subject.video import load_video
+from gva_mi.subject.video_file import write_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
 TIMES = re.compile(r"seconds|s a frame$")  # names of measured times
@@ -163,7 +163,7 @@ def prepared(request, tmp_path_factory, subject, video, built_in_body):
     make_subject(folder / "taken", bare, built_in_body)
     frames = load_video(folder / "taken").frames()
     images = [np.round(255 * frame.image).astype(np.uint8) for frame in frames]
-    write_film(folder / "film.mp4", images, fps=10, way="playable")
+    write_video(folder / "video.mp4", images, fps=10, way="playable")
     return folder
 
 

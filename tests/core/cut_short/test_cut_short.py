@@ -42,7 +42,7 @@ COMMANDS = {  # one for each way to write
         "study refine --out {}/new --frames 2 --cases tuning --subjects 3 --size 48"
     ),
     "avatar": Command(
-        "avatar {}/film.mp4 --height 1.7 --quality draft --steps 12 --out {}/new", tries=8
+        "avatar {}/video.mp4 --height 1.7 --quality draft --steps 12 --out {}/new", tries=8
     ),
 }  # fmt: skip
 MOMENTS = 3  # of a command, beside the first and the last

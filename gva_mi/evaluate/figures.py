@@ -1,0 +1,174 @@
+"""The long table: every measured figure is one row of it, and every page is a pivot of it.
+
+::
+
+    subject | variant | split | region | alignment | metric | value
+
+``metrics.json`` of a run, ``refinement.json`` of a subject, the file of a study and the output of
+``gva-mi score`` hold such rows, so that one line makes a CSV file of them::
+
+    csv.DictWriter(file, rows[0]).writerows(rows)
+
+A name that does not apply is empty. :data:`METRICS` lists all metrics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from gva_mi.core.options import from_json
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """One row of the long table."""
+
+    subject: str = ""  # the person of the video; of a study, the case
+    variant: str = ""  # how it was made
+    split: str = ""  # frames of the video
+    region: str = ""  # part of the picture or of the body
+    alignment: str = ""  # what was aligned before measuring, or under which poses
+    metric: str
+    value: float | None  # None: not known
+
+
+def farthest(values: Iterable[float]) -> float:
+    """Return the value that is farthest from 0."""
+    return max(values, key=abs)
+
+
+@dataclass(frozen=True)
+class Metric:
+    """How the values of a metric are written, and which of several is the worst."""
+
+    form: str
+    worst: Callable[[Iterable[float]], float] = max
+
+
+STAGES = ("stage 1", "refined", "given", "trained")  # of poses; "given": to the fit
+METRICS = {
+    "PSNR, dB": Metric(".2f", min),
+    "SSIM": Metric(".4f", min),
+    "LPIPS": Metric(".4f"),
+    "rand_vgg": Metric(".4f"),
+    "pictures": Metric(".0f"),  # or boxes, in the mean of a score
+    **{f"{stage} error, mm": Metric(".1f") for stage in STAGES},
+    **{f"{stage} depth, mm": Metric("+.1f", farthest) for stage in STAGES},
+    "change": Metric("+.0%"),  # of an error by the refinement, relative
+    "increased": Metric(".0%"),  # share of frames whose error increased
+    **{f"{who} IoU": Metric(".3f", min) for who in (*STAGES, "true", "mask")},
+    "IoU - limit": Metric("+.3f", min),  # of refined poses, to that of the true ones
+    "s a frame": Metric(".2f"),
+    "steps": Metric(",.0f"),
+    "seconds": Metric(",.0f"),
+    "Gaussians": Metric(",.0f"),
+    "opaque Gaussians": Metric(",.0f"),
+    "spacing": Metric(".2f"),
+    "bias, mm": Metric(".1f"),
+    "stray, mm": Metric(".1f"),
+    # of videos by several cameras, gva_mi.study.multiview
+    **{f"{name}, px": Metric(".0f") for name in ("lens", "true lens", "points")},
+    "up, degrees": Metric(".1f"),
+    **{f"{name}, mm": Metric(".0f") for name in ("joints", "depth", "aligned", "aside", "network")},
+}
+
+
+def text_of(value: float | None, metric: str) -> str:
+    """Write the value of a metric; a dash for None."""
+    return "–" if value is None else f"{value:{METRICS[metric].form}}".replace("%", " %")
+
+
+def where(figures: Iterable[Figure], **names: str | tuple[str, ...]) -> list[Figure]:
+    """Return the rows whose columns have some values, such as ``region=("hands", "face")``."""
+    wanted = {name: (x,) if isinstance(x, str) else x for name, x in names.items()}
+    return [f for f in figures if all(getattr(f, name) in x for name, x in wanted.items())]
+
+
+Key = tuple[str, ...]
+Cells = dict[Key, dict[Key, np.ndarray]]  # by row and column; a column's last name is its metric
+
+
+def pivot(figures: Iterable[Figure], index: Sequence[str], columns: Sequence[str] = ()) -> Cells:
+    """Arrange figures in rows and columns.
+
+    Args:
+        figures: those whose value is unknown or not finite are left out.
+        index: names of :class:`Figure` whose values distinguish the rows.
+        columns: names whose values distinguish the columns, beside the metric.
+
+    Returns:
+        A value (n,) of each subject in each cell: a subject counts once, so that several figures of
+        it are averaged. Rows and columns come in the order in which they appear.
+    """
+    found: dict[Key, dict[Key, dict[str, list[float]]]] = {}
+    for figure in figures:
+        if figure.value is not None and math.isfinite(figure.value):
+            row, column = (
+                tuple(getattr(figure, name) for name in names)
+                for names in (index, (*columns, "metric"))
+            )
+            cell = found.setdefault(row, {}).setdefault(column, {})
+            cell.setdefault(figure.subject, []).append(figure.value)
+    return {
+        row: {
+            column: np.array([np.mean(own) for own in subjects.values()])
+            for column, subjects in cells.items()
+        }
+        for row, cells in found.items()
+    }
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under a head."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    words: bool = False  # cells are sentences, which wrap, and not numbers
+
+
+def mean_text(row: Key, column: Key, values: np.ndarray) -> str:
+    """Write the mean of a cell."""
+    return text_of(float(values.mean()), column[-1])
+
+
+def table(
+    cells: Cells, title: str = "", write: Callable[[Key, Key, np.ndarray], str] = mean_text
+) -> Table:
+    """Write cells as text, under a head that begins with ``title``."""
+    columns = list(dict.fromkeys(column for row in cells.values() for column in row))
+    single = len({column[-1] for column in columns}) == 1 < len(columns)
+    head = [label_of(column[:-1] if single else column) for column in columns]
+    rows = [
+        [label_of(row), *(write(row, c, own[c]) if c in own else "–" for c in columns)]
+        for row, own in cells.items()
+    ]
+    return Table((title, *head), rows)
+
+
+def label_of(key: Key) -> str:
+    """Join the names of a row or column that are not empty."""
+    return ", ".join(name.replace("_", " ") for name in key if name)
+
+
+def to_json(figures: Iterable[Figure]) -> list[dict[str, Any]]:
+    """Return the rows as files hold them."""
+    return [asdict(figure) for figure in figures]
+
+
+def figures_from(rows: Iterable[Mapping[str, Any]]) -> tuple[Figure, ...]:
+    """Invert :func:`to_json`.
+
+    Raises:
+        ValueError: something is not a row, or a metric is unknown.
+    """
+    found = tuple(from_json(Figure, row) for row in rows)
+    for figure in found:
+        if figure.metric not in METRICS:
+            raise ValueError(f"the metric '{figure.metric}' is unknown")
+    return found

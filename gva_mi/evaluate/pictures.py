@@ -1,0 +1,122 @@
+"""Pictures of avatars beside the ground truth, for the page of a run.
+
+Novel poses and views are shown after the similarity transform (:mod:`gva_mi.evaluate.similarity`),
+so that a picture shows the avatar and not how far away the subject was assumed to be. All pictures
+are 8-bit (H, W, 3), on white.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import torch
+
+from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import Pose
+from gva_mi.body.smplx import BodyModel
+from gva_mi.evaluate.measure import OF_VIDEO, Split, SplitView, aligned_views, views_of
+from gva_mi.evaluate.page import Picture, Section, picture
+from gva_mi.evaluate.regions import person_box
+from gva_mi.evaluate.similarity import similarity_to_truth
+from gva_mi.fit.renders import CameraPath, cut_out, render_frame, shots
+from gva_mi.splat import Camera, Gaussians, look_at, render
+from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.splits import spread
+from gva_mi.subject.video import Video
+
+ZOOMED_PIXELS = 220  # about the side of an enlarged box
+DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
+DOTS_HEIGHT = 560  # pixels of the pictures of dots
+RED_AT = 64  # levels of 255 at which a difference is fully red
+SECTIONS: dict[Split, str] = {
+    "test": "Test frames",
+    "held_out_range": "The held-out range",
+    "novel_pose": "Novel poses",
+    "novel_view": "Novel views",
+}
+
+
+def shown_views(avatar: Avatar, trained: Video, body: BodyModel) -> dict[Split, SplitView]:
+    """Open the splits of a video for an avatar, with novel ones in the avatar's world.
+
+    Args:
+        avatar: to show.
+        trained: opened with the poses that the avatar was trained under.
+        body: the fitted body model.
+    """
+    views = views_of(trained, tuple(SECTIONS), body)
+    similarity = similarity_to_truth(avatar.rig, trained, body)
+    if similarity is not None:
+        own = [view for view in views if view.split in OF_VIDEO]
+        views = own + aligned_views(views, similarity, avatar.rig, body)
+    return {view.split: view for view in views}
+
+
+def picture_sections(
+    avatar: Avatar, views: Mapping[Split, SplitView], count: int
+) -> Iterator[Section]:
+    """Yield a section for each split: ``count`` frames, the avatar's render, and the difference."""
+    for split, title in SECTIONS.items():
+        if split in views:
+            yield Section(title, list(_of_view(avatar, views[split], count)), columns=3)
+    yield Section("The Gaussians", [dots("", avatar.canonical)], columns=3)
+
+
+def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
+    """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
+    for k in spread(view.frames, count):
+        frame = view.video.truly_cut(view.video[k])
+        boxes = [("", person_box(frame.mask))]
+        if view.details is not None and view.split != "novel_view":
+            boxes += [(f", {what}", box) for what, box in view.details.boxes(k)]
+        for what, box in boxes:
+            times = max(1, round(ZOOMED_PIXELS / box.width)) if what else 1
+            target = box.cut(cut_out(frame)).repeat(times, 0).repeat(times, 1)
+            camera = box.cut_camera(frame.camera).resized(times * box.width, times * box.height)
+            image = render_frame(avatar, frame.pose, camera)
+            row = np.concatenate([target, image, difference(target, image)], axis=1)
+            yield picture(f"frame {k}{what}", row)
+
+
+def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Show the largest difference of the three channels in red."""
+    share = np.abs(image.astype(int) - target).max(-1)[..., None] / RED_AT
+    white, red = np.array([255, 255, 255]), np.array([190, 20, 40])
+    return np.round(white + np.minimum(share, 1) * (red - white)).astype(np.uint8)
+
+
+def turntable(
+    avatar: Avatar, pose: Pose, count: int, size: tuple[int, int]
+) -> Iterator[np.ndarray]:
+    """Render the avatar in one pose from ``count`` cameras on a circle around it."""
+    path = CameraPath("turntable", frames=count, size=size)
+    for shot in shots(path, avatar.rig, pose):
+        yield render_frame(avatar, pose, shot.camera)
+
+
+def dots(caption: str, gaussians: Gaussians) -> Picture:
+    """Draw every Gaussian as a dot of its own colour, from the front and from the side."""
+    means = gaussians.means.detach()
+    small = Gaussians(
+        means,
+        means.new_zeros(len(gaussians), 4),  # round, so any rotation will do
+        torch.full_like(means, DOT),
+        torch.full_like(gaussians.opacities.detach(), 0.99),
+        sh=gaussians.sh.detach()[:, :1],
+    )
+    low, high = np.quantile(means.numpy(), [0.001, 0.999], axis=0)
+    centre, size = (low + high) / 2, (high - low) * 1.1
+    scale, views = DOTS_HEIGHT / size[1], []
+    for axis, across in (((0, 0, 1), 0), ((1, 0, 0), 2)):
+        distance = 8.0  # far away, for a nearly parallel view
+        width = round(size[across] * scale)
+        T_camera_world = look_at(centre + distance * np.array(axis), centre)
+        focal = distance * scale
+        camera = Camera(
+            focal, focal, width / 2, DOTS_HEIGHT / 2, T_camera_world, width, DOTS_HEIGHT
+        )
+        with torch.no_grad():
+            views.append(in_8_bits(render(small, camera, background=torch.ones(3)).color.numpy()))
+    text = f"{caption} {len(gaussians):,} Gaussians".strip()
+    return picture(text, np.concatenate(views, axis=1))

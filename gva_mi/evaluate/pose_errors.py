@@ -1,0 +1,135 @@
+"""Errors of estimated poses against the ground truth, frame by frame.
+
+Errors are mean distances between points ``x`` of the estimated body and the same points ``y`` of
+the true body, over a region ``R`` (whole body, hands, feet, fingers):
+
+    1. e_R = mean_i |x_i - y_i|
+    2. a_R = mean_i |(x_i - x_pelvis) - (y_i - y_pelvis)|            pelvis-aligned
+    3. f   = mean_i |W_xᵀ (x_i - x_wrist) - W_yᵀ (y_i - y_wrist)|     fingers, W: wrist rotation
+    4. d_j = z · (x_j - y_j)                                         z: the camera's axis
+
+(2) removes the depth of the whole person, which one camera hardly sees. (3) removes everything the
+arm does, and leaves the bending of the fingers and the size of the hand. (4) is signed: a positive
+mean says that a limb is too far away.
+
+If the true body is the fitted one, the points are its vertices. A foreign body has other vertices:
+then the points are the 22 joints of the body and those of hands and feet.
+
+All errors are taken on the bare body: the displacement for clothes is not part of a pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
+from gva_mi.body.smplx import BodyModel, Posed
+from gva_mi.core.cpu import one_torch_thread
+from gva_mi.refine.evidence import hand_vertices
+from gva_mi.subject.ground_truth import GroundTruth
+
+_BODY_JOINTS = 22
+_TOGETHER = 16  # frames that are measured at a time
+
+
+def _pair(joint: str) -> list[int]:
+    return [JOINTS.index(f"{side}_{joint}") for side in ("left", "right")]
+
+
+_ANKLES = _pair("ankle")
+_FEET = _ANKLES + _pair("foot")
+
+
+@torch.no_grad()
+def pose_errors(
+    body: BodyModel, found: tuple[Pose, Shape], truth: GroundTruth
+) -> dict[str, Tensor]:
+    """Measure estimated poses of the fitted body, some frames at a time.
+
+    Returns:
+        Errors (T,), millimetres, in the order of files: ``body``, ``hands``, ``feet`` (eq. 1), the
+        same with ``_aligned`` (eq. 2), ``joints`` (eq. 1 over the 22 joints of the body),
+        ``fingers`` (eq. 3), ``pelvis_depth``, ``ankles_depth``, ``wrists_depth`` (eq. 4, mean of
+        both sides).
+    """
+    points = _Points.of(body, truth.foreign)
+    axes = torch.from_numpy(np.stack([c.T_camera_world[2, :3] for c in truth.cameras]))
+    parts: list[dict[str, Tensor]] = []
+    with one_torch_thread():
+        for start in range(0, len(truth.pose), _TOGETHER):
+            some = slice(start, start + _TOGETHER)
+            x = body(found[0][some], found[1])
+            y = truth.body(truth.pose[some], truth.shape)
+            parts.append(points.errors(x, y) | _depths(x, y, axes[some].to(x.joints)))
+    return {name: 1e3 * torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+
+def means(errors: dict[str, Tensor]) -> dict[str, float]:
+    """Average errors over the frames."""
+    return {name: float(error.mean()) for name, error in errors.items()}
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Points that two bodies share, and the region of each."""
+
+    vertices: bool  # the points are vertices, else joints
+    regions: Tensor  # (3, N) body, hands, feet; rows sum to 1
+    fingers: tuple[Tensor, Tensor]  # indices of the fingers' points, left and right
+
+    @staticmethod
+    def of(body: BodyModel, foreign: bool) -> _Points:
+        weights = torch.eye(len(JOINTS)) if foreign else body.weights  # a joint follows itself
+        whole = torch.ones(len(weights))
+        if foreign:
+            whole[_BODY_JOINTS:] = 0
+        regions = torch.stack(
+            [whole, hand_vertices(weights).float(), (weights[:, _FEET].sum(1) > 0.5).float()]
+        )
+        fingers = [
+            (weights[:, hand].sum(1) > 0.5).nonzero()[:, 0] for hand in (LEFT_HAND, RIGHT_HAND)
+        ]
+        return _Points(not foreign, regions / regions.sum(1, keepdim=True), tuple(fingers))
+
+    def _of(self, posed: Posed) -> Tensor:
+        return posed.vertices if self.vertices else posed.joints
+
+    def errors(self, x: Posed, y: Posed) -> dict[str, Tensor]:
+        """Evaluate eq. 1 to 3, each (T,), metres."""
+        apart = self._of(x) - self._of(y)
+        aligned = apart - (x.joints[:, :1] - y.joints[:, :1])
+        free, put = (d.norm(dim=2) @ self.regions.to(d).T for d in (apart, aligned))
+        fingers = self._in_wrist_frame(x) - self._in_wrist_frame(y)
+        names = ("body", "hands", "feet")
+        return (
+            dict(zip(names, free.T, strict=True))
+            | dict(zip((f"{name}_aligned" for name in names), put.T, strict=True))
+            | {"joints": _joints_apart(x, y).norm(dim=2).mean(1)}
+            | {"fingers": fingers.norm(dim=2).mean(1)}
+        )
+
+    def _in_wrist_frame(self, posed: Posed) -> Tensor:
+        """Return the fingers' points (T, n, 3) relative to their wrist."""
+        points, parts = self._of(posed), []
+        for fingers, wrist in zip(self.fingers, WRISTS, strict=True):
+            turn = posed.T_world_rest[:, wrist, :3, :3]
+            parts.append((points[:, fingers] - posed.joints[:, [wrist]]) @ turn)
+        return torch.cat(parts, 1)
+
+
+def _joints_apart(x: Posed, y: Posed) -> Tensor:
+    return (x.joints - y.joints)[:, :_BODY_JOINTS]
+
+
+def _depths(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:
+    """Evaluate eq. 4, each (T,), metres; ``axes`` (T, 3) are the cameras'."""
+    deep = torch.einsum("tjc,tc->tj", _joints_apart(x, y), axes)
+    return {
+        "pelvis_depth": deep[:, 0],
+        "ankles_depth": deep[:, _ANKLES].mean(1),
+        "wrists_depth": deep[:, WRISTS].mean(1),
+    }

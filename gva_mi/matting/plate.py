@@ -1,0 +1,155 @@
+"""The background without the person: the median of what is seen of each pixel in a whole video.
+
+A pixel that the person nearly always hides has no median. There the plate continues the nearest
+pixel that has one, and says by a larger spread how little it knows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gva_mi.matting.camera import moved
+
+SEEN = 3  # pictures that have to show a pixel of the background
+LEAST = 0.006  # smallest spread, of colours in [0, 1]: that of rounding to 8 bits
+GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel
+FARTHER = 0.003  # growth of this spread for each pixel of distance
+AGREES = 0.04  # mean difference of the channels, in [0, 1], up to which colours agree
+ROWS = 64  # computed at once
+REACH = 7  # pixels, side of the squares whose mean is the colour or the shade near a pixel
+
+
+@dataclass(frozen=True)
+class Plate:
+    """Colours of the background on a grid."""
+
+    color: np.ndarray  # (h, w, 3) float32 in [0, 1]
+    spread: np.ndarray  # (h, w) float32, standard deviation of a colour
+    seen: np.ndarray  # (h, w) bool: where the background was seen; elsewhere the colour is a guess
+
+    @staticmethod
+    def gather(pictures: np.ndarray, bare: np.ndarray) -> Plate:
+        """Return the plate of pictures (N, h, w, 3) 8-bit, where ``bare`` (N, h, w) of the person.
+
+        It says nothing if no pixel was seen often enough.
+        """
+        count = bare.sum(0)
+        color = np.zeros(pictures.shape[1:], np.float32)
+        spread = np.full(count.shape, LEAST, np.float32)
+        for top in range(0, len(count), ROWS):
+            part = np.s_[top : top + ROWS]
+            values, shown = pictures[:, part].astype(np.int16), bare[:, part, :, None]
+            middle = _median(values, shown)
+            color[part] = middle / 255
+            away = _median(np.abs(values - middle), shown).mean(-1)
+            spread[part] = np.maximum(LEAST, 1.4826 / 255 * away)
+        seen = count >= min(SEEN, len(pictures))
+        if not seen.any():
+            return Plate.unknown(seen.shape)
+        return Plate(*_continued(color, spread, seen), seen)
+
+    @staticmethod
+    def unknown(shape: tuple[int, int]) -> Plate:
+        """Return a plate (h, w) that says nothing."""
+        h, w = shape
+        grey, wide = np.full((h, w, 3), 0.5, np.float32), np.ones((h, w), np.float32)
+        return Plate(grey, wide, np.zeros((h, w), bool))
+
+    def part(self, part: tuple[slice, slice]) -> Plate:
+        """Return some rows and columns."""
+        return Plate(self.color[part], self.spread[part], self.seen[part])
+
+    def exposed_as(self, image: np.ndarray, bare: np.ndarray) -> Plate:
+        """Return the plate in the exposure of a picture (h, w, 3) 8-bit, by its ``bare`` pixels."""
+        half = np.s_[::2]  # of the rows tells enough
+        some = bare[half] & self.seen[half]
+        if some.sum() < ROWS:
+            return self
+        add = lambda x: x[:, 0] + x[:, 1] + x[:, 2]  # numpy's sum over an axis of 3 is slow
+        seen, plate = add(image[half][some].astype(np.uint32)), add(self.color[half][some])
+        gain = np.median(seen / (255 * plate + 1e-3))
+        return Plate(self.color * np.float32(gain), self.spread, self.seen)
+
+    def beside(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
+        """Return the background (h, w, 3) of a picture (h, w, 3) in [0, 1], by its bare pixels.
+
+        It is the plate, times the shade that is seen around the nearest bare pixels; where the
+        plate is a guess, it is their mean colour.
+        """
+        return np.where(
+            self.seen[..., None], self._shaded(image, bare), mean_around(image, bare)[0]
+        )
+
+    def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
+        """Return the plate, a guess wherever it differs from the nearest bare pixels of a picture.
+
+        For pictures of which nobody knows whether the camera stood still.
+        """
+        known = bare & self.seen
+        if not known.any():
+            return Plate.unknown(self.seen.shape)
+        off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
+        return replace(self, seen=self.seen & (mean_around(off, known)[0][..., 0] < AGREES))
+
+    def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
+        """Return the plate in the shade of the nearest bare pixels of a picture."""
+        B = self.color
+        shade = np.einsum("ijk,ijk->ij", image, B) / (np.einsum("ijk,ijk->ij", B, B) + 1e-3)
+        s, _ = mean_around(shade[..., None].clip(0.2, 1.3), bare & self.seen)
+        return s * B
+
+    def moved(self, A: np.ndarray) -> Plate:
+        """Return the plate (A x), as in :func:`.camera.moved`; what it lacks is a guess."""
+        both = moved(np.concatenate([self.color, self.spread[..., None]], -1), A)
+        seen = moved(self.seen[..., None], A, outside=0)[..., 0] > 0.99
+        spread = np.where(seen, both[..., 3], np.maximum(both[..., 3], np.float32(GUESSED)))
+        return Plate(both[..., :3], spread, seen)
+
+
+def _median(values: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return the lower median over the first axis of values (N, ...) int16 that are shown."""
+    count = shown.sum(0)
+    ordered = np.sort(np.where(shown, values, np.int16(1000)), axis=0)
+    index = np.broadcast_to(np.maximum(count - 1, 0) // 2, ordered.shape[1:])
+    return np.take_along_axis(ordered, index[None], 0)[0]
+
+
+def _continued(
+    color: np.ndarray, spread: np.ndarray, seen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give unseen pixels the mean colour around the nearest seen one, and a larger spread."""
+    from scipy.ndimage import distance_transform_edt, uniform_filter
+
+    if seen.all():
+        return color, spread
+    away, nearest = distance_transform_edt(~seen, return_indices=True)
+    share = uniform_filter(seen.astype(np.float32), REACH, mode="constant").clip(1e-6)
+    total = uniform_filter(color * seen[..., None], (REACH, REACH, 1), mode="constant")
+    mean = (total / share[..., None])[tuple(nearest)]
+    color = np.where(seen[..., None], color, mean)
+    return color, np.where(seen, spread, GUESSED + FARTHER * away).astype(np.float32)
+
+
+def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean (h, w, C) and variance (h, w), of all channels, of known values near each pixel.
+
+    A pixel without a known value in its square takes those of the nearest that has one.
+    """
+    from scipy.ndimage import distance_transform_edt, uniform_filter
+
+    blur = lambda x: uniform_filter(x, (REACH, REACH, 1)[: x.ndim], mode="constant")
+    weight = known.astype(np.float32)
+    total = blur(weight)
+    found = total > 0.5 / REACH**2
+    if not found.any():
+        return np.zeros_like(values), np.ones(known.shape, np.float32)
+    total = np.maximum(total, 1e-6)
+    mean = blur(values * weight[..., None]) / total[..., None]
+    square = blur((values**2).sum(-1) * weight) / total
+    variance = np.maximum(square - (mean**2).sum(-1), 0)
+    if not found.all():
+        nearest = distance_transform_edt(~found, return_distances=False, return_indices=True)
+        mean, variance = mean[tuple(nearest)], variance[tuple(nearest)]
+    return mean, variance

@@ -1,0 +1,149 @@
+"""The body's landmarks and silhouette: MediaPipe's BlazePose, in two passes over a picture.
+
+BlazePose sees a square around the person and gives
+
+* 33 landmarks of the body and 6 of which 2 place the next square, each with a visibility;
+* a coarse heat map of each landmark, at whose centre the landmark is refined;
+* the same landmarks in metres, in axes turned with the square, relative to the middle of the hips;
+* the probability that a pixel is of the person.
+
+A second pass sees the square mirrored. The mean of both is better than each of them, and their
+standard deviation shows where the network is unsure. Where one pass takes the left arm or leg for
+the right one, or the back for the front, the mean would lie between both. There the pass counts
+that is closer to the picture before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import SIDES, mirrored_name
+from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
+from gva_mi.networks.turned_square import TurnedSquare
+from gva_mi.subject.landmarks import BODY
+
+MARGIN = 1.25  # side of the square, relative to the diameter of the circle around the person
+_POINTS = 39
+_HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
+_WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
+_PEAK = 0.5  # least probability in the window for this
+_ARM = ("elbow", "wrist", "pinky", "index", "thumb")
+_LEG = ("knee", "ankle", "heel", "foot_index")
+_PARTS = [  # each arm, each leg, the trunk
+    [BODY.index(f"{side}_{name}") for side in sides for name in names]
+    for sides, names in (
+        (["left"], _ARM), (["right"], _ARM), (["left"], _LEG), (["right"], _LEG),
+        (SIDES, ("shoulder", "hip")),
+    )
+]  # fmt: skip
+_APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
+
+_MIRRORED = np.array([  # which landmark (39,) a landmark of the mirrored picture is
+    *(BODY.index(mirrored_name(name)) for name in BODY),
+    *range(33, _POINTS),
+])  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SeenBody:
+    """What the network sees of a person in a picture; the mean of the passes."""
+
+    points: np.ndarray  # (39, 2) pixels
+    visibility: np.ndarray  # (39,) in [0, 1]
+    spread: np.ndarray  # (39,) pixels: standard deviation between passes, of the worse axis
+    metric: np.ndarray  # (39, 3) metres in the picture's axes, z away from the camera
+    presence: float  # in [0, 1]: that the square shows a person
+    silhouettes: tuple[tuple[TurnedSquare, np.ndarray], ...]  # probabilities (s, s) of a square
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle around the whole person, pixels."""
+        return float(np.linalg.norm(self.points[_TOP] - self.points[_HIPS]))
+
+    @property
+    def hips(self) -> np.ndarray:
+        """The middle of the hips (2,), pixels."""
+        return self.points[_HIPS]
+
+    @property
+    def square(self) -> TurnedSquare:
+        """Where to look for the person in the next picture."""
+        return TurnedSquare.upright(self.hips, self.points[_TOP], 2 * MARGIN * self.radius)
+
+    def probability(self, shape: tuple[int, int]) -> np.ndarray:
+        """Return the probability (H, W) float32 that a pixel of the picture is of the person."""
+        maps = [square.put_back(inside, shape) for square, inside in self.silhouettes]
+        return np.mean(maps, axis=0, dtype=np.float32)
+
+
+class BodyNetwork:
+    """BlazePose."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("pose_landmark_full.tflite", folder))
+
+    def see(self, image: np.ndarray, square: TurnedSquare, mirrored: bool = False) -> SeenBody:
+        """See the person in a square of a picture (H, W, 3) 8-bit once."""
+        cut = square.cut(image, self._network.size)
+        out = self._network(cut[:, ::-1] if mirrored else cut)
+        rows = out["Identity"].reshape(_POINTS, 5).astype(np.float64)
+        places = _refined(rows[:, :2] / self._network.size, out["Identity_3"])
+        metric = out["Identity_4"].reshape(_POINTS, 3).astype(np.float64)
+        visibility, inside = sigmoid(rows[:, 3]), sigmoid(out["Identity_2"][..., 0])
+        if mirrored:
+            places = (places * (-1, 1) + (1, 0))[_MIRRORED]
+            metric = (metric * (-1, 1, 1))[_MIRRORED]
+            visibility, inside = visibility[_MIRRORED], inside[:, ::-1]
+        return SeenBody(
+            square.to_picture(places), visibility, np.zeros(_POINTS), square.turn(metric),
+            float(out["Identity_1"][0]), ((square, inside),),
+        )  # fmt: skip
+
+    def see_mirrored(self, image: np.ndarray, first: SeenBody, before: SeenBody | None) -> SeenBody:
+        """Return the mean of a first pass and of a mirrored one; see :func:`mean_of_passes`."""
+        return mean_of_passes([first, self.see(image, first.square, mirrored=True)], before)
+
+
+def mean_of_passes(seen: Sequence[SeenBody], before: SeenBody | None) -> SeenBody:
+    """Return the mean of passes over one picture.
+
+    ``before`` is the body in the picture before; it decides where they contradict.
+    """
+    points = np.stack([one.points for one in seen])
+    metric = np.stack([one.metric for one in seen])
+    mean_points, mean_metric = points.mean(0), metric.mean(0)
+    for part in _PARTS if before is not None else ():
+        off = np.linalg.norm(points[:, part] - mean_points[part], axis=-1).mean(1)
+        if 2 * off.max() > _APART * before.radius:
+            moved = np.linalg.norm(points[:, part] - before.points[part], axis=-1).mean(1)
+            chosen = int(moved.argmin())
+            mean_points[part], mean_metric[part] = points[chosen, part], metric[chosen, part]
+    return SeenBody(
+        mean_points,
+        np.mean([one.visibility for one in seen], axis=0),
+        points.std(0, ddof=1).max(-1),
+        mean_metric,
+        float(np.mean([one.presence for one in seen])),
+        tuple(part for one in seen for part in one.silhouettes),
+    )
+
+
+def _refined(places: np.ndarray, heat: np.ndarray) -> np.ndarray:
+    """Move places (39, 2) in [0, 1] to the centre of the heat (h, h, 39), logits, around them."""
+    size = heat.shape[0]
+    cells = np.floor(places * size).astype(int)  # x, y
+    steps = np.arange(-_WINDOW, _WINDOW + 1)
+    x, y = cells[:, 0, None, None] + steps, cells[:, 1, None, None] + steps[:, None]
+    inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
+    of = np.arange(len(places))[:, None, None]
+    weight = sigmoid(heat[y.clip(0, size - 1), x.clip(0, size - 1), of]) * inside
+    total = weight.sum((1, 2))
+    peak = (weight.max((1, 2)) >= _PEAK) & ((cells >= 0) & (cells < size)).all(1)
+    total = np.where(peak, total, 1)
+    moved = np.stack([(weight * x).sum((1, 2)), (weight * y).sum((1, 2))], axis=1)
+    return np.where(peak[:, None], moved / total[:, None] / size, places)

@@ -1,0 +1,268 @@
+"""The landmarks of hands and face: MediaPipe's networks on squares that the body's landmarks place.
+
+Each network sees an upright square around a hand or a face, and gives points in the square and the
+probability that it is one. Where to look comes from the picture before, or from the body. A second
+pass sees the square mirrored; the mean of both counts.
+
+* A hand has 21 landmarks, also in metres. It is left or right by the wrist that it hangs on,
+  because the network itself often mistakes the side.
+* A face has 468 points of a mesh. Those 51 are kept that other programs know by their numbers
+  (:data:`gva_mi.subject.landmarks.FACE`). A face that is turned away, hidden or small is not found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import SIDES
+from gva_mi.networks.body_landmarks import SeenBody
+from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
+from gva_mi.networks.turned_square import TurnedSquare
+from gva_mi.subject.landmarks import BODY, hand_names
+
+_LOOKS = 2  # at a part that is found anew: each look centres the next
+
+
+@dataclass(frozen=True)
+class SeenPart:
+    """A hand or a face of P points in a picture."""
+
+    points: np.ndarray  # (P, 2) pixels
+    spread: np.ndarray  # (P,) pixels: standard deviation between passes, of the worse axis
+    metric: np.ndarray  # (P, 3) metres in the picture's axes, z away from the camera; NaN: unknown
+    presence: float  # in [0, 1]: that it is one
+    square: TurnedSquare  # where to look for it again
+
+
+See = Callable[..., SeenPart | None]  # of a square, and whether it is seen mirrored
+
+
+def found_again(
+    see: See,
+    before: SeenPart | None,
+    square: TurnedSquare,
+    belongs: Callable[[SeenPart], bool] = lambda part: True,
+) -> SeenPart | None:
+    """Look where a part was in the picture before; if it is not there, in a new square."""
+    part = None if before is None else see(before.square)
+    if part is not None and belongs(part):
+        return part
+    for _ in range(_LOOKS):
+        part = see(square)
+        if part is None:
+            return None
+        square = part.square
+    return part if belongs(part) else None
+
+
+def with_mirrored(see: See, first: SeenPart) -> SeenPart:
+    """Return the mean of a first pass and of a mirrored one, if that sees the part as well."""
+    second = see(first.square, mirrored=True)
+    if second is None:
+        return first
+    points = np.stack([first.points, second.points])
+    return SeenPart(
+        points.mean(0), points.std(0, ddof=1).max(-1), (first.metric + second.metric) / 2,
+        (first.presence + second.presence) / 2, first.square,
+    )  # fmt: skip
+
+
+HAND_FOUND = 0.3  # least probability of a hand
+_POINTS = 21
+_WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
+_PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswith(("dip", "tip")))
+_AROUND_PALM = 2.0  # side of the next square, relative to the palm's extent
+_AROUND_WRIST = 2.0  # likewise of a square from the body, relative to the hand's length
+_FORWARD = 0.1  # shift of both towards the fingers
+_FAR_HAND = (
+    0.15  # of the person's circle's diameter: a hand farther from its wrist is another thing
+)
+
+
+class HandNetwork:
+    """MediaPipe's hand network."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("hand_landmark_full.tflite", folder))
+
+    def find(
+        self, image: np.ndarray, body: SeenBody, before: dict[str, SeenPart]
+    ) -> dict[str, SeenPart]:
+        """Return the hands that are found in a picture (H, W, 3) 8-bit, by side.
+
+        Args:
+            image: the picture.
+            body: the body in it.
+            before: the hands in the picture before.
+        """
+        found = {}
+        see = partial(self._see, image)
+        for side in SIDES:
+            hangs_on = lambda hand, side=side: (
+                _from_wrist(hand, body, side) < _FAR_HAND * 2 * body.radius
+            )
+            hand = found_again(see, before.get(side), _square_at_wrist(body, side), hangs_on)
+            if hand is not None:
+                hand = with_mirrored(see, hand)
+                found[side] = replace(hand, square=_square_around_hand(hand.points))
+        return _one_each(found, body)
+
+    def _see(
+        self, image: np.ndarray, square: TurnedSquare, mirrored: bool = False
+    ) -> SeenPart | None:
+        """See the hand in a square once; None if there is none."""
+        cut = square.cut(image, self._network.size)
+        out = self._network(cut[:, ::-1] if mirrored else cut)
+        if (presence := float(out["Identity_1"][0])) < HAND_FOUND:
+            return None
+        places = out["Identity"].reshape(_POINTS, 3)[:, :2] / self._network.size
+        metric = out["Identity_3"].reshape(_POINTS, 3).astype(np.float64)
+        if mirrored:
+            places, metric = places * (-1, 1) + (1, 0), metric * (-1, 1, 1)
+        points = square.to_picture(places)
+        zero = np.zeros(_POINTS)
+        return SeenPart(points, zero, square.turn(metric), presence, _square_around_hand(points))
+
+
+def _square_around_hand(points: np.ndarray) -> TurnedSquare:
+    """Return where to look for a hand with these points (21, 2) again."""
+    roots = np.average(points[[5, 9, 13]], axis=0, weights=(1, 2, 1))
+    turned = TurnedSquare.upright(roots, 2 * roots - points[_WRIST], 1.0)
+    palm = turned.from_picture(points[list(_PALM)])
+    low, high = palm.min(0), palm.max(0)
+    extent = high - low
+    centre = (low + high) / 2 - (0, _FORWARD * extent[1])
+    x, y = turned.to_picture(centre).tolist()
+    return TurnedSquare((x, y), _AROUND_PALM * float(extent.max()), turned.angle)
+
+
+def _body_point(body: SeenBody, side: str, part: str) -> np.ndarray:
+    return body.points[BODY.index(f"{side}_{part}")]
+
+
+def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
+    """Return where the body's own landmarks place a hand."""
+    wrist, index, pinky = (_body_point(body, side, part) for part in ("wrist", "index", "pinky"))
+    middle = (2 * index + pinky) / 3
+    length = max(2 * float(np.linalg.norm(middle - wrist)), 0.08 * 2 * body.radius)
+    up = (middle - wrist) / max(float(np.linalg.norm(middle - wrist)), 1e-6)
+    centre = middle + _FORWARD * length * up
+    return TurnedSquare.upright(centre, centre + up, _AROUND_WRIST * length)
+
+
+def _from_wrist(hand: SeenPart, body: SeenBody, side: str) -> float:
+    """Return how far the hand's wrist is from the body's, pixels."""
+    return float(np.linalg.norm(hand.points[_WRIST] - _body_point(body, side, "wrist")))
+
+
+def _one_each(found: dict[str, SeenPart], body: SeenBody) -> dict[str, SeenPart]:
+    """Drop the hand that is farther from its wrist if both were found in one place."""
+    if len(found) == 2:
+        left, right = (found[side] for side in SIDES)
+        apart = np.linalg.norm(left.points - right.points, axis=-1).mean()
+        size = np.linalg.norm(left.points[_MIDDLE] - left.points[_WRIST])
+        if apart < size / 2:
+            far = max(SIDES, key=lambda side: _from_wrist(found[side], body, side))
+            return {side: hand for side, hand in found.items() if side != far}
+    return found
+
+
+FACE_FOUND = 0.5  # least probability of a face
+SMALLEST = 32.0  # pixels: the side of a square in which a face can be read
+_MESH = (  # of the network's 468 points, those with the numbers 17 to 67
+    70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows, the right one's outer end first
+    168, 6, 195, 4, 98, 97, 2, 326, 327,  # nose: down its bridge, then below, from right to left
+    33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,  # right eye, left eye
+    61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181,  # lips, around their outer border
+    78, 82, 13, 312, 308, 317, 14, 87,  # around the inner one
+)  # fmt: skip
+_MIRRORED_FACE = (  # which of the 51 each of them is in a mirrored picture
+    9, 8, 7, 6, 5, 4, 3, 2, 1, 0, 10, 11, 12, 13, 18, 17, 16, 15, 14,
+    28, 27, 26, 25, 30, 29, 22, 21, 20, 19, 24, 23,
+    37, 36, 35, 34, 33, 32, 31, 42, 41, 40, 39, 38, 47, 46, 45, 44, 43, 50, 49, 48,
+)  # fmt: skip
+_EYES = (33, 263)  # outer corners in the mesh: right, left
+_AROUND_MESH = 1.5  # side of the next square, relative to the mesh's extent
+_AROUND_BODY = 3.6, 1.9  # of a first square: times the eyes' distance to the mouth, and the ears'
+_FAR_FACE = 0.06  # of the person's circle's diameter: a face farther from the body's is another one
+
+
+class FaceNetwork:
+    """MediaPipe's face mesh."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("face_landmark.tflite", folder))
+
+    def find(self, image: np.ndarray, body: SeenBody, before: SeenPart | None) -> SeenPart | None:
+        """Return the face of a body in a picture (H, W, 3) 8-bit, if the network sees it.
+
+        Args:
+            image: the picture.
+            body: the body in it.
+            before: the face in the picture before.
+        """
+        see = partial(self._see, image, body)
+        face = found_again(see, before, _square_of_body(body))
+        return None if face is None else with_mirrored(see, face)
+
+    def _see(
+        self, image: np.ndarray, body: SeenBody, square: TurnedSquare, mirrored: bool = False
+    ) -> SeenPart | None:
+        """See the face in a square once; None if there is none, or that of somebody else."""
+        if square.side < SMALLEST:
+            return None
+        cut = square.cut(image, self._network.size)
+        out = self._network(cut[:, ::-1] if mirrored else cut).values()
+        (mesh,) = (x.reshape(-1, 3) for x in out if x.size > 1)
+        (logit,) = (x.ravel()[0] for x in out if x.size == 1)
+        places = mesh[:, :2].astype(np.float64) / self._network.size
+        if mirrored:
+            places = places * (-1, 1) + (1, 0)
+        mesh, presence = square.to_picture(places), float(sigmoid(logit))
+        points = mesh[list(_MESH)]
+        if mirrored:
+            points = points[list(_MIRRORED_FACE)]
+        far = np.linalg.norm(points.mean(0) - _middle_of(body)) > _FAR_FACE * 2 * body.radius
+        if presence < FACE_FOUND or far:
+            return None
+        n = len(points)
+        metric = np.full((n, 3), np.nan)
+        return SeenPart(points, np.zeros(n), metric, presence, _square_around_face(mesh))
+
+
+def _square_around_face(mesh: np.ndarray) -> TurnedSquare:
+    """Return the square around a mesh (468, 2) in which its eyes are level."""
+    along = mesh[_EYES[1]] - mesh[_EYES[0]]
+    up = np.array([along[1], -along[0]])
+    level = TurnedSquare.upright(mesh.mean(0), mesh.mean(0) + up, 1.0)
+    places = level.from_picture(mesh)
+    low, high = places.min(0), places.max(0)
+    x, y = level.to_picture((low + high) / 2).tolist()
+    return TurnedSquare((x, y), _AROUND_MESH * float((high - low).max()), level.angle)
+
+
+def _at(body: SeenBody, *names: str) -> np.ndarray:
+    """Return the middle of some landmarks of a body (2,)."""
+    return body.points[[BODY.index(name) for name in names]].mean(0)
+
+
+def _middle_of(body: SeenBody) -> np.ndarray:
+    """Return the middle of eyes and mouth (2,)."""
+    return (_at(body, "left_eye", "right_eye") + _at(body, "mouth_left", "mouth_right")) / 2
+
+
+def _square_of_body(body: SeenBody) -> TurnedSquare:
+    """Return where the body's own landmarks place the face."""
+    up = _at(body, "left_eye", "right_eye") - _at(body, "mouth_left", "mouth_right")
+    wide = _at(body, "left_ear") - _at(body, "right_ear")
+    tall, broad = _AROUND_BODY
+    side = max(tall * float(np.linalg.norm(up)), broad * float(np.linalg.norm(wide)))
+    middle = _middle_of(body)
+    return TurnedSquare.upright(middle, middle + up, side)

@@ -1,0 +1,301 @@
+"""Find people in a picture, and follow one of them through a video.
+
+MediaPipe's pose detector gives for each of 2254 anchors a score and, relative to the anchor, a box
+around the head and four points. Two of these count: the middle of the hips, and the top of a circle
+around the whole person, whose centre is the middle of the hips.
+
+In each picture the body network looks where the person was in the picture before. The detector
+searches the whole picture when that finds nobody, in every picture for a while after several
+people were seen, and now and then to learn whether there are several. It sees the most prominent
+people, so those who are known are painted over. It misses people who fill less than a fifth of what
+it sees, so parts of the picture are searched, too. A detected person is one if the body network
+agrees twice: on the picture and on its mirror image.
+
+Of several people, the one is followed who is near the expected place, of the same size, in the same
+colours between shoulders and hips. While that person is hidden, nobody is found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import SIDES
+from gva_mi.networks.body_landmarks import MARGIN, BodyNetwork, SeenBody
+from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
+from gva_mi.networks.turned_square import TurnedSquare
+from gva_mi.subject.landmarks import BODY
+
+CERTAIN = 0.5  # least score of a detected person
+_SAME_BOX = 0.3  # overlap of boxes (IoU) of one person
+_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
+
+FOUND = 0.5  # least presence of a person
+MOST = 6  # people of a picture
+_EVERY = 5  # pictures between two that are searched for other people
+_WATCHFUL = 60  # pictures after several people were seen in which each one is searched
+_SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
+_LOOKS = 3  # at a detected person: each look centres the next
+_SAME = 0.4  # of the radius: bodies closer than this are one person
+_TRIED = 3  # detected people whom the body network is asked about, of those not known
+_AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
+_GREY, _AROUND = 128, 0.1  # what is painted over; of the radius: around the landmarks
+_SURROUNDINGS = 5.0  # of the radius: side of the square in which the person is searched
+
+_BINS = 4  # of each colour channel
+_MEMORY, _STEADY = 0.9, 0.7  # shares of the colours and of the speed that stay in each picture
+# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
+# and in each picture without a sight.
+_STEP, _DRIFT = 1.0, 0.3
+_LEAST = -0.5  # least resemblance to the person
+_DOUBTFUL = 0.42  # overlap of colours: less is another person, if several are around
+_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
+
+
+class PersonDetector:
+    """MediaPipe's pose detector."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Open the network; ``folder`` holds the weights."""
+        self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
+        self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
+
+    def find(self, image: np.ndarray, squares: Sequence[TurnedSquare]) -> list[TurnedSquare]:
+        """Return what the landmark network should see of the people of a picture (H, W, 3) 8-bit.
+
+        Only ``squares`` of the picture are searched, in each of which people are seen who fill a
+        fifth of it or more. The most certain person comes first.
+        """
+        scores, boxes, points = (
+            np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
+        )
+        order = np.argsort(-scores, kind="stable")
+        order = order[scores[order] >= CERTAIN]
+        people = []
+        while len(order):  # the mean of overlapping boxes, weighted by their scores, is a person
+            same = _overlap(boxes[order[0]], boxes[order]) > _SAME_BOX
+            same[0] = True
+            group, order = order[same], order[~same]
+            hips, top = np.average(points[group], axis=0, weights=scores[group])
+            radius = float(np.linalg.norm(top - hips))
+            people.append(TurnedSquare.upright(hips, top, 2 * MARGIN * radius))
+        return people
+
+    def _see(
+        self, image: np.ndarray, square: TurnedSquare
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return scores (2254,), boxes (2254, 4) and the points (2254, 2, 2) in the picture."""
+        out = self._network(2 * square.cut(image, self._network.size, edge=False) - 1)
+        values = out["Identity"].astype(np.float64) / self._network.size
+        centres, sizes = values[:, :2] + self._anchors, values[:, 2:4]
+        corners = square.to_picture(np.stack([centres - sizes / 2, centres + sizes / 2], axis=1))
+        points = values[:, 4:8].reshape(-1, 2, 2) + self._anchors[:, None]
+        scores = sigmoid(out["Identity_1"][:, 0])
+        return scores, corners.reshape(-1, 4), square.to_picture(points)
+
+
+def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
+    """Return squares over a whole picture (H, W, 3), of which neighbours share a half or more."""
+    height, width = image.shape[:2]
+    return [
+        TurnedSquare((x, y), side) for y in _middles(height, side) for x in _middles(width, side)
+    ]
+
+
+def _middles(length: int, side: float) -> list[float]:
+    """Return the middles of the intervals that cover a length, which overlap by half or more.
+
+    If the interval is longer than that, one around the middle covers it.
+    """
+    if side >= length:
+        return [length / 2]
+    count = math.ceil(2 * (length - side) / side) + 1
+    return np.linspace(side / 2, length - side / 2, count).tolist()
+
+
+def _anchors(size: int) -> np.ndarray:
+    """Return the centres of the anchors (n, 2) in [0, 1], in the network's order."""
+    grids = []
+    for stride, each in _GRIDS:
+        places = (np.arange(size // stride) + 0.5) * stride / size
+        cells = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+        grids.append(np.repeat(cells, each, axis=0))
+    return np.concatenate(grids)
+
+
+def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+    """Return the IoU (n,) of a box (4,) with others (n, 4): left, top, right, bottom."""
+    low, high = np.maximum(box[:2], boxes[:, :2]), np.minimum(box[2:], boxes[:, 2:])
+    inside = (high - low).clip(0).prod(-1)
+    areas = (boxes[:, 2:] - boxes[:, :2]).clip(0).prod(-1)
+    union = areas + (box[2:] - box[:2]).clip(0).prod() - inside
+    return inside / np.maximum(union, 1e-12)
+
+
+class PersonTracker:
+    """Finds one person in picture after picture."""
+
+    def __init__(
+        self, detector: PersonDetector, network: BodyNetwork, person: int | None = None
+    ) -> None:
+        """Follow the N-th ``person`` from the left; without it, the largest and most central.
+
+        The person is chosen in the first picture that shows anybody, or N people.
+        """
+        self._detector, self._network, self._person = detector, network, person
+        self._body: SeenBody | None = None  # when the person was last seen
+        self._colours = np.zeros(_BINS**3)  # of the person's torso, of sum 1
+        self._unseen = 0  # pictures since then
+        self._speed = np.zeros(2)  # pixels a picture
+        self._number = -1
+        self.crowded: list[int] = []  # pictures in which several people were seen
+        self.lost: list[int] = []  # pictures in which the person was not found
+
+    @property
+    def begun(self) -> bool:
+        """Whether the person was chosen."""
+        return self._body is not None
+
+    @property
+    def _expected(self) -> np.ndarray:
+        """Where the hips (2,) are now, if the person has gone on, pixels."""
+        return self._body.hips + self._unseen * self._speed
+
+    @property
+    def _several(self) -> bool:
+        """Whether several people were seen lately."""
+        return bool(self.crowded) and self._number - self.crowded[-1] < _WATCHFUL
+
+    def follow(self, image: np.ndarray) -> SeenBody | None:
+        """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
+        self._number += 1
+        seen = []
+        if self._body is not None and not self._unseen:
+            body = self._network.see(image, self._body.square)
+            seen = [body] if body.presence >= FOUND else []
+        if not seen or self._several or self._number % _EVERY == 0:
+            seen = self._search(image, seen)
+        if len(seen) > 1:
+            self.crowded.append(self._number)
+        found = self._recognise(image, seen) if self.begun else self._choose(image, seen)
+        if found is None:
+            self.lost.append(self._number)
+        return found
+
+    def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
+        """Add the people who are not among the seen."""
+        due = self._number % _EVERY == 0
+        squares = squares_over(image, max(image.shape[:2]))
+        if self.begun and not seen:
+            middle = tuple(self._expected.tolist())
+            squares.append(TurnedSquare(middle, _SURROUNDINGS * self._body.radius))
+        just_lost = self.begun and self._unseen < _EVERY
+        if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
+            squares += squares_over(image, min(image.shape[:2]))
+        found = self._found_in(squares, image, seen)
+        if not self.begun and not found and due:
+            found = self._found_in(squares_over(image, min(image.shape[:2]) / 2), image, [])
+        return found
+
+    def _found_in(
+        self, squares: Sequence[TurnedSquare], image: np.ndarray, seen: list[SeenBody]
+    ) -> list[SeenBody]:
+        """Return the seen, and the other people in squares of a picture."""
+        rest = image.copy()
+        for body in seen:
+            _paint_over(rest, body)
+        while len(seen) < MOST:
+            looks = (self._look(rest, x) for x in self._detector.find(rest, squares)[:_TRIED])
+            others = (x for x in looks if x is not None and not any(_is_same(x, y) for y in seen))
+            body = next(others, None)
+            if body is None:
+                break
+            seen = [*seen, body]
+            _paint_over(rest, body)
+        return seen
+
+    def _look(self, image: np.ndarray, person: TurnedSquare) -> SeenBody | None:
+        """Return the body of a detected person, if the body network agrees that it is one."""
+        bodies = []
+        for scale in _SCALES:
+            square = person.scaled(scale)
+            for _ in range(_LOOKS):
+                body = self._network.see(image, square)
+                square = body.square
+            bodies.append(body)
+        best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
+        if best.presence < FOUND:
+            return None
+        if self.begun:
+            off = np.linalg.norm(best.hips - self._expected) / self._body.radius
+            if off < _SAME:
+                return best
+        mirrored = self._network.see(image, best.square, mirrored=True)
+        off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
+        return best if mirrored.presence >= FOUND and off < _AGREE else None
+
+    def _choose(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
+        """Choose the person, if enough people are there."""
+        if len(seen) < (self._person or 1):
+            return None
+        if self._person is not None:
+            chosen = sorted(seen, key=lambda body: body.hips[0])[self._person - 1]
+        else:
+            middle = np.array(image.shape[1::-1]) / 2
+            off = lambda body: float(np.linalg.norm((body.hips - middle) / middle))
+            chosen = max(seen, key=lambda body: body.radius / (1 + off(body)))
+        self._body, self._colours = chosen, torso_colours(image, chosen)
+        return chosen
+
+    def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
+        """Return the one of the seen who resembles our person most, if anybody does."""
+        self._unseen += 1
+        last, found, least = self._body, None, _LEAST
+        for body in seen:
+            colours = torso_colours(image, body)
+            likeness = float(np.minimum(self._colours, colours).sum())
+            if self._several and likeness < _DOUBTFUL:
+                continue
+            moved = np.linalg.norm(body.hips - self._expected) / last.radius
+            grown = abs(np.log(body.radius / last.radius))
+            resemblance = likeness - float(moved + grown) / (_STEP + _DRIFT * self._unseen)
+            if resemblance > least:
+                least, found = resemblance, (body, colours)
+        if found is None:
+            return None
+        moved = (found[0].hips - last.hips) / self._unseen
+        self._speed = _STEADY * self._speed + (1 - _STEADY) * moved
+        self._body, self._unseen = found[0], 0
+        self._colours = _MEMORY * self._colours + (1 - _MEMORY) * found[1]
+        return self._body
+
+
+def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
+    """Return the histogram of colours (64,) of sum 1 between shoulders and hips."""
+    corners = body.points[_TORSO]
+    limit = np.array(image.shape[1::-1])
+    left, top = np.floor(corners.min(0)).astype(int).clip(0, limit - 1)
+    right, bottom = np.maximum(
+        np.ceil(corners.max(0)).astype(int).clip(0, limit), (left + 1, top + 1)
+    )
+    step = max(1, (bottom - top) // 32)
+    pixels = image[top:bottom:step, left:right:step].reshape(-1, 3) // (256 // _BINS)
+    codes = pixels.astype(int) @ (_BINS * _BINS, _BINS, 1)
+    return np.bincount(codes, minlength=_BINS**3) / len(codes)
+
+
+def _is_same(one: SeenBody, other: SeenBody) -> bool:
+    """Return whether two bodies are those of one person."""
+    apart = np.linalg.norm(one.hips - other.hips)
+    return bool(apart < _SAME * min(one.radius, other.radius))
+
+
+def _paint_over(image: np.ndarray, body: SeenBody) -> None:
+    """Hide a person of a picture (H, W, 3)."""
+    margin = _AROUND * body.radius
+    left, top = np.floor(body.points.min(0) - margin).astype(int).clip(0)
+    right, bottom = np.ceil(body.points.max(0) + margin).astype(int).clip(0)
+    image[top:bottom, left:right] = _GREY

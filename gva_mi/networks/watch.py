@@ -1,0 +1,107 @@
+"""One person's landmarks and silhouette in every picture of a video, by MediaPipe's networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.body.pose import SIDES
+from gva_mi.core.console import Progress, listed
+from gva_mi.core.errors import InputError
+from gva_mi.networks.body_landmarks import BodyNetwork, SeenBody
+from gva_mi.networks.hand_face_landmarks import FaceNetwork, HandNetwork, SeenPart
+from gva_mi.networks.person_tracker import PersonDetector, PersonTracker
+from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
+
+
+@dataclass(frozen=True)
+class WatchedVideo:
+    """What the networks see in T pictures of a video."""
+
+    landmarks: Landmarks  # NaN where the person, a hand or the face is not found
+    notes: Sequence[str]  # sentences on what went wrong
+    crowded: Sequence[int] = ()  # pictures with several people
+
+
+def watch_video(
+    pictures: Sequence[np.ndarray],
+    on_silhouette: Callable[[int, np.ndarray], None] | None = None,
+    person: int | None = None,
+    weights: Path | None = None,
+    progress: Progress | None = None,
+) -> WatchedVideo:
+    """Find one person's landmarks in all pictures of a video, in their order.
+
+    Args:
+        pictures: T pictures (H, W, 3) 8-bit; each is read once.
+        on_silhouette: called with each picture's number and the probability (H, W) float32 that
+            a pixel is of the person; zero where the person is not found.
+        person: the N-th from the left; None: the largest and most central.
+        weights: folder of the networks' files; None: ``GVA_MI_WEIGHTS`` or the cache.
+        progress: called after every picture.
+    """
+    body_network = BodyNetwork(weights)
+    hand_network, face_network = HandNetwork(weights), FaceNetwork(weights)
+    tracker = PersonTracker(PersonDetector(weights), body_network, person)
+    rows, body, hands, face = [], None, {}, None
+    for k in range(len(pictures)):
+        image, before = pictures[k], body
+        body = tracker.follow(image)
+        if body is None:
+            hands, face = {}, None
+        else:
+            body = body_network.see_mirrored(image, body, before)
+            hands = hand_network.find(image, body, hands)
+            face = face_network.find(image, body, face)
+        rows.append(_row(body, hands, face))
+        if on_silhouette is not None:
+            nobody = np.zeros(image.shape[:2], np.float32)
+            on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
+        if progress:
+            progress(k + 1, len(pictures))
+    if not tracker.begun:
+        several = f"{person} people" if (person or 1) > 1 else "anybody"
+        raise InputError(
+            f"no picture of the video shows {several} whom the network recognises; film one person "
+            "from head to feet"
+        )
+    landmarks = Landmarks(NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+    return WatchedVideo(landmarks, _notes(tracker, landmarks), tuple(tracker.crowded))
+
+
+def _row(
+    body: SeenBody | None, hands: dict[str, SeenPart], face: SeenPart | None
+) -> tuple[np.ndarray, ...]:
+    """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
+    pixels, metric = np.full((len(NAMES), 2), np.nan), np.full((len(NAMES), 3), np.nan)
+    confidence, spread = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+    if body is not None:
+        n = len(BODY)
+        pixels[:n], metric[:n] = body.points[:n], body.metric[:n]
+        confidence[:n], spread[:n] = body.visibility[:n], body.spread[:n]
+    parts = {hand_names(side)[0]: hand for side, hand in hands.items()}
+    for name, part in (parts | ({} if face is None else {FACE[0]: face})).items():
+        at = slice(NAMES.index(name), NAMES.index(name) + len(part.points))
+        pixels[at], metric[at] = part.points, part.metric
+        confidence[at], spread[at] = part.presence, part.spread
+    return pixels, confidence, spread, metric
+
+
+def _notes(tracker: PersonTracker, landmarks: Landmarks) -> list[str]:
+    """Say in which pictures something went wrong."""
+    notes = []
+    if tracker.crowded:
+        notes.append(f"frames with several people: {listed(tracker.crowded)}")
+    if tracker.lost:
+        notes.append(f"frames where the person was not found: {listed(tracker.lost)}")
+    for side in SIDES:
+        wrist = landmarks.indices([f"{side}_hand_wrist"])
+        seen = np.isfinite(landmarks.pixels[:, wrist, 0]).mean()
+        if seen < 0.5:
+            notes.append(f"the {side} hand was recognised in {seen:.0%} of the frames")
+    return notes

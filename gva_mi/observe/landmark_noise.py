@@ -1,0 +1,276 @@
+"""How far off a network's landmarks are: standard deviations in pixels, and of depths in metres.
+
+In the picture a landmark is off by a share of the person's size, because networks see people scaled
+to one size. The spread between passes adds to it, and a low confidence widens it:
+
+1. ``σ² = ((share · S)² + spread²) / confidence² + hand_offset²``
+   with ``S`` pixels for a person of 1.7 m
+
+A hand is found by a tracker that may stay where the hand was, or jump to another one, without
+saying so. Of the two wrists, that of the hand and that of the body, then the body's is right: on
+rendered people a hand errs by as much as its wrist is away from the body's, and the body's wrist by
+no more than usual. So this distance, beyond what the body's wrist may be off, is the hand's
+``hand_offset``, of its points and of their depths; it is zero for other points.
+
+A knee may be taken for a point higher or lower on the leg, but hardly for one beside the leg: on
+rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
+across it, shoulders and hips alike in all directions. So with the direction ``u`` of the limb in
+the picture, the points at its ends have the covariance of (2). Shoulders and hips are among them,
+and ``LONG`` is 2, because poses of twelve rendered videos were better so. That may be due to bones
+of the fitted body that are not as long as the person's.
+
+2. ``Σ = σ² (1 + (LONG² - 1) u uᵀ)``
+
+Depths are guesses. A network that is trained to be right on average gives the mean of the depths
+that a picture leaves possible, so its answers vary less than the true depths do. Along a bone from
+``i`` to ``j``, and with the scale ``s`` of :meth:`gva_mi.observe.rig.LandmarkRig.scale`,
+
+3. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e``: of standard deviation ``σ_z``
+
+The gain of legs and trunk is 1. Legs are mostly straight: dividing their answers by the smaller
+slope of answers against true depths would count that knowledge as seen, and bend the knees. Arms
+point anywhere, and their gain is that slope.
+``gain`` and ``bias`` (:data:`BONES`) are rounded from the answers of BlazePose and of the hand
+network on rendered people who turn and walk. Their errors of depth vary by 10 to 65 mm in a video,
+but they last: after 0.2 s their correlation is 0.2 to 0.7, and a part is constant. So ``σ_z``
+is several times as large. It was chosen by the errors of poses on twelve videos, that of legs on
+seven.
+
+Errors last, and the same picture of a person gets the same errors. So ``m`` frames that look alike
+count as one. They are at least those of a tenth of a second; a person who stands still, or does the
+same again and again, shows less in a minute than one who turns round once. With the mean square
+distance ``d²`` of two frames' landmarks, metres, about their middles,
+
+4. ``m_t = Σ_k exp(-d_tk² / 2 ℓ²)``,   ``ℓ² = 2 (share · 1.7 m)²``
+
+The body's landmarks decide this for the body, and a hand's for its fingers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.core.errors import InputError
+from gva_mi.subject.landmarks import BODY, Landmarks
+
+PERSON = 1.7  # metres, whose pixels are S
+SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
+LEAST_CONFIDENCE = 0.05  # a landmark of less is not used
+MEMORY = 0.1  # seconds for which a network's errors last at least
+TOGETHER = 3.0  # as many independent points count all those of the face, or of a hand
+HAND_FOUND = 0.5  # a hand of less is not used
+LONG = 2.0  # standard deviation along a limb, relative to that across it
+
+
+class BoneDepth(NamedTuple):
+    """What a network knows of the depth along a bone (eq. 3)."""
+
+    gain: float
+    bias: float  # metres
+    sigma: float  # σ_z, metres
+
+
+# From and to; both of one side unless the names say otherwise.
+BONES = {
+    ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.24),
+    ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.42),
+    ("hip", "knee"): BoneDepth(1.0, 0.02, 0.12),
+    ("knee", "ankle"): BoneDepth(1.0, 0.03, 0.11),
+    ("ankle", "foot_index"): BoneDepth(0.25, -0.06, 0.18),
+    ("shoulder", "hip"): BoneDepth(1.0, 0.0, 0.18),
+    ("left_shoulder", "right_shoulder"): BoneDepth(1.0, 0.0, 0.24),
+    ("left_hip", "right_hip"): BoneDepth(1.4, 0.0, 0.24),
+    ("nose", "ear"): BoneDepth(1.0, 0.0, 0.18),
+    ("left_ear", "right_ear"): BoneDepth(0.9, 0.0, 0.18),
+    ("wrist", "index"): BoneDepth(0.4, -0.025, 0.12),
+    ("wrist", "pinky"): BoneDepth(0.3, -0.01, 0.12),
+    ("index", "pinky"): BoneDepth(0.35, 0.015, 0.072),
+    ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.06),
+    ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.05),
+}
+LIMB = {  # a point, and the other end of its limb
+    "shoulder": "elbow", "elbow": "shoulder", "wrist": "elbow",
+    "hip": "knee", "knee": "hip", "ankle": "knee",
+}  # fmt: skip
+PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger
+_FACE = BODY[: BODY.index("left_shoulder")]
+_FINGERS = {
+    "thumb": ("cmc", "mcp", "ip", "tip"),
+    **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},
+}
+
+
+@dataclass(frozen=True)
+class LandmarkNoise:
+    """Errors of P landmarks in T frames, and of K bones' depths.
+
+    Attributes:
+        pixels: (T, P) ``σ``, pixels; infinite without a landmark.
+        aspect: (T, P, 2, 2) ``σ Σ^-1/2``, symmetric: makes errors as wide in all directions.
+        bones: (K, 2) from and to, indices of the P landmarks.
+        gain, bias: (K,) of eq. 3, ``bias`` in metres.
+        depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
+    """
+
+    pixels: Tensor
+    aspect: Tensor
+    bones: Tensor
+    gain: Tensor
+    bias: Tensor
+    depth: Tensor
+
+    @staticmethod
+    def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
+        """Return the noise of the landmarks with some names, in the order of ``names``.
+
+        Raises:
+            InputError: no frame has a person.
+        """
+        at = landmarks.indices(names)
+        confidence = np.nan_to_num(landmarks.confidence[:, at])
+        of_hand = np.array(["_hand_" in name for name in names], bool)
+        found = np.isfinite(landmarks.pixels[:, at]).all(2)
+        found &= confidence >= np.where(of_hand, HAND_FOUND, LEAST_CONFIDENCE)
+        sizes = person_sizes(landmarks)
+        share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
+        square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
+        hand_offset = _hand_offsets(landmarks, names, sizes / PERSON)
+        square = square / np.clip(confidence, LEAST_CONFIDENCE, 1) ** 2
+        pixels = np.sqrt(square + (hand_offset * sizes[:, None] / PERSON) ** 2)
+        pixels = np.where(found, pixels, np.inf)
+        known = list(_bones(names))
+        bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
+        has_depth = found & np.isfinite(landmarks.metric[:, at]).all(2)
+        both = has_depth[:, bones].all(2)
+        sigma = np.hypot([bone.sigma for _, bone in known], hand_offset[:, bones].max(2))
+        depth = np.where(both, sigma, np.inf)
+        tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
+        return LandmarkNoise(
+            tensor(pixels),
+            tensor(_aspect(landmarks.pixels[:, at].astype(float), pixels, names)),
+            torch.from_numpy(bones),
+            tensor([bone.gain for _, bone in known]),
+            tensor([bone.bias for _, bone in known]),
+            tensor(depth),
+        )
+
+
+def _aspect(x: np.ndarray, sigma: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Return ``σ Σ^-1/2`` of eq. 2 (T, P, 2, 2) for points (T, P, 2).
+
+    A limb whose picture is shorter than ``σ`` has no direction.
+    """
+    aspect = np.tile(np.eye(2), (*sigma.shape, 1, 1))
+    for point, other in _ends(LIMB.items(), names):
+        limb = x[:, point] - x[:, other]
+        length = np.hypot(*limb.T)
+        seen = length > sigma[:, point]
+        u = limb[seen] / length[seen, None]
+        aspect[seen, point] -= (1 - 1 / LONG) * u[:, :, None] * u[:, None]
+    return aspect
+
+
+def _hand_offsets(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray) -> np.ndarray:
+    """Return ``hand_offset`` (T, P) of eq. 1, metres; ``metre`` (T,) is in pixels."""
+    found, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
+    for side in ("left", "right"):
+        pair = f"{side}_wrist", f"{side}_hand_wrist"
+        if not set(pair) <= set(every):
+            continue
+        wrist, hand = landmarks.indices(pair)
+        apart = landmarks.pixels[:, wrist].astype(float) - landmarks.pixels[:, hand]
+        confidence = np.nan_to_num(landmarks.confidence[:, wrist]).clip(LEAST_CONFIDENCE, 1)
+        usual = 2 * (SHARE * PERSON) ** 2 / confidence
+        beyond = (np.square(apart).sum(1) / metre**2 - usual).clip(0)
+        of_hand = [name.startswith(f"{side}_hand_") for name in names]
+        found[:, of_hand] = np.sqrt(np.nan_to_num(beyond))[:, None]
+    return found
+
+
+def person_sizes(landmarks: Landmarks) -> np.ndarray:
+    """Return S (T,) of every frame: pixels of 1.7 m; frames without a person take the median.
+
+    S is the scale between pixels and the network's metres, by least squares over the body.
+
+    Raises:
+        InputError: no frame has a person.
+    """
+    body = [k for k, name in enumerate(landmarks.names) if "_hand_" not in name]
+    x, m = landmarks.pixels[:, body].astype(float), landmarks.metric[:, body, :2].astype(float)
+    seen = np.isfinite(x).all(2) & np.isfinite(m).all(2)
+    weights = (seen / np.maximum(seen.sum(1, keepdims=True), 1))[..., None]
+    x, m = np.where(seen[..., None], x, 0), np.where(seen[..., None], m, 0)
+    x, m = x - (weights * x).sum(1, keepdims=True), m - (weights * m).sum(1, keepdims=True)
+    along, square = (weights * x * m).sum((1, 2)), (weights * m * m).sum((1, 2))
+    usable = (seen.sum(1) >= 4) & (along > 0)
+    if not usable.any():
+        raise InputError("landmarks: no frame has a person; expected at least four points of one")
+    sizes = PERSON * along / np.maximum(square, 1e-9)
+    return np.where(usable, sizes, np.median(sizes[usable]))
+
+
+def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:
+    """Return eq. 4, by the landmarks of the body: how many frames (T,) count as one.
+
+    Frames are ``dt`` seconds apart. ``hand``, left or right: by those of that hand instead.
+
+    Raises:
+        InputError: no frame has a person.
+    """
+    mine = lambda name: f"{hand}_hand_" in name if hand else "_hand_" not in name
+    some = [k for k, name in enumerate(landmarks.names) if mine(name)]
+    share = HAND_SHARE if hand else SHARE
+    metre = person_sizes(landmarks)[:, None, None] / PERSON
+    x = landmarks.pixels[:, some].astype(float) / metre
+    seen = np.isfinite(x).all(2).astype(float)
+    x = np.where(seen[..., None] > 0, x, 0)
+    x = (x - x.sum(1, keepdims=True) / np.maximum(seen.sum(1), 1)[:, None, None]) * seen[..., None]
+    square = np.square(x).sum(2) @ seen.T
+    apart = square + square.T - 2 * np.einsum("tpc,kpc->tk", x, x)
+    apart = np.maximum(apart, 0) / np.maximum(seen @ seen.T, 1)
+    alike = np.exp(-apart / (4 * (share * PERSON) ** 2)) @ seen.any(1)
+    return torch.from_numpy(np.maximum(alike, max(1.0, MEMORY / dt)))
+
+
+def independent_points(names: Sequence[str], hands_together: bool) -> Tensor:
+    """Return as how many independent points each landmark counts (P,).
+
+    Points of the face err together, and with ``hands_together`` those of a hand, too: all of them
+    count as few.
+    """
+    parts = [_part(name, hands_together) for name in names]
+    return torch.tensor([min(1.0, TOGETHER / parts.count(part)) if part else 1.0 for part in parts])
+
+
+def _part(name: str, hands_together: bool) -> str | None:
+    """Return the part of the body whose points err together, if the landmark is of one."""
+    if name in _FACE:
+        return "face"
+    return name[: name.index("_hand_")] if hands_together and "_hand_" in name else None
+
+
+def _bones(names: Sequence[str]) -> Iterator[tuple[tuple[int, int], BoneDepth]]:
+    """Yield the bones between some landmarks, as indices, and what is known of each."""
+    every = dict(BONES)
+    for finger, parts in _FINGERS.items():
+        points = [f"hand_{finger}_{part}" for part in parts]
+        every |= {pair: PHALANX for pair in zip(points, points[1:], strict=False)}
+    for pair, bone in every.items():
+        for ends in _ends([pair], names):
+            yield ends, bone
+
+
+def _ends(pairs: Iterable[tuple[str, str]], names: Sequence[str]) -> Iterator[tuple[int, int]]:
+    """Yield the indices of pairs of landmarks, of both sides unless their names say one."""
+    at = {name: k for k, name in enumerate(names)}
+    for pair in pairs:
+        for side in ("left", "right"):
+            one, other = (name if name in at else f"{side}_{name}" for name in pair)
+            if one in at and other in at and (side == "left" or {one, other} != set(pair)):
+                yield at[one], at[other]

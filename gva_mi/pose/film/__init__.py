@@ -1,1 +1,0 @@
-"""Stage 1 of a film: poses, shape and camera from a network's landmarks."""

@@ -1,0 +1,310 @@
+"""Convert motions of AMASS, AIST++, pose estimators and others to poses that drive an avatar.
+
+Facts about the files are from the public descriptions of AMASS (nghorbani/amass) and AIST++
+(google/aistplusplus_api). A file may hold ``poses`` of any body, or parts of them; translations in
+metres, or in centimetres with ``smpl_scaling``; a frame rate under several names; NaN where markers
+were lost; angles of more than half a turn; and any axis may be up.
+
+An estimator's motion is in world axes if the estimator gives them; else in camera axes, and then
+the camera is assumed to stand still. A lens of its own in each frame becomes
+one: :func:`.lens.usual_lens`. Estimators whose file does not say the lens are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+
+from gva_mi.body.gestures import GESTURES, put_hand
+from gva_mi.body.pose import SIDES, Pose, Shape
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.options import PythonOnly, Within, options_of
+from gva_mi.readers.body_arrays import plain_name, unnested
+from gva_mi.readers.bvh import read_bvh
+from gva_mi.readers.estimators import (
+    KINDS,
+    WORLDS,
+    Estimator,
+    VideoInfo,
+    kind_of,
+    lens_by_name,
+    read_source,
+)
+from gva_mi.readers.joints import RATE, joints_in, joints_track
+from gva_mi.readers.people import choose
+from gva_mi.readers.retarget import bvh_track
+from gva_mi.readers.track import (
+    TargetBody,
+    Track,
+    interpolate,
+    make_track,
+    median_betas,
+    through_lens,
+)
+from gva_mi.readers.world import LEANS, UP, Axis, Upward, upright
+from gva_mi.subject.folder import POSES, REFINED_POSES
+from gva_mi.subject.lens import is_one_lens, usual_lens
+
+EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
+MOST_FRAMES = 1_000_000  # of one motion, after resampling
+LONGEST_GAP = 1.0  # seconds in a row without numbers that are still interpolated
+FPS = Within(0.001, 10_000)  # frames a second
+FrameRate = Annotated[float, FPS]
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
+AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
+_SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
+_MOSH = {  # of MoSh++ (SOMA), or of MoSh before: AMASS's names
+    "fullpose": "poses", "trans": "trans", "betas": "betas", "expression": "expression",
+    "pose_est_fullposes": "poses", "pose_est_trans": "trans", "shape_est_betas": "betas",
+    "pose_est_exprs": "expression",
+}  # fmt: skip
+_MOSH_DETAILS = "stageii_debug_details"  # of MoSh++: frame rate and settings
+_MOSH_BETAS = 10  # of a body of which the settings say nothing
+_ROWS = {(72,), (156,), (165,), (24, 3), (52, 3), (55, 3)}  # of a .npy, or matrices by joint
+
+
+@options_of("motion")
+class MotionOptions:
+    """Options of the conversion of a motion to this program's conventions."""
+
+    fps: FrameRate = 25.0  # frames a second of the poses; gva-mi render plays 25
+    # Frames a second of the source; without it, what its file says.
+    source_fps: FrameRate | None = None
+    up: Literal["auto"] | Axis = "auto"  # the source's axis that is up
+    hands: PythonOnly[Literal["relaxed", "flat"]] = "relaxed"  # where the source has none
+    # The estimator's name of one of several people; without it, the person seen longest.
+    person: str | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that was read."""
+
+    pose: Pose
+    shape: Shape
+    notes: tuple[str, ...]  # what was found and done
+
+
+def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
+    """Read a motion; turn it upright, fill its gaps, resample it.
+
+    ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
+    """
+    body = body.for_source(path)
+    return _resampled(str(path), *_read(path, body, options), body, options)
+
+
+def motion_of_poses(
+    where: str, pose: Pose, shape: Shape, fps: float, body: TargetBody, options: MotionOptions
+) -> Motion:
+    """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
+    body = replace(body, of_source=True)
+    named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
+    named["betas"] = shape.betas.double().numpy()
+    track = make_track(where, "0", None, named, np.eye(3), body)
+    return _resampled(where, track, fps, "y", body, options)
+
+
+def _resampled(
+    where: str, track: Track, rate: float, own_up: str | None, body: TargetBody,
+    options: MotionOptions,
+) -> Motion:  # fmt: skip
+    """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its form's own axis."""
+    rotations, others, known = _timeline(where, track.with_flat_hands(body.mean_hands))
+    notes = list(track.notes)
+    if not known.all():
+        _check_gaps(where, known, rate)
+        notes.append(f"frames without numbers, interpolated: {listed(np.flatnonzero(~known))}")
+    if track.from_mean_hand:
+        notes.append("fingers are relative to the mean hand, and the body's is added")
+    if not track.has_hands:
+        for side in SIDES if options.hands == "relaxed" else ():
+            put_hand(rotations, side, GESTURES["rest"].values)
+        notes.append(f"the source has no hands; they are {options.hands}")
+    times = np.arange(len(rotations)) / rate
+    count = int(np.floor(times[-1] * options.fps + 1e-6)) + 1
+    if count > MOST_FRAMES:
+        raise InputError(f"{where}: {count:,} frames at {options.fps:g} a second; give less --fps")
+    wanted = np.arange(count) / options.fps
+    rotations, others = interpolate(times[known], rotations[known], others[known], wanted)
+    places, expression = others[:, :3], others[:, 3:]
+    upward = Upward.of(rotations, places, body.joints, options.fps)
+    up = options.up if options.up != "auto" else own_up or upward.axis()
+    if up is None:
+        raise InputError(
+            f"{where}: the head is above the feet along no axis; give --up of gva-mi motion, one "
+            f"of {', '.join(UP)}"
+        )
+    if (lean := upward.lean(up)) >= LEANS:
+        notes.append(f"the person leans {lean:.0f} degrees from that axis; --up takes another")
+    rotations, places = upright(rotations, places, up)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    if len(steps) and (speed := np.median(steps) * options.fps) > _SPRINT:
+        notes.append(f"doubtful: the pelvis goes {speed:.0f} m in a second: in centimetres or "
+                     "millimetres? Translations must be metres")  # fmt: skip
+    betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
+    expression, of_face = body.expression(track.form, expression)
+    notes = [*notes, *varied, *of_face]
+    notes.insert(0, f"{track.form}, {len(known)} frames at {rate:g} a second, {up} up; "
+                    f"now {count} at {options.fps:g}, y up")  # fmt: skip
+    shape = Shape(torch.from_numpy(betas.astype(np.float32)))
+    return Motion(Pose.of_arrays(rotations, places - places[0], expression), shape, tuple(notes))
+
+
+def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:
+    """Read one person's track, frames per second, and the form's own up axis."""
+    where = str(path)
+    if path.suffix.lower() == ".bvh":
+        clip = read_bvh(path)
+        rate = rate_of(where, {"fps": 1 / clip.frame_time}, options.source_fps)
+        return bvh_track(path, clip, body), rate, None
+    found = _from_mosh(read_source(path, EXPECTED))
+    if (places := joints_in(path, found, options.person)) is not None:
+        rate = options.source_fps or RATE
+        return joints_track(places, rate, body.joints), rate, None
+    if isinstance(found, np.ndarray) and not found.dtype.hasobject:
+        found = _named_rows(path, found)
+    if not isinstance(found, dict | Path) or not found:
+        raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
+    world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
+    kind = world or kind_of(found)
+    if kind is not None and (kind != "parameters" or isinstance(found, Path)):
+        record = WORLDS[kind] if world else KINDS[kind]
+        track = _estimated(kind, record, path, found, options.person, body)
+        return track, rate_of(where, {}, options.source_fps), record.up
+    if isinstance(found, Path):
+        poses = [n for n in (REFINED_POSES, POSES) if (path / n).is_file()]
+        hint = f"; its motion is {path / poses[0]}" if poses else ""
+        raise InputError(
+            f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "
+            "AIST++'s .pkl, or the folder of ROMP, BEV or SMPLer-X" + hint
+        )
+    found = unnested(found)
+    K = lens_by_name(where, found, VideoInfo((1000, 1000), 1.0))
+    K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
+    track = _before_one_lens(make_track(where, "0", None, found, K, body))
+    own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
+    return track, rate_of(where, found, options.source_fps), own
+
+
+def _from_mosh(found: Any) -> Any:  # noqa: ANN401
+    """Return the arrays of MoSh's second stage, ``*_stageii.pkl``, under AMASS's names.
+
+    Its settings say how many of the coefficients were used. Anything else is returned as it is.
+    """
+    if not isinstance(found, Mapping) or not {_MOSH_DETAILS, "pose_est_fullposes"} & set(found):
+        return found
+    details = found.get(_MOSH_DETAILS, found)
+    settings = details.get("cfg", details.get("ps"))
+    model = settings.get("surface_model", settings) if isinstance(settings, Mapping) else {}
+    renamed = {ours: found[name] for name, ours in _MOSH.items() if name in found}
+    rate = details.get("mocap_frame_rate", details.get("mocap_framerate"))
+    renamed |= {} if rate is None else {"mocap_frame_rate": rate}
+    counts = {"betas": model.get("num_betas", _MOSH_BETAS)}
+    counts["expression"] = model.get("num_expressions")
+    for name, count in counts.items():
+        if name in renamed and isinstance(count, int):
+            renamed[name] = renamed[name][..., :count]
+    return renamed
+
+
+def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return an array without names as poses, where its shape says that it holds them."""
+    shape = rows.shape[1:]
+    if shape not in _ROWS and not (shape[1:] == (3, 3) and shape[0] in (22, 24, 52, 55)):
+        raise InputError(
+            f"{where}: an array {rows.shape} without names, which could be any parameters in any "
+            "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
+        )
+    return {"poses": rows}
+
+
+def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
+    """Return a motion's frames per second: the ``given`` ones, or what its arrays say.
+
+    120.00004 becomes 120.
+    """
+    if given is not None:
+        return given
+    found = {plain_name(name): x for name, x in found.items()}
+    name = next((name for name in RATES if name in found), None)
+    if name is None and "scaling" in found:
+        return AIST_RATE
+    if name is None:
+        raise InputError(
+            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps of "
+            "gva-mi motion"
+        )
+    try:
+        rate = float(np.ravel(found[name])[0])
+    except (ValueError, TypeError, IndexError):
+        rate = np.nan
+    if rate not in FPS:
+        raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
+
+
+def _estimated(
+    kind: str, record: Estimator, path: Path, found: Any,  # noqa: ANN401
+    person: str | None, body: TargetBody,
+) -> Track:  # fmt: skip
+    """Return one person of an estimator's output, in world or camera axes (module docstring)."""
+    if record.needs_video:
+        raise InputError(
+            f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
+            f"a motion in metres, or gva-mi prepare {kind} with its video"
+        )
+    with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
+        # Of the size of its pictures nothing is known, nor of a lens that follows from it.
+        tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, body))
+        axes = "in the axes of the camera, which is taken to stand still"
+        axes = "in the axes of its world" if record is WORLDS.get(kind) else axes
+        track, chosen = choose(str(path), tracks, person, None)
+    return _before_one_lens(track, f"{kind}, {axes}", *chosen)
+
+
+def _before_one_lens(track: Track, *notes: str) -> Track:
+    """Return a track with notes, before one usual lens if it has another in each frame."""
+    if not is_one_lens(track.K):
+        K = usual_lens(track.K)
+        track = through_lens(track, K)
+        lens = f"{K[0, 0]:.0f} pixels"
+        notes += (f"seen through another lens in each frame; placed before one of {lens}",)
+    return replace(track, notes=(*notes, *track.notes))
+
+
+def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rotations (T, 55, 3), places and expressions (T, 3 + E) and known (T,), first to last.
+
+    Frames that an estimator left out are NaN.
+    """
+    rows = track.frames - track.frames.min()
+    count = int(rows.max()) + 1
+    if count > MOST_FRAMES:
+        raise InputError(
+            f"{where}: frames {track.frames.min()} to {track.frames.max()}, expected at most "
+            f"{MOST_FRAMES:,}"
+        )
+    face = np.zeros((len(rows), 10)) if track.expression is None else track.expression
+    others = np.full((count, 3 + face.shape[1]), np.nan)
+    rotations = np.full((count, *track.rotations.shape[1:]), np.nan)
+    rotations[rows], others[rows] = track.rotations, np.hstack([track.places, face])
+    return rotations, others, np.isfinite(rotations).all((1, 2)) & np.isfinite(others).all(1)
+
+
+def _check_gaps(where: str, known: np.ndarray, rate: float) -> None:
+    if not known.any():
+        raise InputError(f"{where}: every frame holds a number that is not finite")
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(int)))
+    gap = (edges[1::2] - edges[::2]).max(initial=0) / rate
+    if gap > LONGEST_GAP:
+        raise InputError(
+            f"{where}: {gap:.3g} s in a row without numbers, in frames "
+            f"{listed(np.flatnonzero(~known))}; expected at most {LONGEST_GAP:g} s"
+        )

@@ -1,0 +1,341 @@
+"""``Track``: one person in a source, frame by frame, before a camera; and the body it is for.
+
+A network that sees a crop assumes a long lens with its axis in the crop: focal length, axis and
+distance change with the detector's box, by metres while a person stands still. So places are
+compared, joined and interpolated before one usual lens (:mod:`gva_mi.subject.lens`, eq. 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gva_mi.body.body_file import BUILT_IN_BODY, SMPL, SMPLH, SMPLX, read_body
+from gva_mi.body.pose import LEFT_HAND, Shape
+from gva_mi.body.rotations import composed, nearest_rotations, shortest, to_rotvecs
+from gva_mi.body.smplx import BodyModel, body_name, resolve_body
+from gva_mi.body.so3 import compose
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError
+from gva_mi.readers.body_arrays import OTHERS, find_body
+from gva_mi.subject.fingerprint import belongs_to
+from gva_mi.subject.footage import Pictures
+from gva_mi.subject.lens import (
+    RECORDED,
+    asked_for,
+    centred,
+    is_one_lens,
+    recorded,
+    seen_alike,
+    usual_lens,
+)
+
+NEARLY = 0.1  # of a focal length's logarithm: a smaller difference is not worth a note
+BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is given
+# The pelvis of the neutral mean person at rest, metres, as the public models regress it.
+PELVIS = {
+    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
+    "SMPL-X": (0.0031, -0.3514, 0.0120),
+}  # fmt: skip
+_NEAR = 0.05  # metres of it are those of the male and of the female mean
+
+
+@dataclass(frozen=True)
+class Track:
+    """An estimator's result for one person; frames ascend and may have gaps.
+
+    A body turns about its pelvis, so the pelvis's place and the root's rotation say where it is
+    before any camera and on any body.
+    """
+
+    person: str  # the estimator's name of them
+    frames: np.ndarray  # (n,) int
+    rotations: np.ndarray  # (n, 55, 3) axis-angle; the root's is relative to the camera's axes
+    places: np.ndarray  # (n, 3) the pelvis, metres, as the camera sees it: x right, y down, z deep
+    betas: np.ndarray | None  # (n, B)
+    K: np.ndarray  # (n, 3, 3) pixels
+    form: str  # "SMPL", "SMPL+H" or "SMPL-X"
+    has_hands: bool
+    from_mean_hand: bool = False  # fingers are relative to the model's mean hand, not to the flat
+    expression: np.ndarray | None = None  # (n, E)
+    of_mean: bool = False  # places follow from the mean person's pelvis, which betas move
+    notes: tuple[str, ...] = ()  # what of the source is not here
+
+    def where(self, rows: np.ndarray) -> Track:
+        """Select rows of the track by a mask (n,) or by row numbers."""
+        names = ("frames", "rotations", "places", "betas", "K", "expression")
+        arrays = {name: x[rows] for name in names if (x := getattr(self, name)) is not None}
+        return replace(self, **arrays)
+
+    def turned(self, turn: np.ndarray, places: np.ndarray) -> Track:
+        """Turn the track's root by ``turn`` (n, 3), and put its pelvis at ``places`` (n, 3)."""
+        rotations = self.rotations.copy()
+        rotations[:, 0] = composed(turn, rotations[:, 0])
+        return replace(self, rotations=rotations, places=places)
+
+    def with_flat_hands(self, mean_hands: np.ndarray) -> Track:
+        """Return the track with fingers relative to flat hands.
+
+        ``mean_hands`` (30, 3) of the body are added where they are relative to those.
+        """
+        if not self.from_mean_hand:
+            return self
+        rotations = self.rotations.copy()
+        rotations[:, LEFT_HAND.start :] += mean_hands
+        return replace(self, rotations=rotations, from_mean_hand=False)
+
+    def seen_from(self, R: np.ndarray, T: np.ndarray) -> Track:
+        """Transform a track from world to camera axes, x_cam = R x + T.
+
+        R is (3, 3), or (n, 3, 3) of a moving camera, made a rotation where digits were lost; T is
+        (3,) or (n, 3) metres.
+        """
+        R = np.broadcast_to(nearest_rotations(R), (len(self.frames), 3, 3))
+        places = np.einsum("nij,nj->ni", R, self.places) + np.reshape(T, (-1, 3))
+        return self.turned(to_rotvecs(R), places)
+
+
+def make_track(
+    where: str,
+    person: str,
+    frames: np.ndarray | None,
+    found: Mapping[str, Any],
+    K: np.ndarray,
+    body: TargetBody | None = None,
+    of_pelvis: bool = False,
+) -> Track:
+    """Make a track of arrays that hold all its frames, by the names of :mod:`.body_arrays`.
+
+    Args:
+        where: file and person, for errors.
+        person: the estimator's name of them.
+        frames: (n,) frame numbers; None: 0 to n − 1.
+        found: the arrays.
+        K: (3, 3) or (n, 3, 3) pixels.
+        body: the body that poses are converted to, if it is known: its pelvis counts where the
+            source's body is the same.
+        of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
+    """
+    of = find_body(where, found)
+    count = len(of.rotations)
+    frames = np.arange(count) if frames is None else frames
+    K = np.broadcast_to(K, (count, 3, 3)) if K.shape in ((3, 3), (1, 3, 3)) else K
+    if len(frames) != count or K.shape != (count, 3, 3):
+        raise InputError(f"{where}: {count} poses and K {K.shape} for {len(frames)} frames")
+    betas, notes = of.betas, []
+    if betas is not None:
+        if betas.shape != (count, betas.shape[-1]):
+            betas = median_betas(np.atleast_2d(betas))[0]
+        betas = np.broadcast_to(betas, (count, betas.shape[-1]))
+    places = of.transl
+    if places is None:
+        places = np.zeros((count, 3))
+        notes.append("the source has no translation: the person stays in place")
+    of_mean = False
+    if not of_pelvis:
+        of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(of.form))
+        pelvis = np.array(PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
+        if of.about_origin is not None:
+            pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
+        places = places + pelvis
+    if unused := sorted(set(of.unused) - OTHERS):
+        notes.append(f"not used of the source: {listed_names(unused)}")
+    return Track(
+        person, frames, of.rotations, places, betas, K, of.form, of.has_hands,
+        expression=of.expression, of_mean=of_mean, notes=tuple(notes),
+    )  # fmt: skip
+
+
+def listed_names(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are."""
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return ", ".join(names[:12]) + more
+
+
+def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
+    """Fill a track so that it has each of a video's ``count`` frames.
+
+    It is held before the first known frame and after the last. Returns the track, whether a frame
+    lies between these (count,), and notes.
+    """
+    outside = track.frames[(track.frames < 0) | (track.frames >= count)]
+    if len(outside):
+        raise InputError(
+            f"{where}: has frame {outside[0]}, but the video has frames 0 to {count - 1}; "
+            "expected poses of this very video"
+        )
+    good = np.isfinite(track.rotations).all((1, 2)) & np.isfinite(track.places).all(1)
+    good &= np.isfinite(track.K).all((1, 2))
+    if not good.any():
+        raise InputError(f"{where}: person {track.person}: no frame holds finite numbers")
+    focal = track.K[good][:, [0, 1], [0, 1]]
+    if not (focal > 0).all():
+        raise InputError(f"{where}: focal lengths must be above 0 pixels, got {focal.min():g}")
+    known, wanted = track.frames[good], np.arange(count)
+    # Before one lens, because the person is as many times farther away as a lens is longer.
+    lens, expression = usual_lens(track.K[good]), track.expression
+    rows = [seen_alike(track.places[good], track.K[good], lens)]
+    rows += [] if expression is None else [expression[good]]
+    rotations, moved = interpolate(
+        known.astype(float), track.rotations[good], np.hstack(rows), wanted.astype(float)
+    )
+    entries = track.K[good].reshape(-1, 9).T
+    K = np.stack([np.interp(wanted, known, x) for x in entries], axis=1).reshape(-1, 3, 3)
+    places = seen_alike(moved[:, :3], lens, K)
+    inside = (wanted >= known[0]) & (wanted <= known[-1])
+    notes = []
+    if len(gap := wanted[inside & ~np.isin(wanted, known)]):
+        notes.append(f"frames without a pose, interpolated: {listed(gap)}")
+    if len(gap := wanted[~inside]):
+        notes.append(f"frames before or after the person is seen, left out: {listed(gap)}")
+    filled = {"frames": wanted, "rotations": rotations, "places": places, "K": K}
+    filled["expression"] = None if expression is None else moved[:, 3:]
+    return replace(track, **filled), inside, notes
+
+
+def interpolate(
+    times: np.ndarray, rotations: np.ndarray, others: np.ndarray, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sample rotations (n, J, 3) and other numbers (n, D) at times ``wanted`` (m,).
+
+    A joint turns evenly, on the shorter way round; other numbers are interpolated linearly.
+    ``times`` (n,) ascend; the motion is held before the first and after the last. Returned
+    rotations are at most half a turn long.
+    """
+    after = np.clip(np.searchsorted(times, wanted, side="right"), 1, max(1, len(times) - 1))
+    before = after - 1
+    after = np.minimum(after, len(times) - 1)
+    span = np.maximum(times[after] - times[before], 1e-12)
+    s = np.clip((wanted - times[before]) / span, 0, 1)
+    first, second = torch.from_numpy(rotations[before]), torch.from_numpy(rotations[after])
+    turned = compose(first, torch.from_numpy(s)[:, None, None] * compose(-first, second))
+    moved = others[before] + s[:, None] * (others[after] - others[before])
+    return turned.numpy(), moved
+
+
+def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
+    """Return one person's median betas (B,) over frames (T, B), and a note if these differ.
+
+    The median is taken: a few frames that an estimator got wrong do not move it.
+    """
+    if betas is None:
+        return np.zeros(10), []
+    betas = betas[np.isfinite(betas).all(1)]
+    if not len(betas):
+        return np.zeros(10), ["no betas are finite; they are zero"]
+    spread = float(betas.std(0).max())
+    note = f"betas differ by up to {spread:.2g} from frame to frame; their median is taken"
+    return np.median(betas, axis=0), [note] if spread > BETAS_VARY else []
+
+
+@dataclass(frozen=True)
+class TargetBody:
+    """The body that poses are for."""
+
+    name: str
+    model: BodyModel
+    form: str  # "SMPL", "SMPL+H" or "SMPL-X"; "own" for another body in such a file
+    joints: np.ndarray  # (55, 3) at rest, of the mean shape, metres
+    mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
+    of_source: bool = False  # the source's poses were made on this very body
+
+    @staticmethod
+    def read(path: Path | None) -> TargetBody:
+        """Read a body's file; the built-in body for the word ``built-in``, or for None."""
+        path = path or BUILT_IN_BODY
+        arrays = read_body(resolve_body(path))
+        hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
+        model = BodyModel(arrays)
+        joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()
+        # The model is known by the joints that move it and by its pelvis: other bodies come in
+        # SMPL-X's format, too, and have betas of their own.
+        moved = set(np.flatnonzero(arrays["weights"].any(0)).tolist())
+        form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
+        form = form if np.linalg.norm(joints[0] - PELVIS[form]) < _NEAR else "own"
+        hands = np.stack(hands).reshape(30, 3)
+        return TargetBody(body_name(path), model, form, joints, hands)
+
+    def for_source(self, source: Path) -> TargetBody:
+        """Return this body, marked if the subject's folder that poses lie in was made on it."""
+        folder = source if source.is_dir() else source.parent
+        return replace(self, of_source=belongs_to(folder, self.model))
+
+    def keeps_betas(self, form: str) -> bool:
+        """Whether betas and expressions of a source with this body model are this body's."""
+        return self.of_source or form == self.form
+
+    def pelvises(self, form: str, betas: np.ndarray | None) -> np.ndarray:
+        """Return the pelvis at rest, (3,) or (n, 3) metres, of a source's body with ``betas``.
+
+        They are (B,) or (n, B). Without that body at hand it is the mean person's, which betas
+        move by centimetres.
+        """
+        if not self.keeps_betas(form):
+            return np.array(PELVIS[form])
+        betas = np.zeros(0) if betas is None else betas
+        moves = self.model.shape_joints[:, :3].double().numpy()
+        count = min(len(moves), betas.shape[-1])
+        return self.joints[0] + betas[..., :count] @ moves[:count]
+
+    def expression(self, form: str, given: np.ndarray) -> tuple[np.ndarray, list[str]]:
+        """Return what of a source's expressions (T, E) is this body's, ten at most, and notes."""
+        if not self.keeps_betas(form):
+            if not given.any():
+                return np.zeros((len(given), 10)), []
+            note = f"the face's expression is left out: coefficients of {form} are not the body's"
+            return np.zeros((len(given), 10)), [f"{note} {self.name}"]
+        count = min(10, self.model.num_expressions, given.shape[1])
+        note = [f"the first {count} of {given.shape[1]} coefficients of the expression are kept"]
+        return given[:, :count], note if given[:, count:].any() else []
+
+
+def filmed_with(
+    track: Track, given: str | None, frames: Pictures, size: tuple[int, int]
+) -> tuple[Track, list[str]]:
+    """Return a track adapted to the lens of the video of ``size`` (W, H), and notes.
+
+    ``given`` is the user's focal length, as :func:`asked_for` reads it; None keeps the one that the
+    estimator assumed.
+    """
+    known = recorded(frames, size)
+    each = np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])
+    assumed = float(np.median(each))
+    if given is None and not is_one_lens(track.K):
+        return track, [
+            f"the estimator took another lens in each frame, of {each.min():.0f} to "
+            f"{each.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
+        ]
+    if given is None and (known is None or abs(np.log(known / assumed)) < NEARLY):
+        return track, []
+    if given is None:
+        return track, [
+            f"the poses are for a focal length of {assumed:.0f} pixels; the recording says "
+            f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
+        ]
+    focal = asked_for(given, known, size)
+    if is_one_lens(track.K) and focal == assumed:
+        return track, []
+    moved = f"people stand {focal / assumed:.3g} times as far away"
+    K = centred(focal, size)
+    if is_one_lens(track.K):  # else the axes are those of crops
+        K[:2, 2] = track.K[0, :2, 2]
+    return through_lens(track, K), [
+        f"the focal length is {focal:.0f} pixels, where the estimator took {assumed:.0f}: {moved}"
+    ]
+
+
+def through_lens(track: Track, K: np.ndarray) -> Track:
+    """Adapt a track to the lens K (3, 3) if the estimator assumed another one, or one a frame.
+
+    The person keeps place and size in the picture (:mod:`.track`), and turns with the ray on
+    which the pelvis is seen, so that the camera sees the same side (as CLIFF, Li et al. 2022,
+    separates the turn of a crop from that of the person).
+    """
+    places = seen_alike(track.places, track.K, K)
+    turned = track.turned(shortest(track.places, places), places)
+    return replace(turned, K=np.broadcast_to(K, track.K.shape))

@@ -1,0 +1,87 @@
+"""Find the up axis of a motion, and turn the motion so that y is up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS
+from gva_mi.body.rotations import composed, to_matrices
+from gva_mi.subject.silhouettes import joints_in_world
+
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+UP: tuple[Axis, ...] = get_args(Axis)
+LEANS = 20  # degrees from the up axis that are worth a note
+_CLEAR = 0.7  # share of the way from feet to head that must lie along one axis
+_BEGINS = 0.5  # seconds: people begin upright, also who lies down, dances on the hands, or swims
+_EVEN = 0.15  # metres that the lowest joint rises and falls more than on the evenest floor
+_TO_Y = {  # axis-angle in quarter turns that takes an axis to y
+    "x": (0, 0, 1), "-x": (0, 0, -1), "y": (0, 0, 0), "-y": (2, 0, 0), "z": (-1, 0, 0),
+    "-z": (1, 0, 0),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Upward:
+    """Where a person's head is above the feet, and where a floor may be."""
+
+    begins: np.ndarray  # (3,) unit vector from the feet to the head in the first frames
+    mean: np.ndarray  # (3,) of all frames
+    drifts: Mapping[str, float]  # by axis of UP: how far the lowest joint rises and falls, metres
+
+    @staticmethod
+    def of(rotations: np.ndarray, places: np.ndarray, joints: np.ndarray, rate: float) -> Upward:
+        """Measure rotations (T, 55, 3) and pelvises (T, 3) at so many frames a second.
+
+        ``joints`` are (55, 3) at rest of any body.
+        """
+        seen = joints_in_world(rotations, places - joints[0], joints)
+        at = lambda name: seen[:, JOINTS.index(name)]
+        upward = unit(at("head") - (at("left_ankle") + at("right_ankle")) / 2)
+        first = max(1, round(_BEGINS * rate))
+        lows = {up: (seen @ axis_of(up)).min(1) for up in UP}
+        drifts = {up: float(np.subtract(*np.percentile(x, (95, 5)))) for up, x in lows.items()}
+        return Upward(unit(upward[:first].mean(0)), unit(upward.mean(0)), drifts)
+
+    def axis(self) -> str | None:
+        """Return the axis of :data:`UP` that is up; None if none is clearly, as for who lies.
+
+        It is the one along which the person begins upright, of those with an even floor; if there
+        is none, of all; and then the one along which the person is upright on average.
+        """
+        least = min(self.drifts.values()) + _EVEN
+        floors = [up for up in UP if self.drifts[up] <= least]
+        for ups, upward in ((floors, self.begins), (UP, self.begins), (UP, self.mean)):
+            best = max(ups, key=lambda up: float(upward @ axis_of(up)))
+            if upward @ axis_of(best) >= _CLEAR:
+                return best
+        return None
+
+    def lean(self, up: str) -> float:
+        """Return the angle, degrees, from an axis to the person as they begin, or mostly are."""
+        cosine = max(float(x @ axis_of(up)) for x in (self.begins, self.mean))
+        return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def axis_of(up: str) -> np.ndarray:
+    """Return the unit vector (3,) of an axis of :data:`UP`."""
+    return np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+
+
+def unit(x: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) of length 1; zero stays zero."""
+    return x / np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
+
+
+def upright(rotations: np.ndarray, places: np.ndarray, up: str) -> tuple[np.ndarray, np.ndarray]:
+    """Turn rotations (T, 55, 3) and pelvises (T, 3) with their world, whose axis ``up`` becomes y.
+
+    ``up`` is one of :data:`UP`.
+    """
+    turn = np.array(_TO_Y[up], np.float64) * np.pi / 2
+    rotations = rotations.copy()
+    rotations[:, 0] = composed(turn, rotations[:, 0])
+    return rotations, places @ to_matrices(turn).T

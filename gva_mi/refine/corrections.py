@@ -1,0 +1,195 @@
+"""The unknowns of refinement: a turn of every joint and a shift of the body, in every frame.
+
+1. ``R_k,i = R_k,i^stage1 exp(δ_k,i)``,    ``t_k = t_k^stage1 + τ_k``
+2. ``A_k,i δ_k,i = δ⁰_k,i + Σ_l M_i,kl u_l,i``,    ``τ`` in the same way
+
+``A_k,i`` rotates a vector to the camera's axes, by stage 1. In these axes each coordinate has its
+own step size: images show how a limb swings across the line of sight, and where a person stands
+sideways, much better than a tilt toward the camera, and depth. With one step size for all,
+coordinates that images show weakly would hardly move.
+
+The preconditioner ``M`` and the energy of the corrections come from the prior of this video
+(:mod:`gva_mi.prior.inference`, :mod:`gva_mi.prior.process`). The energy has further terms
+of the corrected pose: anatomy, the ground and camera-locked tilt. ``δ⁰`` is where the optimisation
+starts: first the MAP estimate without any image, later the corrections found before the prior was
+updated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose
+from gva_mi.body.so3 import compose
+from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.error_model import Stage1ErrorModel
+from gva_mi.prior.ground import Ground, Soles
+from gva_mi.prior.inference import (
+    JOINTS,
+    PELVIS,
+    PosePrior,
+    PriorTerm,
+    prior_from_corrections,
+    prior_from_stage1,
+)
+from gva_mi.prior.stage1_poses import Stage1, turns_between
+
+
+class Corrections:
+    """``δ`` and ``τ`` of some frames, under a prior.
+
+    ``turns`` (n, J, 3, 1) and ``moves`` (n, 3, 1) are leaves, ``u`` of eq. 2.
+    :class:`gva_mi.refine.optimize.VectorAdam` takes the last axis for a vector, so each coordinate
+    has its own step size. ``start`` is ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
+    """
+
+    def __init__(
+        self, stage1: Stage1, anatomy: Anatomy, prior: PosePrior, turns0: Tensor, moves0: Tensor
+    ) -> None:
+        """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
+        self._stage1, self._anatomy, self.prior = stage1, anatomy, prior
+        self.start = turns0, moves0
+        n, joints = turns0.shape[:2]
+        own = stage1.in_joints(turns0)
+        spread = torch.zeros(joints, n, n)  # the face stays
+        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS])
+        spread[JOINTS] = prior.joints.spread(own[:, JOINTS])
+        self._spread = spread
+        self._spread_moves = prior.place.spread(moves0[..., None])
+        self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
+        self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
+        self.moves = torch.zeros(n, 3, 1).requires_grad_()
+
+    @staticmethod
+    def map_estimate(
+        stage1: Stage1, anatomy: Anatomy, known: Mapping[str, Stage1ErrorModel] | None = None
+    ) -> Corrections:
+        """Start from the MAP estimate, without any image; ``known`` is of the estimator."""
+        prior = prior_from_stage1(stage1, known)
+        given = stage1.pose.rotations
+        own = torch.zeros(given.shape)
+        own[:, PELVIS], pelvis = prior.pelvis.map_estimate()
+        own[:, JOINTS], joints = prior.joints.map_estimate()
+        moves, place = prior.place.map_estimate()
+        prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
+        covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
+        covariance[JOINTS] = joints.covariance(own[:, JOINTS])
+        estimate = turns_between(-given, own)
+        wanted = anatomy.conditioned(estimate, covariance, stage1.times)
+        own = turns_between(given, wanted)
+        return Corrections(stage1, anatomy, prior, stage1.in_camera(own), moves[..., 0])
+
+    def zeroed(self) -> Corrections:
+        """Return the same prior with zero corrections: stage 1 as it is."""
+        turns0, moves0 = (torch.zeros_like(x) for x in self.start)
+        return Corrections(self._stage1, self._anatomy, self.prior, turns0, moves0)
+
+    @torch.no_grad()
+    def found(self) -> tuple[Tensor, Tensor]:
+        """Return the current ``A δ`` (n, J, 3) and ``τ`` (n, 3), in the camera's axes."""
+        return self._at(slice(None))
+
+    @torch.no_grad()
+    def centre(self) -> None:
+        """Remove corrections that another body shape would explain equally well.
+
+        These are turns of a joint that are constant in its own axes, and shifts that are constant
+        in the camera's axes or in the pelvis's: a body a centimetre behind its pelvis looks the
+        same if all pelvises are a centimetre nearer.
+        """
+        turns, moves = self.found()
+        mean = self._stage1.in_joints(turns).mean(0).expand_as(turns)
+        turns0, moves0 = self.start
+        constant = constant_shifts(moves, self._stage1.R_joint_camera[:, 0])
+        self.start = turns0 - self._stage1.in_camera(mean), moves0 - constant
+
+    @torch.no_grad()
+    def with_updated_prior(self, turns: Tensor, moves: Tensor) -> Corrections:
+        """Return corrections that were :meth:`found`, with the prior inferred from them."""
+        prior = prior_from_corrections(self.prior, self._stage1, turns, moves)
+        return Corrections(self._stage1, self._anatomy, prior, turns, moves)
+
+    @torch.no_grad()
+    def fit_ground(self, soles: Soles) -> None:
+        """Fit the ground to the current poses, and add its energy to the prior."""
+        stage1, pose = self._stage1, self.pose(range(len(self.moves)))
+        ground = Ground.under(soles, pose, stage1.times, stage1.R_camera_world)
+        self.prior = replace(self.prior, ground=ground)
+
+    def pose(self, which: Sequence[int]) -> Pose:
+        """Return eq. 1 for some of the n frames by index, differentiable in the leaves."""
+        return self._stage1.corrected(which, *self._at(list(which)))
+
+    def energy(self, distance_shown: bool = False) -> Tensor:
+        """Return the corrections' prior energy in nats, a mean over the frames.
+
+        ``distance_shown``: whether the evidence shows how far away the person stands.
+        """
+        turns, moves = self._at(slice(None))
+        own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
+        of_pelvis, of_joints, of_place = self._precisions
+        places = moves[..., None]
+        nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], own[:, PELVIS])
+        nats = nats + prior.joints.energy(of_joints, turns[:, JOINTS], own[:, JOINTS])
+        nats = nats + prior.place.energy(of_place, places, places)
+        rotations = compose(stage1.pose.rotations, own)
+        motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times
+        terms: list[PriorTerm] = [self._anatomy]
+        for term in terms if prior.ground is None else [*terms, prior.ground]:
+            nats = nats + term.energy(*motion)
+        held = self._held(turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0))
+        tilt = prior.tilt.energy(*motion) if prior.tilt else self.constant_turn_energy()
+        return nats / len(moves) + held + tilt
+
+    def constant_turn_energy(self) -> Tensor:
+        """Return the energy of turns that all frames share, in the camera's axes, nats.
+
+        As :meth:`energy`, a mean over the frames: a skirt that widens toward its hem, or a sole,
+        looks like legs that tilt toward the camera from every side of a person who turns. Many
+        images determine such a tilt no better than one, so the errors' size is a prior in every
+        frame. Its weight is how far the person turns: 1 for a full turn, 0 for none.
+        """
+        mean = self._at(slice(None))[0][:, JOINTS].mean(0)
+        variance = self.prior.joints.variance_of_mean(bias=True)
+        return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
+
+    def _held(self, turn: Tensor, shift: Tensor | None) -> Tensor:
+        """Return the energy, in each frame, of a turn (3,) and shift (3,) of the whole person.
+
+        Many images determine them no better than one: a larger person farther away looks the same
+        in all of them, and trousers that widen toward their hems look like feet nearer than the
+        head. So the mean over stage 1's frames is a prior in every frame. Other joints are treated
+        by :meth:`constant_turn_energy`, or by the camera-locked tilt. The bias of a position counts
+        if it is known, and not guessed.
+        """
+        pelvis, place = self.prior.pelvis, self.prior.place
+        nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2
+        if shift is not None:
+            variance = place.variance_of_mean(bias=self.prior.noise["depth"].known)
+            nats = nats + (shift.square() / variance).sum() / 2
+        return nats
+
+    def _at(self, which: list[int] | slice) -> tuple[Tensor, Tensor]:
+        """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
+        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
+        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
+        turns0, moves0 = self.start
+        return turns0[which] + turns, moves0[which] + moves
+
+
+def constant_shifts(shifts: Tensor, R_body_camera: Tensor) -> Tensor:
+    """Return the constant part (n, 3) of shifts: ``a + R_kᵀ b``, by least squares.
+
+    The shifts (n, 3) are in the axes of the camera; ``R_k`` (n, 3, 3) rotates a vector from there
+    to the axes of the body.
+    """
+    R = R_body_camera.double()
+    basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2).reshape(-1, 6)
+    # If the person does not turn, both halves are the same three columns.
+    inverse = torch.linalg.pinv(basis.T @ basis, rtol=1e-6, hermitian=True)
+    found = inverse @ (basis.T @ shifts.double().reshape(-1))
+    return (basis @ found).reshape(shifts.shape).to(shifts)

@@ -1,0 +1,220 @@
+"""Stage 2 of the paper (Eq. 8): refine poses until they agree with normals and silhouettes.
+
+    L_pose = |N - N_pred| + λ1 |S - S_pred| + λ2 Σ_i ω_i |θ_i - θ_i^stage1|²
+
+with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
+:mod:`gva_mi.mesh.mesh_scene`. The type of the options chooses one of two methods:
+
+* :mod:`gva_mi.refine.sequence`: all frames together, with corrections of stage 1 that are smooth in
+  time, one displacement of the rest surface for the clothes, and the person's shape. Eq. 8 fits a
+  bare body to the mask of a clothed person, which makes such poses worse than stage 1.
+* :mod:`gva_mi.refine.single_frame`: Eq. 8 as printed, frame by frame, the bare body, rotations
+  only.
+
+Frames of all splits are refined in the same way, from their own masks and normals; frames without
+normals from their silhouettes alone. A job is a clip of a video (:mod:`gva_mi.refine.clips`). Jobs
+are solved one after the other, and processes share the frames of each step
+(:mod:`gva_mi.refine.frame_losses`): any number finds the same poses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress, part_of_progress
+from gva_mi.core.cpu import one_thread
+from gva_mi.core.tasks import Done, run
+from gva_mi.refine.clips import cut, join, skim
+from gva_mi.refine.observed_video import (
+    ObservedVideo,
+    RefineOptions,
+    as_filmed,
+    before_one_lens,
+    simplified_body,
+)
+from gva_mi.refine.optimize import worse_frames
+from gva_mi.refine.sequence import (
+    ObservedClip,
+    SequenceOptions,
+    Solution,
+    refine_sequence,
+    repeats,
+)
+from gva_mi.refine.single_frame import FRAMES_A_JOB, refine_single_frames
+from gva_mi.splat import Camera
+from gva_mi.subject.video import Video
+
+# Nats by which a frame must speak against its refined pose, where stage 1 was made from the same
+# landmarks: it agrees with them by more than the true pose does, and its neighbours know better.
+CONTRADICTION = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Refined(Solution):
+    """Solution of all frames after stage 2, and figures of the refinement."""
+
+    losses_stage1: Tensor  # (T,) of the evidence at stage 1; NaN where there is none
+    losses: Tensor  # (T,) the data term at the poses found, rejected ones included
+    kept: dict[int, str]  # frames that keep their stage-1 pose, and why
+    without_normals: list[int]  # frames that were fitted to their silhouette alone
+    seconds_per_frame: float  # summed over all workers
+    cameras: list[Camera] | None = None  # that the poses are for, if not the video's
+    held_out: list[int] = field(default_factory=list)  # test frames that were not used
+    # Pairs of limbs that stage 1 had swapped, and in which frames.
+    swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+
+def refine(
+    video: Video,
+    body: BodyModel,
+    options: RefineOptions,
+    progress: Progress | None = None,
+) -> Refined:
+    """Refine the poses of all frames of a video.
+
+    Args:
+        video: frames, cameras, masks, perhaps normals, and stage-1 poses.
+        body: the body that the poses move.
+        options: ``SequenceOptions`` or ``SingleFrameOptions``; the type chooses the method.
+        progress: called as ``progress(done, total, **figures)`` as the work goes on.
+
+    Returns:
+        Poses of all frames. A frame that cannot be refined keeps its stage-1 pose and is listed in
+        ``kept``: an empty mask, a body out of view, or a loss that did not fall below stage 1's.
+    """
+    return next(refine_all([video], body, options, progress))
+
+
+def refine_all(
+    videos: Sequence[Video],
+    body: BodyModel,
+    options: RefineOptions,
+    progress: Progress | None = None,
+    workers: int = 1,
+) -> Iterator[Refined]:
+    """Refine several videos with one body.
+
+    A long video takes two rounds: the first finds what its clips share, the second their poses.
+
+    Args:
+        videos: under their stage-1 poses.
+        body: the body that all poses move.
+        options: as of :func:`refine`.
+        progress: called as ``progress(done, total, **figures)`` with the steps of all of them.
+        workers: processes that share the frames of a step, this one included. Eq. 8 frame by
+            frame always runs in this process.
+
+    Returns:
+        The results in the order of the videos, each as soon as it is done.
+    """
+    simplified = cache(partial(simplified_body, body))  # shared by the videos
+    placed = [before_one_lens(video, body) for video in videos]
+    observed = [ObservedVideo.of(video, simplified, options) for video in placed]
+    first = {k: job for k, video in enumerate(observed) if (job := _skim_job(video))}
+    steps = sum(job.steps for job in first.values())
+    total = steps + sum(_steps(x, len(x.evidence.part(c))) for x in observed for c in _clips(x))
+    report = part_of_progress(progress, 0, steps, total)
+    known = dict(zip(first, _solved(list(first.values()), workers, report), strict=True))
+    jobs = [_clip_jobs(video, known.get(k)) for k, video in enumerate(observed)]
+    report = part_of_progress(progress, steps, total - steps, total)
+    found = _solved([job for own in jobs for job in own], workers, report)
+    for k, (video, before, own) in enumerate(zip(videos, placed, jobs, strict=True)):
+        refined = _joined(observed[k], known.get(k), [next(found) for _ in own])
+        if before is not video:
+            person = refined.pose, refined.shape, body
+            refined = replace(refined, pose=as_filmed(*person, before.cameras, video.cameras))
+        yield refined
+
+
+@dataclass(frozen=True)
+class _ClipJob:
+    """A clip and the options of its refinement: a :class:`gva_mi.core.tasks.Task`."""
+
+    clip: ObservedClip
+    options: RefineOptions
+    steps: int
+    processes: int = 1  # that share the frames of a step
+
+    def solve(self, progress: Progress | None = None) -> Solution:
+        clip, options = self.clip, self.options
+        unchanged = Solution(clip.pose, clip.shape, torch.zeros_like(clip.body.v_template))
+        if not clip.evidence:
+            return unchanged
+        clip = replace(clip, evidence=dict(clip.evidence), fine=dict(clip.fine))  # into memory
+        with one_thread():
+            if isinstance(options, SequenceOptions):
+                return refine_sequence(clip, options, progress, self.processes)
+            person = clip.body, clip.pose, clip.shape
+            pose = refine_single_frames(clip.evidence, *person, options, progress)
+            return replace(unchanged, pose=pose)
+
+
+def _solved(
+    jobs: Sequence[_ClipJob], workers: int, progress: Progress | None
+) -> Iterator[Done[Solution]]:
+    return run([replace(job, processes=workers) for job in jobs], None, progress)
+
+
+def _clips(video: ObservedVideo) -> list[range]:
+    """Return the clips that are solved as separate jobs."""
+    frames, options = len(video.pose), video.options
+    if isinstance(options, SequenceOptions):
+        return cut(frames, options.part, options.overlap)
+    return cut(frames, FRAMES_A_JOB, 0)
+
+
+def _steps(video: ObservedVideo, frames: int) -> int:
+    """Return the steps that so many frames take, for progress."""
+    in_sequence = isinstance(video.options, SequenceOptions)
+    return frames * video.options.passes * (repeats(frames) if in_sequence else 1)
+
+
+def _skim_job(video: ObservedVideo) -> _ClipJob | None:
+    """Return the job that precedes the clips; None if there is none."""
+    options, seen = video.options, sorted(video.evidence)
+    if not isinstance(options, SequenceOptions) or len(_clips(video)) == 1 or not seen:
+        return None
+    frames = [seen[i] for i in skim(len(seen), options.skim)]
+    return _ClipJob(video.clip(frames, 0, video.pose), options, _steps(video, len(frames)))
+
+
+def _clip_jobs(video: ObservedVideo, known: Done[Solution] | None) -> list[_ClipJob]:
+    """Return the jobs of the clips, once the first round is done."""
+    shared, jobs = None if known is None else known.result, []
+    for frames in _clips(video):
+        clip = video.clip(frames, frames.start, video.pose[frames.start : frames.stop], shared)
+        jobs.append(_ClipJob(clip, video.options, _steps(video, len(clip.evidence))))
+    return jobs
+
+
+def _joined(
+    video: ObservedVideo, known: Done[Solution] | None, found: Sequence[Done[Solution]]
+) -> Refined:
+    """Join the clips, and keep stage 1 in frames whose loss did not fall."""
+    begin, shared = time.perf_counter(), (known or found[0]).result
+    pose = join(_clips(video), [done.result.pose for done in found])
+    losses_stage1, losses = (video.losses(p, shared) for p in (video.pose, pose))
+    margin = 0.0 if video.errors is None else CONTRADICTION * video.options.prior_weight
+    kept = video.kept | worse_frames(video.evidence, losses_stage1, losses, margin=margin)
+    taken = [k for k in (*video.evidence, *video.held_out) if k not in kept]
+    solved = [*found, *([known] if known else [])]
+    work = video.seconds + sum(done.seconds for done in solved) + time.perf_counter() - begin
+    pose = video.pose.with_frames(taken, pose[taken])
+    shared = replace(shared, pose=pose, offsets=video.coarse.spread(shared.offsets))
+    return Refined(
+        **vars(shared),
+        losses_stage1=losses_stage1,
+        losses=losses,
+        kept=dict(sorted(kept.items())),
+        without_normals=[k for k, seen in video.evidence.items() if seen.normals is None],
+        seconds_per_frame=work / len(video.pose),
+        held_out=list(video.held_out),
+        swapped=video.swapped,
+    )

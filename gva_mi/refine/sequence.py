@@ -1,0 +1,298 @@
+"""Refine all frames together, with one displacement of the surface for the clothes.
+
+The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
+optimised (:mod:`gva_mi.refine.optimize`) on
+
+    L = mean_k( d_k + Σ_parts λc d_k,part )    d: Eq. 8's data term of the posed body
+                                               with shape β, displaced by D; again for hands and
+                                               feet (gva_mi.refine.evidence)
+        + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
+                                               (gva_mi.refine.corrections)
+        + λl L_landmarks                       gva_mi.observe.rig
+        + E(D)
+        + λβ |β - β^stage1|²
+        + λh (h(β) - H)²                       if the height H is known: gva_mi.prior.stature
+
+One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
+cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
+limb tilts toward the camera, but its neighbours see the limb from another side.
+
+Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
+limbs, size and depth would change to make up for the cloth. The displacement ``D`` (V, 3) costs
+
+    E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
+
+with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
+the mean square of the edges. It keeps ``D`` smooth, small, and outward, because cloth lies on the
+body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar
+
+import torch
+from torch import Tensor
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.console import Progress
+from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
+from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
+from gva_mi.observe.rig import SeenLandmarks
+from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
+from gva_mi.prior.ground import ContactStats, Soles
+from gva_mi.prior.stature import PERSON_HEIGHTS, Stature
+from gva_mi.refine.evidence import (
+    FinePicture,
+    MaskAndNormals,
+    hand_vertices,
+    mean_of_losses,
+)
+from gva_mi.refine.frame_losses import FrameLosses, shared_losses
+from gva_mi.refine.optimize import (
+    DescentOptions,
+    Faces,
+    Learn,
+    PartFrames,
+    Passes,
+    PersonSize,
+    PriorWeight,
+    descend,
+    lever_arms,
+)
+
+STEPS_A_PASS = 16  # smallest number
+FINGERS = GROUPS["fingers"]
+CLOSE_FEET = 0.1  # λc of each foot; shoes differ from the body
+LANDMARK_WEIGHT = 0.015  # λl: of one nat
+HOLD_HEIGHT = 1e3  # λh, for one square metre
+HOLD_BETAS = 0.01  # λβ, for one squared standard deviation
+# First steps of what all frames share.
+CLOTH_STEP = 0.003  # metres
+BETAS_STEP = 0.05  # standard deviations
+LANDMARK_STEP = 0.001  # metres, of the landmarks' offsets
+# a, for one (1/m)²; b and c, for one square metre: cloth may stand off the body by decimetres, and
+# hardly enters it.
+SMOOTH, SMALL, OUTWARD = 1.6e-4, 10.0, 400.0
+
+
+@options_of("refine")
+class SequenceOptions(DescentOptions):
+    """Options of the refinement of all frames together.
+
+    The losses that the weights multiply are divided by the person's area in pixels
+    (:mod:`gva_mi.refine.evidence`).
+    """
+
+    passes: Passes = 24  # how often every frame is visited, more often if there are very few
+    # Pixels of the person's longer side in the images that are compared.
+    size: PersonSize = 208
+    # Measured height of the person: sets body size and depth, which are then not fitted.
+    height: Annotated[float, PERSON_HEIGHTS] | None = None
+    hold_out_test: bool = False  # test frames are not used; the motion prior fills them in
+
+    seed: PythonOnly[Seed] = 0  # seed of the order of frames
+    # Triangles of the body that is compared.
+    faces: PythonOnly[Faces] = 3500
+    silhouette: PythonOnly[Weight] = 1.0  # λ1
+    learn: PythonOnly[Learn] = 8  # passes after which stage 1's error model is inferred
+    prior_weight: PythonOnly[PriorWeight] = 0.015  # ν: weight of the prior beside the data term
+    close_hands: PythonOnly[Weight] = 0.5  # λc of each hand; 0: no close-ups of hands
+    # Metres that a joint moves the skin beyond it, in a first step.
+    step: PythonOnly[Metres] = 0.012
+    translation_lr: PythonOnly[Rate] = 0.006  # metres in a first step; images show depth weakly
+    part: PythonOnly[PartFrames] = 120  # frames refined together; a longer video is cut into clips
+    # Frames of a longer video from which the unknowns that its clips share are found.
+    skim: PythonOnly[Annotated[int, Within(1, 10_000)]] = 96
+
+    name: ClassVar[str] = "sequence"
+    command: ClassVar[str] = "refine"
+    decay: ClassVar[float] = 0.03
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of a refinement."""
+
+    pose: Pose  # T frames
+    shape: Shape
+    offsets: Tensor  # (V, 3) displacement of the rest surface, metres
+    # Stage 1's errors, if inferred.
+    noise: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
+    contact: ContactStats | None = None  # how the feet touch the ground, if inferred
+    landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.observe.rig
+
+
+@dataclass(frozen=True)
+class ObservedClip:
+    """Frames to be refined together, with all that was observed of them."""
+
+    evidence: Mapping[int, MaskAndNormals]  # by number within ``pose``; perhaps still on disk
+    body: BodyModel
+    pose: Pose  # stage 1; frames without evidence keep it
+    shape: Shape
+    known: Solution | None = None  # of the first round: the shared unknowns are taken from it
+    fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, by number
+    following: Sequence[int] = ()  # frames without evidence that the motion prior fills in
+    landmarks: SeenLandmarks | None = None  # of all frames of ``pose``
+    errors: Mapping[str, Stage1ErrorModel] | None = None  # of the estimator; None: inferred
+
+
+def refine_sequence(
+    clip: ObservedClip,
+    options: SequenceOptions,
+    progress: Progress | None = None,
+    processes: int = 1,
+) -> Solution:
+    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
+
+    ``processes``, this one included, share the frames of a step; any number finds the same bits.
+    """
+    person = ClothedPerson(clip, options)
+    # With few frames a step takes fewer of them, and with very few they are visited more often:
+    # otherwise there would be too few steps to converge.
+    frames = len(clip.evidence)
+    options = replace(
+        options,
+        batch=max(1, min(options.batch, frames // STEPS_A_PASS)),
+        passes=repeats(frames) * options.passes,
+        learn=repeats(frames) * options.learn,
+    )
+    processes, count = min(processes, options.batch), frames * options.passes
+    with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
+        found = descend(
+            person, clip.pose, person.arms, options, progress, clip.following, errors=clip.errors
+        )
+    shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
+    ground = found.prior.ground
+    contact = None if ground is None else ground.contact
+    points = None if clip.landmarks is None else person.landmark_offsets.detach()
+    return Solution(found.pose, shape, offsets, found.prior.noise, contact, points)
+
+
+def repeats(frames: int) -> int:
+    """Return how many times a pass visits each of so many frames."""
+    return max(1, -(-STEPS_A_PASS // max(1, frames)))
+
+
+class ClothedPerson:
+    """The refinement's :class:`gva_mi.refine.optimize.Evidence`: a clothed person in all frames.
+
+    The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D`` and
+    ``β`` are the shared leaves, unless the clip knows them from a first round.
+    """
+
+    # With a known height, depth is scaled with body size and not fitted, because hair and shoes
+    # bias the silhouette; without one, depth and size are ambiguous.
+    distance_shown = False
+
+    def __init__(self, clip: ObservedClip, options: SequenceOptions) -> None:
+        rest = clip.body.rest(clip.shape)
+        self._clip, self._options = clip, options
+        weights = {"hand": options.close_hands, "foot": CLOSE_FEET}
+        self.frame_losses = FrameLosses(
+            clip.body, clip.evidence, clip.fine, options.silhouette, weights
+        )
+        self._close = False
+        self._stature = Stature.of(clip.body)
+        self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
+        self._betas = clip.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
+        if clip.known is None:
+            self.shared = [(self._cloth.raw, CLOTH_STEP), (self._betas, BETAS_STEP)]
+            if clip.landmarks is not None:
+                self.landmark_offsets = torch.zeros_like(clip.landmarks.rig.rest).requires_grad_()
+                self.shared.append((self.landmark_offsets, LANDMARK_STEP))
+        else:
+            self.landmark_offsets = clip.known.landmark_offsets
+            self._cloth.raw, self._betas = clip.known.offsets, clip.known.shape.betas[:, None]
+            self.shared = []
+        self.anatomy = Anatomy.of(rest.joints)
+        self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
+        self.frames = sorted(clip.evidence)
+        self.camera = clip.evidence[self.frames[0]].camera
+
+    @property
+    def offsets(self) -> Tensor:
+        """``D`` (V, 3), metres."""
+        return self._cloth.offsets
+
+    @property
+    def shape(self) -> Shape:
+        """``β``."""
+        return Shape(self._betas[:, 0])
+
+    @property
+    def soles(self) -> Soles:
+        """The soles of the current shape."""
+        return Soles.of(self._clip.body.rest(self.shape), self._clip.body.weights)
+
+    @property
+    def surface_known(self) -> bool:
+        """Whether the clothes are known, from a first round."""
+        return self._clip.known is not None
+
+    @property
+    def unseen(self) -> Sequence[int]:
+        """The fingers, until close-ups are used: before, mask errors would bend them."""
+        close = self._close and self._clip.fine and self._options.close_hands > 0
+        return () if close else FINGERS
+
+    def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
+        """Return the data term in these poses, a mean over their frames."""
+        posed = self._clip.body(pose, self.shape, self.offsets)
+        losses = lambda bodies: self.frame_losses(frames, bodies, self._close)
+        loss = mean_of_losses(posed.vertices, losses)
+        if (landmarks := self._clip.landmarks) is None:
+            return loss
+        person = posed.T_world_rest, self.shape, self.landmark_offsets
+        return loss + LANDMARK_WEIGHT * landmarks.losses(frames, *person).mean()
+
+    def enable_details(self) -> None:
+        """Start to use close-ups, which need nearly right poses."""
+        self._close = True
+
+    def energy(self) -> Tensor:
+        """Return the terms of clothes, shape and height."""
+        moved = (self.shape.betas - self._clip.shape.betas).square().sum()
+        energy = HOLD_BETAS * moved + self._cloth.energy(self.offsets)
+        if self._options.height is not None:
+            off = self._stature.energy(self.shape, self._options.height)
+            energy = energy + HOLD_HEIGHT * off
+        if self._clip.landmarks is not None:
+            off = self._clip.landmarks.energy(self.landmark_offsets) / len(self.frames)
+            energy = energy + LANDMARK_WEIGHT * off
+        return energy
+
+
+class Displacement:
+    """The displacement ``D`` of the rest surface (SMPL-X + D), and its energy.
+
+    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
+    hands.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
+        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
+        exact = vertex_normals(vertices.detach().double(), faces)
+        self._normals = exact.to(vertices.dtype)
+        ends = vertices[faces], vertices[faces.roll(1, dims=1)]
+        self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
+        self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
+        self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
+        self.raw = torch.zeros_like(vertices).requires_grad_()
+
+    @property
+    def offsets(self) -> Tensor:
+        """``D`` (V, 3), metres."""
+        return self.raw * self._free
+
+    def energy(self, offsets: Tensor) -> Tensor:
+        """Return ``E(D)``."""
+        bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
+        inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
+        total = SMOOTH * bent + SMALL * offsets.square().sum() + OUTWARD * inward
+        return total / len(offsets)

@@ -1,0 +1,148 @@
+"""The pictures of a video, or of a folder, at an even rate: what networks watch.
+
+* A video whose rate varies, as phones' do, is sampled at even times: the nearest picture of each.
+* A video of an even rate keeps every picture, or every n-th one where fewer are wanted.
+* A folder's pictures come in the order of the last numbers in their names, at a given rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.core.errors import InputError
+from gva_mi.subject.footage import files_of, uneven_pixels, varying
+from gva_mi.subject.lens import recorded_35mm
+from gva_mi.subject.pictures import opened, read_image
+from gva_mi.subject.video_file import VideoFile
+
+MOST = 30.0  # pictures a second, unless more are asked for; and the rate of a folder
+
+
+@dataclass(frozen=True)
+class EvenPictures:
+    """The pictures of a video at an even rate."""
+
+    pictures: Sequence[np.ndarray]  # T of (H, W, 3) 8-bit sRGB, upright, read one by one
+    fps: float  # pictures a second
+    focal35: float | None  # recorded focal length, mm of 35 mm film
+    notes: tuple[str, ...]  # what was done to the video, sentences for its user
+    numbers: tuple[int, ...]  # T: which of the video's pictures each is
+    scale: float  # pixels of these pictures in one of the video's
+
+
+def even_pictures(
+    path: Path,
+    fps: float | None = None,
+    side: int | None = None,
+    start: float = 0.0,
+    end: float | None = None,
+) -> EvenPictures:
+    """Open a video, or a folder of pictures.
+
+    Args:
+        path: the video or the folder.
+        fps: pictures a second, of which an even video comes as near as every n-th picture does;
+            None: :data:`MOST`, or fewer if there are fewer. Of a folder, its rate.
+        side: pixels, at most, of the shorter side of the pictures; None: as they are.
+        start: seconds; earlier pictures are left out.
+        end: seconds; later pictures are left out; None: the end of the video.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such video or folder of pictures")
+    files, notes = files_of(path), []
+    if files is not None:
+        source, sizes = files, [_upright_size(file) for file in files]
+        times = np.arange(len(files)) / (fps or MOST)
+        if fps is None:
+            notes.append(f"a folder records no times: taken as {MOST:g} pictures a second")
+    else:
+        source = VideoFile(path)
+        sizes, times = source.sizes, source.times
+        if source.hdr:
+            notes.append(f"the video is HDR ({source.hdr}): its colours were mapped to sRGB")
+        if (note := uneven_pixels(path)) is not None:
+            notes.append(note)
+        if times is None:
+            times = np.arange(len(source)) / (fps or MOST)
+            notes.append(f"the video records no times: taken as {fps or MOST:g} pictures a second")
+    if len(set(sizes)) > 1:
+        first, other = sizes[0], next(size for size in sizes if size != sizes[0])
+        raise InputError(
+            f"{path}: its pictures have several sizes, {first[0]}x{first[1]} and "
+            f"{other[0]}x{other[1]}; expected one size"
+        )
+    chosen, rate, more = _evenly(times, fps or MOST, start, end)
+    if not len(chosen):
+        last = times[-1] if len(times) else 0.0
+        raise InputError(
+            f"{path}: lasts {last:.3g} s, and has no picture from {start:g} to {end} s"
+        )
+    pictures = _Chosen(source, chosen, side)
+    scale = min(1.0, side / min(sizes[0])) if side else 1.0
+    recorded, numbers = recorded_35mm(path), tuple(chosen.tolist())
+    return EvenPictures(pictures, rate, recorded, (*notes, *more), numbers, scale)
+
+
+def _evenly(
+    times: np.ndarray, fps: float, start: float, end: float | None
+) -> tuple[np.ndarray, float, list[str]]:
+    """Choose pictures at even times from those at ``times`` (n,), seconds, ascending.
+
+    Returns:
+        the numbers of the chosen pictures (T,), their rate, and notes.
+    """
+    end = np.inf if end is None else end
+    within = np.flatnonzero((times >= start - 1e-6) & (times <= end + 1e-6))
+    if len(within) < 2:
+        return within, min(fps, MOST), []
+    times = times[within]
+    steps = np.diff(times)
+    usual = float(np.median(steps))
+    if usual <= 0:
+        return within, min(fps, MOST), []
+    own = (len(times) - 1) / float(times[-1] - times[0])
+    if (varies := varying(steps, 0.001)) is None:
+        every = max(1, round(own / fps))
+        notes = [f"of {own:.3g} pictures a second one in {every} is used"] * (every > 1)
+        return within[::every], own / every, notes
+    rate = min(fps, 1 / usual)
+    wanted = np.arange(times[0], times[-1] + 0.5 / rate, 1 / rate)
+    middle = (times[1:] + times[:-1]) / 2
+    note = f"{varies}; sampled at even {rate:.3g} a second"
+    return within[np.searchsorted(middle, wanted)], rate, [note]
+
+
+def _upright_size(path: Path) -> tuple[int, int]:
+    """Return the size (W, H) of a picture as its metadata turn it, without decoding it."""
+    with opened(path) as image:
+        on_its_side = image.getexif().get(0x0112, 1) >= 5
+        return image.size[::-1] if on_its_side else image.size
+
+
+class _Chosen(Sequence[np.ndarray]):
+    """Some pictures of a video or of files, scaled down."""
+
+    def __init__(
+        self, source: Sequence[np.ndarray | Path], chosen: np.ndarray, side: int | None
+    ) -> None:
+        self._source, self._chosen, self._side = source, chosen.tolist(), side
+
+    def __len__(self) -> int:
+        return len(self._chosen)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        from PIL import Image
+
+        found = self._source[self._chosen[index]]
+        image = read_image(found, 3) if isinstance(found, Path) else found
+        height, width = image.shape[:2]
+        if self._side is None or min(height, width) <= self._side:
+            return image
+        scale = self._side / min(height, width)
+        size = max(1, round(width * scale)), max(1, round(height * scale))
+        return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))

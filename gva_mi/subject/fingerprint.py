@@ -1,0 +1,115 @@
+"""Check that a subject is used with the body model that its poses belong to.
+
+Poses are rotations of one body's joints, and betas belong to that body. With another body, even a
+slightly newer built-in one, they describe another person, and every error measured against the
+ground truth is silently wrong. So ``synth.json`` and ``prepare.json`` keep a sketch of the body: K
+signed sums of all its vertices x (metres) in two poses that use every joint, beta and expression,
+
+    1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
+    2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
+
+so that two sketches tell how far apart two bodies are, and not only whether they differ.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json
+
+SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
+SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
+# Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
+# "name" there, and the "file" of a body that is not built in.
+SYNTH, PREPARED = "synth.json", "prepare.json"
+WRITTEN = "what gva-mi synth or gva-mi prepare writes"
+RECORDING = "video"  # kind of a subject that was prepared from a video alone
+
+
+def fingerprint(body: BodyModel) -> dict[str, object]:
+    """Return vertex count and sketch (eq. 1, metres), as ``synth.json`` keeps them."""
+    dtype = body.v_template.dtype
+    wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
+    shape = Shape(wave(body.num_betas, 1.5))
+    bent = Pose(
+        wave(165, 0.6).reshape(1, 55, 3), torch.zeros(1, 3, dtype=dtype),
+        wave(body.num_expressions, 1.5)[None],
+    )  # fmt: skip
+    with torch.no_grad():
+        states = torch.stack([body.rest(shape).vertices, body(bent, shape).vertices[0]])
+    x = states.double().numpy() / np.sqrt(2)  # eq. 2 averages over both poses
+    # RandomState, because its stream is frozen: a fingerprint outlives versions of numpy.
+    signs = np.random.RandomState(0).randint(0, 2, (SUMS, *x.shape)) * 2.0 - 1
+    sketch = np.einsum("ksvc,svc->k", signs, x) / np.sqrt(x.shape[1])
+    return {"vertices": x.shape[1], "sketch": [round(float(s), 8) for s in sketch]}
+
+
+def distance(a: dict[str, object], b: dict[str, object]) -> float:
+    """Return the root mean square distance between two bodies' vertices (eq. 2), metres."""
+    if a["vertices"] != b["vertices"]:
+        return float("inf")
+    return float(np.sqrt(np.square(np.subtract(a["sketch"], b["sketch"])).mean()))
+
+
+def belongs_to(folder: Path, body: BodyModel) -> bool:
+    """Whether a subject's folder says that it was made on, or prepared for, this very body."""
+    known = (_body_of(folder / name) for name in (SYNTH, PREPARED))
+    return any(distance(x, fingerprint(body)) <= SAME for x in known if x)
+
+
+def require_same_body(folder: Path, body: BodyModel) -> None:
+    """Raise an InputError if a subject was made on, or prepared for, another body.
+
+    A folder that was put together by hand has no fingerprint, and passes.
+    """
+    for name in (SYNTH, PREPARED):
+        known = _body_of(Path(folder) / name)
+        away = distance(known, fingerprint(body)) if known else 0.0
+        if away <= SAME:
+            continue
+        how = (
+            f"{1000 * away:.2g} mm from this one on average"
+            if np.isfinite(away)
+            else f"of {known['vertices']} vertices, not {len(body.v_template)}"
+        )
+        theirs = known.get("name", "the one that gva-mi synth was given")
+        raise InputError(
+            f"{folder}: its poses belong to another body ({how}), so that they mean nothing here; "
+            f"expected --body with that body ({theirs}), or make the folder again for this body"
+        )
+
+
+def prepared_body(folder: Path) -> Path | None:
+    """Return the body file that a subject was prepared for; None if there is none on record."""
+    file = _body_of(Path(folder) / PREPARED).get("file")
+    return Path(file) if file else None
+
+
+def prepared_from(folder: Path) -> tuple[str | None, float | None]:
+    """Return what a subject's poses were prepared from, and the frames a second of a video.
+
+    Either is None if it is not known, both if the subject was not prepared.
+    """
+    about = _record(folder / PREPARED)
+    with expecting(folder / PREPARED, WRITTEN):
+        fps = about.get("video", {}).get("fps")
+        return about.get("kind"), None if fps is None else float(fps)
+
+
+def _record(file: Path) -> dict:
+    return read_json(file, WRITTEN) if file.is_file() else {}
+
+
+def _body_of(file: Path) -> dict:
+    """Return the body that a subject's record describes; nothing if it describes none."""
+    about = _record(file)
+    with expecting(file, WRITTEN):
+        body = about.get("body", {})
+        sketch = np.reshape(np.float64(body["sketch"]), SUMS).tolist() if body else []
+        return {**body, "sketch": sketch, "vertices": body["vertices"]} if body else {}

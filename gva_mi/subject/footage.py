@@ -1,0 +1,215 @@
+"""Read pictures and masks from a video, a folder or an array; and the numbers of their frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_array
+from gva_mi.subject.masks import MaskMeaning, meaning_of
+from gva_mi.subject.pictures import matte_of_pixels, read_image
+from gva_mi.subject.video_file import decoded, open_video_file, pixels_of, steps_of
+
+Pictures = Path | tuple[Path, ...]  # a video or a folder, or single files in order
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+
+
+def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
+    """Yield the pictures of a video, a folder or files, turned as their metadata say.
+
+    ``channels`` is 3 for RGB (H, W, 3), or 1 for the values of masks (H, W):
+    :mod:`gva_mi.subject.pictures`.
+    """
+    files = files_of(source)
+    if files is not None:
+        for path in files:
+            yield read_image(path, channels)
+    elif source.suffix in (".npz", ".npy", ".pkl", ".pt"):
+        raise InputError(
+            f"{source}: expected a video, a folder of pictures, or for masks one .npy (T, H, W)"
+        )
+    elif not source.is_file():
+        raise InputError(f"{source}: no such video or folder of pictures")
+    else:
+        for number, frame in enumerate(decoded(source)):
+            if channels == 3:
+                yield pixels_of(frame, "rgb24")
+                continue
+            has_alpha = any(component.is_alpha for component in frame.format.components)
+            pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
+            yield matte_of_pixels(f"{source}: picture {number}", pixels)
+
+
+def files_of(source: Pictures) -> list[Path] | None:
+    """Return the picture files, sorted by the last number in their names; None for a video."""
+    if isinstance(source, tuple):
+        return list(source)
+    if not source.is_dir():
+        return None
+    files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
+    if not files:
+        raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
+    return sorted(files, key=_by_number)
+
+
+def folder_of(source: Pictures) -> Path:
+    """Return the video or folder of a source of pictures, for messages."""
+    return source[0].parent if isinstance(source, tuple) else source
+
+
+def masks(source: Pictures, meaning: MaskMeaning | None = None) -> Iterator[np.ndarray]:
+    """Yield the masks of a video, a folder, or a .npy (T, H, W): each (H, W) 8-bit, 255 inside.
+
+    A folder may hold a .npy (H, W) a frame. ``meaning`` is that of their values; without it, what
+    all of them together say.
+    """
+    meaning = mask_meaning(source) if meaning is None else meaning
+    for where, mask in raw_masks(source):
+        yield meaning.inside(where, mask)
+
+
+def mask_meaning(source: Pictures) -> MaskMeaning:
+    """Return what the values of a source's masks mean."""
+    return meaning_of(mask for _, mask in raw_masks(source))
+
+
+def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield a name for errors and the values (H, W) of each mask."""
+    whole = isinstance(source, Path)
+    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_by_number)):
+        for path in files:
+            yield str(path), _stack(path, read_array(path)[None])[0]
+    elif whole and source.suffix == ".npy" and source.is_file():
+        # Mapped anew each time: pages that were read through one mapping stay in memory with it.
+        for k in range(len(_stack(source, read_array(source, mapped=True)))):
+            yield f"{source}: mask {k}", _stack(source, read_array(source, mapped=True))[k]
+    else:
+        for k, mask in enumerate(pictures(source, 1)):
+            yield f"{folder_of(source)}: mask {k}", mask
+
+
+def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
+    """Open a stack of masks (T, H, W) of any number type."""
+    one = [axis for axis in (1, 3) if stack.ndim == 4 and stack.shape[axis] == 1]
+    stack = stack.squeeze(one[-1]) if one else stack  # the channels of a network's masks
+    if stack.ndim != 3 or stack.dtype.kind not in "bufi":
+        raise InputError(f"{path}: masks must be (T, H, W), got {stack.dtype} {stack.shape}")
+    return stack
+
+
+def count_of(source: Pictures) -> int:
+    """Return how many pictures a video, a folder or files hold, without decoding them."""
+    files = files_of(source)
+    return len(steps_of(source)[0]) + 1 if files is None else len(files)
+
+
+def uneven_pixels(source: Pictures) -> str | None:
+    """Return a note if a video is meant to be shown wider or narrower than its pictures are."""
+    if isinstance(source, tuple) or not source.is_file():
+        return None
+    with open_video_file(source) as recording:
+        ratio = float(recording.streams.video[0].sample_aspect_ratio or 1)
+    if abs(np.log(ratio or 1)) < 0.01:
+        return None
+    return (
+        f"the video's pixels are not square but {ratio:.3g} times as wide as high, and people in "
+        "it are squeezed; convert it first: ffmpeg -i VIDEO -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
+    )
+
+
+def uneven_rate(source: Pictures) -> str | None:
+    """Return a note if a video's frame rate varies; each picture still counts as one frame."""
+    if isinstance(source, tuple) or not source.is_file():
+        return None
+    varies = varying(*steps_of(source))
+    return varies and f"{varies}; each is one frame, and motion is taken as even"
+
+
+def varying(steps: np.ndarray, tick: float) -> str | None:
+    """Return words if the seconds (T − 1,) between pictures vary; ``tick`` is the clock's."""
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    # Moments are whole ticks: 30 a second are 33 or 34 ms apart where a tick is 1 ms.
+    if not len(steps) or np.abs(steps - usual).max() <= max(0.1 * usual, 1.5 * tick):
+        return None
+    least, most = 1000 * steps.min(), 1000 * steps.max()
+    return f"the video's rate varies: its pictures are {least:.3g} to {most:.3g} ms apart"
+
+
+def _numbers_in(name: object) -> list[int]:
+    """Return the numbers in a file's name, without its suffix, from the last to the first."""
+    return [int(x) for x in re.findall(r"\d+", Path(str(name)).stem)[::-1]]
+
+
+def number_in(name: object) -> int:
+    """Return the last number in a file's name, usually the frame number.
+
+    Raises:
+        ValueError: there is none.
+    """
+    for number in _numbers_in(name):
+        return number
+    raise ValueError(f"no number in the name '{name}'")
+
+
+def frames_named(names: Sequence[object]) -> np.ndarray:
+    """Return the frame numbers (n,) in the names of n files.
+
+    It is the last number that differs between all of them, so that ``walk_2_000001_v3`` is 1.
+
+    Raises:
+        ValueError: a name has no number.
+    """
+    last = [number_in(name) for name in names]
+    columns = zip(*map(_numbers_in, names), strict=False)
+    different = (x for x in columns if len(set(x)) == len(set(map(str, names))))
+    return np.array(next(different, last))
+
+
+def first_number(
+    frames: np.ndarray, count: int, usual: int | None, pictures: Sequence[object] | None
+) -> int:
+    """Return the number that a source gave the first of ``count`` frames.
+
+    Args:
+        frames: (n,) the source's numbers.
+        count: of the video.
+        usual: the number that the program begins with; None: that of the pictures it was given.
+        pictures: their names in order; None for a video.
+    """
+    fits = range(int(frames.max()) - count + 1, int(frames.min()) + 1)
+    if usual is None and pictures is not None:
+        try:
+            named = frames_named(pictures)
+            usual = int(named[0]) if np.isin(frames, named).all() else None
+        except ValueError:
+            usual = None
+    guesses = (usual or 0, 0, 1, *(fits if len(fits) == 1 else ()))
+    return next((x for x in guesses if x in fits and x >= 0), 0)
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    """Return a sort key: frame_2 before frame_10, names without a number first."""
+    return (*_numbers_in(path)[:1], -1)[0], path.name
+
+
+def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
+    """Convert an array in a file to frame numbers (n,).
+
+    Raises:
+        ValueError: they are not whole numbers.
+    """
+    numbers = np.ravel(value).astype(np.float64)
+    if not (np.isfinite(numbers) & (numbers == np.floor(numbers))).all():
+        raise ValueError("frames must be numbered by whole numbers")
+    return numbers.astype(int)
+
+
+def counted_from_0(names: Sequence[object]) -> list[int]:
+    """Return the numbers in names of frames; if the least is 1, they are counted from 0."""
+    numbers = [number_in(name) for name in names]
+    return [number - (min(numbers) == 1) for number in numbers]

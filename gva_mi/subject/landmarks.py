@@ -1,0 +1,80 @@
+"""``Landmarks``: named points of a person, found in every frame by a network.
+
+The body has 33 points (:data:`BODY`), each hand 21 (:func:`hand_names`), named as MediaPipe's
+networks define them. The face has 51 (:data:`FACE`): the numbers 17 to 67 of the 68 points that
+iBUG marked in photographs, which SMPL-X's marks of the face and COCO-WholeBody share. A program
+that finds other points writes other names; readers ignore names that they do not know.
+
+``landmarks.npz`` in a subject's folder holds the fields of :class:`Landmarks` as arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
+
+BODY = (
+    "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
+    "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_pinky",
+    "right_pinky", "left_index", "right_index", "left_thumb", "right_thumb", "left_hip",
+    "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "left_heel", "right_heel",
+    "left_foot_index", "right_foot_index",
+)  # fmt: skip
+# Brows (17-26), nose (27-35), eyes (36-47), lips (48-67); each begins on the person's right.
+FACE = tuple(f"face_{number}" for number in range(17, 68))
+
+
+def hand_names(side: str) -> tuple[str, ...]:
+    """Return the 21 names of a hand, ``side`` left or right: the wrist, then 4 of each finger."""
+    parts = {"thumb": ("cmc", "mcp", "ip", "tip")}
+    fingers = ("thumb", "index", "middle", "ring", "pinky")
+    of_finger = {name: parts.get(name, ("mcp", "pip", "dip", "tip")) for name in fingers}
+    points = [f"{name}_{part}" for name in fingers for part in of_finger[name]]
+    return tuple(f"{side}_hand_{point}" for point in ("wrist", *points))
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """P named points in T frames. A point that was not looked for or found is NaN."""
+
+    names: Sequence[str]  # P
+    pixels: np.ndarray  # (T, P, 2) x, y; the centre of the first pixel is (0.5, 0.5)
+    confidence: np.ndarray  # (T, P) in [0, 1]: the network's own; of hand and face: that it is one
+    spread: np.ndarray  # (T, P) pixels: standard deviation between passes of the network, or 0
+    # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera, relative to
+    # the middle of the hips, or for a hand to its own middle; NaN if the network gives none.
+    metric: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def indices(self, names: Sequence[str]) -> list[int]:
+        """Return where some names stand."""
+        return [list(self.names).index(name) for name in names]
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole or not at all."""
+        numbers = {name: getattr(self, name).astype(np.float32) for name in _SHAPES}
+        write_arrays(path, names=np.array(self.names), **numbers)
+
+    @staticmethod
+    def load(path: Path) -> Landmarks:
+        """Read the file."""
+        arrays = read_arrays(path, "landmarks of a video")
+        require_keys(path, arrays, ("names", *_SHAPES))
+        names = tuple(map(str, np.atleast_1d(arrays["names"])))
+        found, count = [], None
+        for name, more in _SHAPES.items():
+            found.append(require_array(path, name, arrays[name], (count, len(names), *more)))
+            count = len(found[0])
+        return Landmarks(names, *found)
+
+
+# What follows (T, P) in the shape of each array.
+_SHAPES = {"pixels": (2,), "confidence": (), "spread": (), "metric": (3,)}

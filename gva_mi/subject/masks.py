@@ -1,0 +1,150 @@
+"""Read masks as segmenters write them: hard or soft, pictures or arrays.
+
+========================  ====================================================
+``000000.png``            8 or 16 bits: hard, or soft in between; or labels. Of colours,
+                          palettes and alpha: :mod:`.pictures`
+``000000.npy``            Boolean; whole numbers as above; or floating point in [0, 1]
+========================  ====================================================
+
+What whole numbers mean, 0 to 1, 0 to 255, 16 bits or labels, is decided once for all masks. One
+mask alone says little: a person who has left the picture has an empty one, and a segmenter's noise
+of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
+
+Few whole numbers that never come near the unit are labels, and so are those beside a border of 255,
+which is nobody's. The only label beside 0 is the person's; several are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gva_mi.core.console import listed
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import read_array
+from gva_mi.subject.folder import array_or_picture
+from gva_mi.subject.pictures import VOID, read_image
+
+BARELY = 127  # 8-bit masks above this are inside
+_MOST = 64  # labels; more values are those of a soft and dim mask
+_NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
+
+
+def read_mask(folder: Path, index: int) -> np.ndarray | None:
+    """Read the mask of a frame, (H, W) float32 in [0, 1]; None without a file."""
+    path = array_or_picture(folder, index)
+    if not path.exists():
+        return None
+    mask = _values(path)
+    if mask.ndim != 2:
+        raise InputError(f"{path}: a mask must be (H, W), got {mask.shape}")
+    if mask.dtype.kind in "iu":
+        if not mask.any():
+            return mask.astype(np.float32)
+        meaning = _meaning(folder, folder.stat().st_mtime_ns, mask.dtype)
+        return meaning.inside(str(path), mask).astype(np.float32) / 255
+    if mask.dtype.kind not in "bf":
+        raise InputError(f"{path}: a mask must be Boolean or numbers, got {mask.dtype}")
+    if not ((mask >= 0) & (mask <= 1)).all():  # NaN is neither
+        raise InputError(f"{path}: a floating-point mask must lie in [0, 1]")
+    return mask.astype(np.float32)
+
+
+def _values(path: Path) -> np.ndarray:
+    return read_array(path) if path.suffix == ".npy" else read_image(path, 1)
+
+
+@lru_cache(maxsize=16)
+def _meaning(folder: Path, changed: int, dtype: np.dtype) -> MaskMeaning:
+    """Return what the masks of one kind mean in a folder that was ``changed`` last at that time."""
+    masks = (_values(x) for x in sorted(folder.iterdir()) if x.suffix in (".npy", ".png"))
+    return meaning_of(mask for mask in masks if mask.dtype == dtype)
+
+
+@dataclass(frozen=True)
+class MaskMeaning:
+    """What the values of a video's masks mean."""
+
+    full: int = 255  # the value that is fully inside: 1, 255 or 65535
+    label: int | None = None  # the person's, the only one beside 0
+    labels: tuple[int, ...] = ()  # several, of which nothing says whose they are
+    parts: bool = False  # labels are parts of the person: whatever is not zero is inside
+
+    def inside(self, where: str, mask: np.ndarray) -> np.ndarray:
+        """Convert a mask (H, W) to 8 bits, 255 inside."""
+        if self.parts:
+            return (mask > 0) * np.uint8(255)
+        if self.labels:
+            raise InputError(
+                f"{where}: masks of labels {listed(self.labels)}, and nothing says which is the "
+                "person; save (label == the person's) * 255"
+            )
+        if self.label is not None:
+            return (mask == self.label) * np.uint8(255)
+        low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
+        if not 0 <= low <= high <= self.full:  # NaN is neither
+            raise InputError(
+                f"{where}: its values go from {low:g} to {high:g}, such as a network's own before "
+                "they are shares; expected Boolean, 0 to 1, or 0 to 255"
+            )
+        if mask.dtype == np.uint8 and self.full == 255:
+            return mask
+        return np.round(mask.astype(np.float32) * (255 / self.full)).astype(np.uint8)
+
+
+def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
+    """Return what the values of a video's masks (H, W) mean."""
+    full, found = 1, set()  # of labels; None: they are none
+    for mask in masks:
+        if mask.dtype.kind == "b":
+            return MaskMeaning(1)
+        most = mask.max(initial=0)
+        if most > 1:
+            full = max(full, 65535 if mask.dtype == np.uint16 and most > 255 else 255)
+        counts = None if found is None else _whole_numbers(mask)
+        if full > 1 and most >= _NEARLY * full and not (counts and _drop_border(counts)):
+            if mask.dtype == np.uint8 or full > 255:
+                return MaskMeaning(full)  # no later mask says more
+            counts = None
+        found = None if counts is None else found | set(counts)
+        found = None if found is None or len(found) > _MOST else found
+    if full == 1 or found is None:
+        return MaskMeaning(full)
+    labels = tuple(sorted(found))
+    if 0 in labels and len(labels) == 2:
+        return MaskMeaning(label=labels[1])
+    return MaskMeaning(label=labels[0]) if len(labels) == 1 else MaskMeaning(labels=labels)
+
+
+def _drop_border(counts: dict[int, int]) -> bool:
+    """Remove the border's value from the counts of a drawing of labels; False if it is none."""
+    labels = [count for value, count in counts.items() if 0 < value <= BARELY]
+    if max(counts) != VOID or any(BARELY < value < VOID for value in counts):
+        return False
+    return sum(labels) > counts[VOID] and bool(counts.pop(VOID))
+
+
+def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
+    """Count the values of a mask, if they are whole numbers from 0 on, else None."""
+    if mask.dtype == np.uint8:
+        counts = np.bincount(mask.ravel(), minlength=256)
+        return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
+    if not (mask >= 0).all() or (mask.dtype.kind == "f" and (mask != np.floor(mask)).any()):
+        return None
+    values, counts = np.unique(mask, return_counts=True)
+    return dict(zip(map(int, values), map(int, counts), strict=True))
+
+
+def require_person(where: str, counts: np.ndarray) -> None:
+    """Refuse a video's masks if no pixel or every pixel is inside; ``counts`` (256,) per value."""
+    values = np.flatnonzero(counts).tolist()
+    if not values or values[0] <= BARELY < values[-1]:
+        return
+    what = f"no pixel of any mask is above half, the greatest value is {values[-1]}"
+    if values[0] > BARELY:
+        what = "all masks are full: opaque pictures, or masks of another video"
+    raise InputError(f"{where}: {what}; expected 255 inside the person, and 0 outside")

@@ -1,0 +1,187 @@
+"""Read and write pictures; read a picture as a mask, and a render's background.
+
+A mask chooses the channel that marks the person:
+
+=========================================  ====================================================
+Picture                                    Inside
+=========================================  ====================================================
+with alpha that is somewhere below 255     its alpha
+a palette of greys                         its luminance
+any other palette                          its labels; 255 beside others is a border, and zero
+grey, and RGB that is grey                 its luminance
+colours                                    refused: a photograph, or a drawing of labels
+=========================================  ====================================================
+
+Alpha that is 255 everywhere is ignored: some programs always add it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gva_mi.core.atomic import atomic_write
+from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.files import once_a_file, require_file, require_room
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
+FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
+VOID = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
+GREY = 32  # largest difference of a grey pixel's channels, after JPEG
+
+
+def read_image(path: Path, channels: int) -> np.ndarray:
+    """Read a picture, turned as its metadata say.
+
+    ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
+    (H, W), of 8 bits (as above) or 16, which :mod:`.masks` interprets.
+    """
+    from PIL import Image, ImageOps
+
+    with opened(path) as stored:
+        image = ImageOps.exif_transpose(stored)
+        if channels == 1 and image.mode.startswith("I"):
+            raw = np.asarray(image)
+            if 0 <= raw.min(initial=0) <= raw.max(initial=0) <= 65535:
+                return raw.astype(np.uint16)
+        if image.mode.startswith("I") or image.mode == "F":  # which Pillow would clip
+            raw = np.asarray(image).astype(np.float64)
+            raw = raw / (257 if raw.max(initial=0) > 255 else 1)
+            image = Image.fromarray(raw.astype(np.uint8))
+        if channels == 1:
+            return matte_of(str(path), image)
+        return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
+
+
+@once_a_file
+def size_of_whole(path: Path) -> tuple[int, int]:
+    """Decode a picture, because damage shows nowhere else, and return its size (W, H)."""
+    return read_image(path, 3).shape[1::-1]
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Image.Image]:
+    """Open a picture of an acceptable size, whose pixels are not decoded yet."""
+    from PIL import Image
+
+    require_file(path, "an 8-bit PNG")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked
+            with Image.open(path, formats=FORMATS) as image:
+                require_size(str(path), *image.size)
+                yield image
+    except InputError:
+        raise
+    except Exception as error:  # each of its decoders has its own
+        raise InputError(f"{path}: not a readable picture ({reason_of(error)})") from None
+
+
+def require_size(where: str, width: int, height: int) -> None:
+    """Refuse a picture without pixels, or of more than :data:`MOST_PIXELS`, before it is read."""
+    if min(width, height) < 1 or width * height > MOST_PIXELS:
+        raise InputError(
+            f"{where}: pictures must have from 1 to {MOST_PIXELS:,} pixels, got {width}x{height}"
+        )
+
+
+def require_sides(where: str, image: np.ndarray, width: int, height: int) -> None:
+    """Refuse a picture (H, W, ...) of another size than its camera's."""
+    if image.shape[:2] != (height, width):
+        raise InputError(f"{where} is {image.shape[1]}x{image.shape[0]}, expected {width}x{height}")
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Write a picture, floats in [0, 1] or 8-bit, grey (H, W), RGB (H, W, 3) or RGBA (H, W, 4)."""
+    from PIL import Image
+
+    with atomic_write(path) as unfinished:
+        kind = FORMAT_OF[Path(path).suffix.lower()]
+        # For a PNG a quarter of the usual level's time, for a tenth more bytes.
+        Image.fromarray(in_8_bits(image)).save(unfinished, kind, compress_level=2)
+
+
+def in_8_bits(image: np.ndarray) -> np.ndarray:
+    """Convert a picture of floats in [0, 1] to 8 bits; one of 8 bits is returned as it is."""
+    if image.dtype == np.uint8:
+        return image
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def require_picture(path: Path, overwrite: bool) -> None:
+    """Check that a .png can be written, before the work whose result it shows."""
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: a picture's name ends in .png")
+    require_room(path, overwrite)
+
+
+def read_background(name: str, width: int, height: int) -> np.ndarray:
+    """Read a background, float32 in [0, 1]: (3,) for a colour, (height, width, 3) otherwise.
+
+    ``name`` is of a colour, such as "white" or "#ff8800"; or of a picture, which is scaled to cover
+    the size, and cropped.
+    """
+    from PIL import Image, ImageColor, ImageOps
+
+    try:
+        return np.array(ImageColor.getrgb(name)[:3], dtype=np.float32) / 255
+    except ValueError:
+        if not Path(name).is_file():
+            raise InputError(
+                f"{name}: neither a picture file nor a colour, such as white or #ff8800"
+            ) from None
+    picture = Image.fromarray(read_image(Path(name), 3))
+    return np.asarray(ImageOps.fit(picture, (width, height)), dtype=np.float32) / 255
+
+
+def matte_of(where: str, image: Image.Image) -> np.ndarray:
+    """Convert an 8-bit picture to a mask (H, W) 8-bit, 255 inside; ``where`` names it in errors.
+
+    Labels of a palette are returned as they are: :mod:`.masks` says what they mean.
+    """
+    if image.mode in ("LA", "La", "RGBA", "RGBa", "PA") or (
+        image.mode == "P" and "transparency" in image.info
+    ):
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+        if alpha.min(initial=255) < 255:
+            return alpha
+    if image.mode in ("P", "PA"):
+        return _of_palette(image)
+    if image.mode in ("1", "L", "LA", "La"):
+        return np.asarray(image.convert("L"))
+    return matte_of_pixels(where, np.asarray(image.convert("RGB")))
+
+
+def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
+    """Convert 8-bit pixels (H, W, 3) RGB or (H, W, 4) RGBA, such as a video's, to a mask."""
+    from PIL import Image
+
+    if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
+        return np.ascontiguousarray(pixels[..., 3])
+    rgb = np.ascontiguousarray(pixels[..., :3])
+    if (np.ptp(rgb, axis=2) > GREY).any():
+        raise InputError(
+            f"{where}: a mask in colours, such as a photograph or a drawing of labels, does not "
+            "say what is inside; expected white before black, or alpha"
+        )
+    return np.asarray(Image.fromarray(rgb).convert("L"))
+
+
+def _of_palette(image: Image.Image) -> np.ndarray:
+    """Return the values of a palette picture: colours if all that is used is grey, else labels."""
+    colors = np.asarray(image.convert("RGB"))
+    if (colors == colors[..., :1]).all():
+        return np.ascontiguousarray(colors[..., 0])
+    labels = np.array(image if image.mode == "P" else image.getchannel(0))
+    if (labels == VOID).any() and ((labels > 0) & (labels < VOID)).any():
+        labels[labels == VOID] = 0
+    return labels

@@ -1,0 +1,170 @@
+"""Does the body stand where the masks are? Both are compared frame by frame, at a reduced size.
+
+:func:`sanity_check` asks this quickly before hours of work; ``gva-mi check`` looks at all frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gva_mi.body.kinematics import joint_transforms
+from gva_mi.body.pose import BODY, PARENTS, Pose, Shape
+from gva_mi.body.smplx import BodyModel
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.overlay import OUTLINE, outlined, strip
+from gva_mi.splat import Camera
+from gva_mi.subject.splits import spread
+from gva_mi.subject.video import Video
+
+SMALL = 192  # px, longer side of pictures that are rendered: a person of 1.8 m has 1 px a cm
+COARSE = 48  # px, likewise without rendering: vertices of a body are as dense
+FULL = 0.995  # of a mask: what is missing is noise of a file's compression
+# A person touches one side of the border, or two if head and feet are cut off; what is around the
+# person touches all four.
+AROUND = 0.5  # of the border
+COMPARED = 8  # frames of the sanity check
+FEWEST_INSIDE = 0.5  # of the joints in the picture; noise and loose clothes leave most in the masks
+LEAST_OVERLAP = 0.25  # IoU; wide clothes and occlusion leave more
+FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
+SHOWN, HEIGHT = 6, 360  # frames of the sheet, and their height in px
+GREEN = (0.1, 0.75, 0.35)  # of the masks, beside the body's orange
+
+
+@dataclass(frozen=True)
+class BodyAndMask:
+    """The body and the mask of one frame. An inverted mask is compared as it is meant."""
+
+    joints: tuple[int, int]  # of root and body: in the mask, in the picture
+    overlap: float  # IoU of both silhouettes
+    size: float  # of the mask, relative to the body; NaN if the border cuts it
+    full: bool  # the mask shows nothing but the person
+    inverted: bool  # the mask shows the background instead of the person
+
+
+@torch.no_grad()
+def compare(
+    body: BodyModel,
+    shape: Shape,
+    frame: tuple[Pose, Camera, np.ndarray],
+    scene: MeshScene | None = None,
+) -> BodyAndMask:
+    """Compare a body with the mask (H, W) of a frame.
+
+    Without a ``scene`` of the body, its vertices stand for its silhouette, and nothing is rendered.
+    """
+    from PIL import Image
+
+    pose, camera, mask = frame
+    longer = COARSE if scene is None else SMALL
+    scale = min(1.0, longer / max(camera.width, camera.height))
+    size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    small = Image.fromarray(mask.astype(np.float32)).resize(size, Image.Resampling.BOX)
+    inside, camera = np.asarray(small) > 0.5, camera.resized(*size)
+    full = bool(inside.mean() >= FULL)
+    border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
+    inverted = bool(border.mean() > AROUND) and not full
+    inside, border = inside ^ inverted, border ^ inverted
+    posed = body(pose, shape)
+    joints = joints_seen(camera, posed.joints[0, : BODY.stop].double().numpy())
+    pixels = joints_seen(camera, posed.vertices[0].double().numpy())
+    pixels = np.unique(np.floor(pixels[np.isfinite(pixels).all(1)]), axis=0)
+    x, y = pixels[((pixels >= 0) & (pixels < size)).all(1)].astype(int).T
+    shown = np.zeros(size[::-1], bool)  # pixels that hold a vertex
+    shown[y, x] = True
+    if scene is not None:
+        shown = scene.render(posed.vertices[0].float(), camera).numpy()[..., 3] > 0.5
+    overlap = (inside & shown).sum() / max(1, (inside | shown).sum())
+    cut = border.any() or not inside.any() or not len(pixels)
+    ratio = np.nan if cut else _radius(np.argwhere(inside)) / _radius(pixels)
+    return BodyAndMask(count_in_mask(joints, inside), float(overlap), ratio, full, inverted)
+
+
+def _radius(pixels: np.ndarray) -> float:
+    """Return the root mean square distance of pixels (n, 2) from their middle."""
+    return float(np.sqrt(pixels.var(0).sum() + 1 / 6))
+
+
+def joints_in_world(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Return joint positions (T, 55, 3), metres, under ``rotations`` (T, 55, 3) axis-angle.
+
+    ``transl`` is (T, 3); ``joints`` are (55, 3) of the body at rest.
+    """
+    rotations, rest, transl = (
+        torch.from_numpy(np.array(x, np.float64)) for x in (rotations, joints, transl)
+    )
+    T = joint_transforms(rotations, rest, PARENTS, transl).numpy()
+    return np.einsum("tjab,jb->tja", T[..., :3, :3], joints) + T[..., :3, 3]
+
+
+def joints_seen(camera: Camera, places: np.ndarray) -> np.ndarray:
+    """Project joints (J, 3), metres, world, to pixels (J, 2); infinite behind the camera."""
+    depth = places @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
+    with np.errstate(all="ignore"):
+        return np.where(depth[:, None] > 0, camera.project(places), np.inf)
+
+
+def count_in_mask(pixels: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
+    """Count the joints (J, 2) pixels that lie in a mask (H, W) bool, and those in the picture."""
+    height, width = mask.shape
+    u, v = np.floor(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0).clip(-1, 1e6)).T
+    seen = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+    return int(mask[v[seen].astype(int), u[seen].astype(int)].sum()), int(seen.sum())
+
+
+def sanity_check(video: Video, body: BodyModel) -> str | None:
+    """Return a warning if the video's body does not stand where its masks are, else None."""
+    frames = [k for k in range(len(video)) if k not in video.absent]
+    outlines = video.outlines(spread(frames, COMPARED))
+    doubt = doubt_of(((x.pose, x.camera, x.mask) for x in outlines), video.shape, body)
+    check = f"gva-mi check {video.folder} looks for the cause"
+    return None if doubt is None else f"{video.folder}: {doubt}; {check}"
+
+
+def doubt_of(
+    frames: Iterable[tuple[Pose, Camera, np.ndarray]], shape: Shape, body: BodyModel
+) -> str | None:
+    """Return a doubt if the body is not where the masks (H, W) of frames are, else None.
+
+    Joints beyond the picture's edge are ignored, because many videos end at the hips.
+    """
+    found = [compare(body, shape, frame) for frame in frames]
+    if not found:
+        return None
+    inside, seen = np.sum([one.joints for one in found], axis=0)
+    inverted, of = np.mean([one.inverted for one in found]), BODY.stop * len(found)
+    both = np.mean([one.overlap for one in found])
+    if inverted > 0.5:
+        return f"doubtful: {inverted:.0%} of the masks show the background, expected the person"
+    if seen < FEWEST_SEEN * of:
+        figure = f"{seen / of:.0%} of the body's joints lie in the picture"
+    elif inside < FEWEST_INSIDE * seen:
+        figure = f"{inside / seen:.0%} of the body's joints lie in the masks"
+    elif both < LEAST_OVERLAP:
+        return f"doubtful: {both:.0%} of the body and of the masks is in both, expected half"
+    else:
+        return None
+    return f"doubtful: {figure}, expected most of them"
+
+
+@torch.no_grad()
+def draw_sheet(video: Video, body: BodyModel) -> np.ndarray:
+    """Draw the outlines of body (orange) and mask (green) over some frames, (h, w, 3) float32."""
+    from PIL import Image
+
+    scene, pictures = MeshScene(body.faces, body.v_template.float()), []
+    size = max(1, round(HEIGHT * video.size[0] / video.size[1])), HEIGHT
+    there = [k for k in range(len(video)) if k not in video.absent]
+    for frame in video.frames(spread(there, SHOWN)):
+        image, mask = (
+            np.asarray(Image.fromarray(x).resize(size, Image.Resampling.BILINEAR))
+            for x in (np.round(frame.image * 255).astype(np.uint8), frame.mask)
+        )
+        vertices = body(frame.pose, video.shape).vertices[0].float()
+        shown = scene.render(vertices, frame.camera.resized(*size)).numpy()[..., 3] > 0.5
+        marked = outlined(image.astype(np.float32) / 255, mask > 0.5, GREEN)
+        pictures.append(outlined(marked, shown, OUTLINE))
+    return strip([pictures])

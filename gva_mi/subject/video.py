@@ -1,0 +1,326 @@
+"""``Video`` and ``Frame``, the input of every step: a subject's folder, opened and checked.
+
+:mod:`gva_mi.subject.folder` says which files it holds.
+
+Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
+mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
+
+Everything is checked once when it is opened, so that no step stops half-way for a bad file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from torch import Tensor
+
+from gva_mi.body.pose import Pose, Shape, read_pose_file
+from gva_mi.core.errors import InputError
+from gva_mi.core.files import once_a_file
+from gva_mi.core.tasks import on_all_cores
+from gva_mi.splat import Camera
+from gva_mi.subject.backdrop import alone
+from gva_mi.subject.cameras import load_cameras
+from gva_mi.subject.crop import block_means
+from gva_mi.subject.fingerprint import prepared_from
+from gva_mi.subject.folder import (
+    CAMERAS,
+    FRAMES,
+    LANDMARKS,
+    MASKS,
+    POSES,
+    TRUTH,
+    VIDEO,
+    array_or_picture,
+    frame_name,
+    is_frame_name,
+)
+from gva_mi.subject.landmarks import Landmarks
+from gva_mi.subject.masks import read_mask
+from gva_mi.subject.normals import Convention, NormalMaps, Part
+from gva_mi.subject.pictures import read_image, require_sides, size_of_whole
+from gva_mi.subject.splits import Splits, load_splits
+from gva_mi.subject.video_file import VideoFile
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of the person with its mask, normals, camera and pose."""
+
+    index: int
+    image: np.ndarray  # (H, W, 3) float32 in [0, 1]
+    mask: np.ndarray  # (H, W) float32 in [0, 1]
+    normals: np.ndarray | None  # (H, W, 3) float32, unit, camera space; zero outside the mask
+    camera: Camera
+    pose: Pose  # of one frame
+
+    def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
+        """Return the person on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
+        return self.alone + color * (1 - self.mask[..., None])
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """Return the person's colour times the mask, (H, W, 3), without the background's colour."""
+        return alone(self.image, self.mask)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A frame without its picture, which takes longest to read."""
+
+    index: int
+    mask: np.ndarray  # (H, W) float32 in [0, 1]
+    normals: Callable[[Part], np.ndarray | None]  # of a part of the frame, otherwise as in Frame
+    camera: Camera
+    pose: Pose  # of one frame
+
+
+@dataclass(frozen=True)
+class Video:
+    """A monocular video with its masks, cameras and poses."""
+
+    folder: Path
+    cameras: list[Camera]
+    pose: Pose
+    shape: Shape
+    splits: Splits
+    _images: Sequence[np.ndarray] = field(repr=False)  # a video, or [] to read frames/ one by one
+    normals: NormalMaps | None = None  # of some frames; None: of none
+    absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
+    stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
+    offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
+    landmarks: Landmarks | None = None  # of all frames, where a network found them
+    kind: str | None = None  # what stage 1 was prepared from, such as "video", if it is known
+    fps: float | None = None  # frames a second of a prepared video, if they are known
+    shrink: int = 1  # pixels of a file, each way, that are one pixel here
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __getitem__(self, index: int) -> Frame:
+        """Return one frame; an absent one is white, with an empty mask."""
+        camera, pose = self.cameras[index], self.pose[index]
+        if index in self.absent:
+            size = (camera.height, camera.width)
+            return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
+        path = self.folder / FRAMES / frame_name(index)
+        image = self._images[index] if self._images else read_image(path, 3)
+        image = block_means(image.astype(np.float32) / 255, self.shrink)
+        mask = self._mask(index)
+        normals = self._normals_of(index, mask)((slice(None), slice(None)))
+        return Frame(index, image, mask, normals, camera, pose)
+
+    def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
+        """Yield the frames of some indices, or all frames; files are read ahead."""
+        indices = range(len(self)) if indices is None else indices
+        read = map if self._images else on_all_cores
+        return read(self.__getitem__, indices)
+
+    def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
+        """Yield some frames without their pictures; none of them may be absent."""
+        for k in indices:
+            mask = self._mask(k)
+            yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
+
+    def _mask(self, index: int) -> np.ndarray:
+        return block_means(read_mask(self.folder / MASKS, index), self.shrink)
+
+    def _normals_of(self, index: int, mask: np.ndarray) -> Callable[[Part], np.ndarray | None]:
+        """Return a function that reads a part of a frame's normals, zero outside its mask."""
+
+        def normals(part: Part) -> np.ndarray | None:
+            found = self.normals.read(index, self.cameras[index], part) if self.normals else None
+            return None if found is None else found * (mask[part] > 0.5)[..., None]
+
+        return normals
+
+    def shrunk(self, factor: int) -> Video:
+        """Return the video with pictures that are ``factor`` times smaller, without normals.
+
+        A pixel is the mean of those it stands for; what is left over at the right and below is cut.
+        """
+        if factor == 1:
+            return self
+        small = lambda c: c.cropped(0, 0, c.width // factor * factor, c.height // factor * factor)
+        cameras = [small(c).resized(c.width // factor, c.height // factor) for c in self.cameras]
+        return replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the pictures, pixels."""
+        return self.cameras[0].width, self.cameras[0].height
+
+    def offsets_of(self, vertices: int) -> Tensor | None:
+        """Return the rest surface's displacement for a body of ``vertices``; None without one."""
+        if self.offsets is not None and len(self.offsets) != vertices:
+            raise InputError(
+                f"{self.folder}: its poses have 'offsets' {tuple(self.offsets.shape)}, expected "
+                f"{(vertices, 3)}"
+            )
+        return self.offsets
+
+    def require_train_frames(self) -> None:
+        """Raise an InputError without a train frame, for steps that train on some."""
+        if not self.splits.train:
+            k, reason = next(iter(self.absent.items()))
+            raise InputError(f"{self.folder}: no train frame can be used; frame {k}: {reason}")
+
+    @property
+    def truth(self) -> Path | None:
+        """The folder with the ground truth of a synthetic subject."""
+        folder = self.folder / TRUTH
+        return folder if folder.is_dir() else None
+
+    def true_mask(self, index: int) -> np.ndarray | None:
+        """Read the ground-truth mask (H, W) of a synthetic subject; for evaluation only."""
+        path = self.truth / MASKS / frame_name(index) if self.truth else None
+        if path is None or not path.exists():
+            return None
+        mask = block_means(read_image(path, 1).astype(np.float32) / 255, self.shrink)
+        require_sides(f"{path}:", mask, *self.size)
+        return mask
+
+    def truly_cut(self, frame: Frame) -> Frame:
+        """Return one of its frames with the ground-truth mask, where that is known."""
+        mask = self.true_mask(frame.index)
+        return frame if mask is None else replace(frame, mask=mask)
+
+
+def load_video(
+    folder: Path,
+    poses: Path | None = None,
+    normals: Convention | Literal["none"] | None = None,
+) -> Video:
+    """Open a subject's folder and check everything in it.
+
+    Args:
+        folder: in the format above.
+        poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
+        normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
+
+    Raises:
+        InputError: the first file that cannot be used.
+    """
+    return read_video(folder, lambda what, frame, read, *given: read(*given), poses, normals)
+
+
+def read_video(
+    folder: Path,
+    attempt: Callable[..., Any],
+    poses: Path | None = None,
+    normals: Convention | Literal["none"] | None = None,
+) -> Video | None:
+    """Read a subject's folder as :func:`load_video` does, each file by ``attempt``.
+
+    ``attempt(what, frame, read, *given)`` calls ``read(*given)``. It lets an error through, or
+    keeps it and returns None, as :meth:`gva_mi.subject.problems.Faults.attempt` does. The video is
+    None if its pictures, cameras or poses cannot be used.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder}: no such folder; expected a subject with video.mp4 or frames/, masks/, "
+            "cameras.npz and poses.npz"
+        )
+    images, sizes = _open_pictures(folder, attempt)
+    count = max(sizes, default=-1) + 1 or None
+    cameras = attempt("cameras", None, load_cameras, folder / CAMERAS, count)
+    poses = poses or folder / POSES
+    found = attempt("poses", None, read_pose_file, poses, count)
+    if count is None:
+        return None
+    maps = None
+    if normals != "none":
+        maps = attempt("normals", None, NormalMaps.open, folder, count, normals)
+    absent = {k: "it has no picture" for k in range(count) if k not in sizes}
+    for k, size in sizes.items():
+        camera = None if cameras is None else cameras[k]
+        expected = size if camera is None else (camera.width, camera.height)
+        attempt("pictures", k, _require_size, folder, k, size, expected)
+        mask = array_or_picture(folder / MASKS, k)
+        reason = attempt("masks", k, _why_absent, mask, *expected)
+        if reason != "":
+            absent[k] = reason or "its mask cannot be used"
+        elif maps is not None and camera is not None:
+            attempt("normals", k, maps.check, k, camera)
+    if len(absent) == count:
+        attempt("frames", None, _refuse, f"{folder}: no frame can be used; frame 0: {absent[0]}")
+    splits = attempt("splits", None, load_splits, folder, count) or Splits.every(count)
+    kind = fps = None
+    if poses == folder / POSES:
+        kind, fps = attempt("prepare.json", None, prepared_from, folder) or (None, None)
+    landmarks = attempt("landmarks", None, _open_landmarks, folder, count)
+    if cameras is None or found is None:
+        return None
+    absent = dict(sorted(absent.items()))
+    return Video(
+        folder, cameras, found.pose, found.shape, splits.without(absent), images, maps, absent,
+        found.stage, found.offsets, landmarks, kind, fps,
+    )  # fmt: skip
+
+
+def _open_pictures(
+    folder: Path, attempt: Callable[..., Any]
+) -> tuple[VideoFile | list[np.ndarray], dict[int, tuple[int, int]]]:
+    """Open the video ([] for frame files), and return the size (W, H) of each existing frame."""
+    files = sorted((folder / FRAMES).glob("*.png"))
+    if not files:
+        recording = attempt("pictures", None, _open_video_file, folder)
+        return ([], {}) if recording is None else (recording, dict(enumerate(recording.sizes)))
+    for path in files:
+        if not is_frame_name(path):
+            attempt("pictures", None, _refuse, f"{path}: frames are numbered, such as 000000.png")
+    frames = {int(path.stem): path for path in files if is_frame_name(path)}
+    size_of = lambda k: attempt("pictures", k, size_of_whole, frames[k])
+    sizes = dict(zip(frames, on_all_cores(size_of, frames), strict=True))
+    return [], {k: size for k, size in sizes.items() if size is not None}
+
+
+def _open_video_file(folder: Path) -> VideoFile:
+    if not (folder / VIDEO).exists():
+        raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
+    return VideoFile(folder / VIDEO)
+
+
+def _require_size(
+    folder: Path, index: int, size: tuple[int, int], expected: tuple[int, int]
+) -> None:
+    if size != expected:
+        raise InputError(
+            f"{folder}: frame {index} is {size[0]}x{size[1]}, "
+            f"but {CAMERAS} says {expected[0]}x{expected[1]}"
+        )
+
+
+def _refuse(reason: str) -> None:
+    raise InputError(reason)
+
+
+@once_a_file
+def _why_absent(file: Path, width: int, height: int) -> str:
+    """Return the reason why a frame cannot be used; empty if it can."""
+    folder, index = file.parent, int(file.stem)
+    mask = read_mask(folder, index)
+    if mask is None:
+        return "it has no mask"
+    require_sides(f"{folder}: mask of frame {index}", mask, width, height)
+    if not mask.any():
+        return "its mask is empty"
+    faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
+    return "" if (mask > 0.5).any() else faint
+
+
+def _open_landmarks(folder: Path, count: int) -> Landmarks | None:
+    """Read the landmarks of a subject of ``count`` frames; None if it has none."""
+    path = folder / LANDMARKS
+    if not path.is_file():
+        return None
+    landmarks = Landmarks.load(path)
+    if len(landmarks) != count:
+        raise InputError(f"{path}: holds {len(landmarks)} frames, but the video has {count}")
+    return landmarks

@@ -1,0 +1,88 @@
+"""What each pose error measures, and what it ignores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.body_file import BUILT_IN_BODY
+from gva_mi.body.pose import JOINTS, LEFT_HAND, Shape
+from gva_mi.body.smplx import load_body
+from gva_mi.evaluate.pose_errors import means, pose_errors
+from gva_mi.subject.ground_truth import GroundTruth
+
+SHAPE = Shape(torch.zeros(10))
+
+
+@pytest.fixture
+def truth(body, true_pose, camera):
+    return GroundTruth(body, true_pose, SHAPE, [camera] * len(true_pose))
+
+
+@pytest.fixture(scope="module")
+def giant(body, tmp_path_factory):
+    """A foreign body: the same one, a tenth larger, on other triangles."""
+    file = tmp_path_factory.mktemp("giant") / "body.npz"
+    with np.load(BUILT_IN_BODY) as arrays:
+        np.savez(file, **{**arrays, "v_template": 1.1 * arrays["v_template"]})
+    return load_body(file)
+
+
+def turned(pose, joint, vector):
+    rotations = pose.rotations.clone()
+    rotations[:, JOINTS.index(joint)] += torch.tensor(vector)
+    return replace(pose, rotations=rotations)
+
+
+def moved(pose, vector):
+    return replace(pose, transl=pose.transl + torch.as_tensor(vector, dtype=torch.float32))
+
+
+def test_the_ground_truth_has_no_error(body, truth):
+    errors = pose_errors(body, (truth.pose, SHAPE), truth)
+    assert set(means(errors).values()) == {0.0} and len(errors) == 11
+    assert all(x.shape == (3,) for x in errors.values())
+
+
+def test_a_shift_is_an_error_but_not_pelvis_aligned(body, truth):
+    errors = pose_errors(body, (moved(truth.pose, (0.03, 0.0, 0.04)), SHAPE), truth)
+    for name in ("body", "hands", "feet", "joints"):
+        torch.testing.assert_close(errors[name], torch.full((3,), 50.0), atol=1e-3, rtol=0)
+    for name in ("body_aligned", "hands_aligned", "feet_aligned", "fingers"):
+        assert errors[name].max() < 1e-3, name
+
+
+def test_a_bent_finger_is_the_same_error_wherever_the_arm_is(body, truth):
+    rotations = truth.pose.rotations.clone()
+    rotations[:, LEFT_HAND, 2] += 0.4
+    bent = replace(truth.pose, rotations=rotations)
+    alone = pose_errors(body, (bent, SHAPE), truth)
+    with_arm = pose_errors(body, (turned(bent, "left_elbow", (0, 0.7, 0)), SHAPE), truth)
+    assert alone["fingers"].min() > 5 and with_arm["hands"].min() > 2 * alone["hands"].max()
+    torch.testing.assert_close(alone["fingers"], with_arm["fingers"], atol=1e-2, rtol=0)
+
+
+def test_depth_is_positive_if_a_limb_is_too_far_away(body, truth, camera):
+    away = torch.tensor(camera.T_camera_world[2, :3])
+    sideways = torch.tensor(camera.T_camera_world[0, :3])
+    depths = ("pelvis_depth", "ankles_depth", "wrists_depth")
+    for vector, mm in ((0.02 * away, 20.0), (-0.02 * away, -20.0), (0.02 * sideways, 0.0)):
+        errors = pose_errors(body, (moved(truth.pose, vector), SHAPE), truth)
+        for name in depths:
+            torch.testing.assert_close(errors[name], torch.full((3,), mm), atol=1e-3, rtol=0)
+
+
+def test_a_foreign_body_is_compared_by_its_joints(body, giant, truth):
+    foreign = replace(truth, body=giant, foreign=True)
+    errors = pose_errors(body, (truth.pose, SHAPE), foreign)
+    found, true = (b(truth.pose, SHAPE).joints for b in (body, giant))
+    apart = 1e3 * (found - true).norm(dim=2)
+    torch.testing.assert_close(errors["body"], apart[:, :22].mean(1))
+    torch.testing.assert_close(errors["joints"], errors["body"])
+    feet = [JOINTS.index(f"{side}_{j}") for side in ("left", "right") for j in ("ankle", "foot")]
+    torch.testing.assert_close(errors["feet"], apart[:, feet].mean(1))
+    assert errors["fingers"].min() > 1  # a larger hand
+    wrist = turned(truth.pose, "right_wrist", (0.5, 0, 0))
+    again = pose_errors(body, (wrist, SHAPE), foreign)
+    torch.testing.assert_close(again["fingers"], errors["fingers"], atol=1e-3, rtol=0)

@@ -1,0 +1,134 @@
+"""A refinement is measured frame by frame, written, and reported."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.core.errors import InputError
+from gva_mi.evaluate.figures import where
+from gva_mi.evaluate.refinement import (
+    Evaluation,
+    error_figures,
+    load_refinement,
+    mask_iou,
+    means,
+    measure,
+    pose_tables,
+    write_refinement,
+)
+from gva_mi.refine import SequenceOptions
+from gva_mi.subject.pictures import write_image
+
+BODY, HANDS = ("body", "absolute"), ("hands", "absolute")
+
+
+@pytest.fixture(scope="module")
+def measured(estimated, body, refined, truth):
+    return measure(estimated, body, refined, truth)
+
+
+def value(figures, metric, part=("", "")):
+    (found,) = where(figures, metric=metric, region=part[0], alignment=part[1])
+    return found.value
+
+
+def test_frames_are_measured_one_by_one(measured):
+    before, after = (measured[*BODY, f"{stage} error, mm"] for stage in ("stage 1", "refined"))
+    assert (after[:5] == 0).all() and after[5] == before[5] > 0
+    assert (measured["hands", "pelvis-aligned", "refined error, mm"][:5] == 0).all()
+    assert (measured[*HANDS, "stage 1 error, mm"] > before).all()  # arms are off
+    iou, limit = measured["", "", "refined IoU"], measured["", "", "true IoU"]
+    torch.testing.assert_close(iou[:5], limit[:5])
+    assert iou.mean() > measured["", "", "stage 1 IoU"].mean()
+
+
+def test_figures_are_means_over_frames_and_changes(measured):
+    after = measured[*BODY, "refined error, mm"]
+    figures = means(measured)
+    assert value(figures, "refined error, mm", BODY) == pytest.approx(float(after[5]) / 6)
+    assert value(figures, "change", BODY) == pytest.approx(-5 / 6, abs=0.02)
+    assert value(figures, "IoU - limit") <= 0
+    assert value(means(measured, [0, 1]), "refined error, mm", BODY) == 0
+    assert value(means(measured, [5]), "change", BODY) == 0
+
+
+def test_frames_whose_error_increased_are_counted(estimated, body, refined, truth):
+    worse = replace(estimated, pose=refined.pose)  # found at stage 1, and lost again
+    found = where(
+        means(measure(worse, body, replace(refined, pose=estimated.pose), truth)),
+        metric="increased",
+    )
+    assert [figure.value for figure in found] == pytest.approx(3 * [5 / 6])
+
+
+def test_stage_1_alone_has_the_same_figures_and_no_refined_ones(measured, estimated, body, truth):
+    alone = measure(estimated, body, None, truth)
+    assert len(alone) == 13 and all("refined" not in metric for *_, metric in alone)
+    for key, values in alone.items():
+        assert torch.equal(values, measured[key])
+
+
+def test_masks_are_compared_with_the_true_ones(estimated, tmp_path):
+    shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
+    shutil.rmtree(tmp_path / "truth", ignore_errors=True)
+    video = replace(estimated, folder=tmp_path)
+    assert mask_iou(video) is None
+    width, height = video.size
+    for k, outline in enumerate(video.outlines(range(2))):
+        wider = outline.mask if k == 0 else np.ones((height, width))
+        write_image(tmp_path / f"truth/masks/{k:06d}.png", wider)
+    share = next(video.outlines([1])).mask.mean()
+    assert mask_iou(video) == pytest.approx((1 + share) / 2, abs=1e-3)
+
+
+def test_a_frame_without_a_mask_has_no_iou(estimated, body, refined):
+    lacking = replace(estimated, absent={1: "it has no mask"})
+    found = measure(lacking, body, refined)
+    assert found["", "", "refined IoU"].isnan().tolist() == [False, True] + 4 * [False]
+    assert np.isfinite([figure.value for figure in means(found)]).all()
+    assert {metric for *_, metric in found} == {"stage 1 IoU", "refined IoU"}  # no ground truth
+
+
+def test_the_silhouette_is_measured_through_the_lens_of_the_poses(estimated, body, refined, truth):
+    short = [replace(c, fx=0.9 * c.fx, fy=0.9 * c.fy) for c in estimated.cameras]
+    misled = replace(estimated, cameras=short)
+    right = replace(refined, cameras=truth.cameras)
+    worse, better = (means(measure(misled, body, x, truth)) for x in (refined, right))
+    assert value(worse, "refined IoU") < value(better, "refined IoU")
+
+
+def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_path):
+    shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
+    video = replace(estimated, folder=tmp_path)
+    refined = replace(refined, held_out=[5])
+    evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
+    write_refinement(evaluation)
+    record = json.loads((tmp_path / "refinement.json").read_text())
+    assert record["kept"] == {"5": refined.kept[5]} and record["test_frames"] == "held out"
+    assert record["points"] == "vertices"
+    assert (tmp_path / "refinement.png").exists() and (tmp_path / "poses_refined.npz").exists()
+    figures, seen = load_refinement(tmp_path)
+    assert where(figures, split="") == evaluation.figures() and not seen
+    of = {split: where(figures, split=split) for split in ("train", "test")}
+    assert value(of["train"], "refined error, mm", BODY) == 0
+    assert value(of["test"], "refined error, mm", BODY) > 0
+    assert load_refinement(tmp_path / "none") == ((), True)
+    (tmp_path / "refinement.json").write_text("[]")
+    with pytest.raises(InputError, match="refinement.json: .*`gva-mi refine` writes"):
+        load_refinement(tmp_path)
+
+
+def test_trained_poses_have_a_column_beside_refined_ones(measured, estimated, body, truth):
+    aside = estimated.pose.transl + torch.tensor([0.01, 0, 0])
+    moved = replace(estimated.pose, transl=aside, rotations=truth.pose.rotations)
+    trained = error_figures(body, (moved, estimated.shape), truth, "trained")
+    found, *_ = pose_tables([*means(measured), *trained])
+    column = found.head.index("trained error, mm")
+    rows = {row[0]: row for row in found.rows}
+    assert rows["body, absolute"][column] == "10.0"
+    assert rows["body, pelvis-aligned"][column] == "0.0"
+    assert rows["body, absolute"][found.head.index("change")] == "-83 %"

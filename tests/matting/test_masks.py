@@ -1,0 +1,113 @@
+"""Masks of a video hold at the outline, where a network's probabilities are rough."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, shift
+
+from gva_mi.matting.masks import video_masks
+from gva_mi.matting.odds import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, log_odds
+from gva_mi.matting.plate import Plate
+from gva_mi.subject.pictures import read_image
+
+H, W, T = 96, 80, 10
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Return pictures, true masks and probabilities of a striped figure that walks past a wall.
+
+    A shadow darkens the floor beside its feet.
+    """
+    random = np.random.default_rng(0)
+    wall = gaussian_filter(random.uniform(0, 1, (H, W, 3)), (1, 1, 0))
+    wall = 0.55 + 0.5 * (wall - wall.mean())
+    wall[76:] *= [0.8, 0.6, 0.4]
+    y, x = np.mgrid[:H, :W] + 0.5
+    pictures, masks, probabilities = [], [], []
+    for k in range(T):
+        middle = 24 + 3.3 * k
+        head = 8 - np.hypot(x - middle, y - 18)
+        body = np.minimum(9 - np.abs(x - middle), np.minimum(y - 24, 84 - y))
+        mask = np.clip(np.maximum(head, body) + 0.5, 0, 1)
+        shadow = 1 - 0.5 * np.exp(-(((x - middle - 12) / 9) ** 2) - ((y - 85) / 5) ** 2)
+        shirt = np.stack([0.7 + 0.1 * np.sin(y), 0.15 + 0 * y, 0.2 + 0.1 * np.sin(x)], -1)
+        picture = mask[..., None] * shirt + (1 - mask[..., None]) * wall * shadow[..., None]
+        picture = picture + random.normal(0, 0.01, picture.shape)
+        pictures.append(np.round(picture.clip(0, 1) * 255).astype(np.uint8))
+        masks.append(mask)
+        rough = shift(gaussian_filter(mask, 2), (1.5, -2), order=1)
+        probabilities.append(np.round(rough * 255).astype(np.uint8))
+    return pictures, np.array(masks), probabilities
+
+
+def iou(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
+def found(folder):
+    return np.array([read_image(folder / f"{k:06d}.png", 1) for k in range(T)]) / 255
+
+
+def test_masks_hold_at_the_outline_and_leave_the_shadow_out(recording, tmp_path):
+    pictures, truth, rough = recording
+    assert video_masks(pictures, rough, tmp_path) == []
+    masks = found(tmp_path)
+    before = iou(np.array(rough) > 127, truth > 0.5)
+    assert before < 0.87
+    assert iou(masks > 0.5, truth > 0.5) > 0.985
+    assert np.minimum(masks, truth).sum() / np.maximum(masks, truth).sum() > 0.96
+
+
+def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_background():
+    grey = np.full((4, 4, 3), 0.5, np.float32)
+    plate = Plate(grey, np.full((4, 4), 0.02, np.float32), np.ones((4, 4), bool))
+    blue = np.broadcast_to(np.float32([0, 0, 1]), (4, 4, 3))
+    height, P, person = np.linspace(0, 1, 4), np.full((4, 4), 0.5), np.full((4, 4), 2.0)
+    known = blue, P, height, plate, Shadows(), person
+    odds = [log_odds(*known, h * np.ones((4, 4))) for h in (1.0, 8.0)]
+    # Eq. 2 without the plate: p(I | background) = e h, with e = 0.01.
+    assert odds[0] == pytest.approx(np.log(2 / 0.01), abs=0.02)
+    assert odds[1] == pytest.approx(np.log(2 / 0.08), abs=0.02)
+
+
+@pytest.mark.parametrize("deep", [0.0, 0.7])
+def test_the_density_of_shadows_integrates_to_one(deep):
+    s = np.linspace(DARKEST, BRIGHTEST, 20_001)[None]
+    for height, mean in ((0.5, MEAN), (0.95, CONTACT)):
+        k = Shadows(deep, deep).density(s, np.array([height]))[0]
+        darker = s[0] <= 1
+        whole = np.trapezoid(k[darker], s[0][darker])
+        missing = (1 - deep) * np.exp((DARKEST - 1) / mean)  # the exponential's part below DARKEST
+        assert whole == pytest.approx(1 - missing, abs=1e-3)
+
+
+def test_dark_skin_before_wood_is_no_shadow_unless_the_video_has_deep_ones():
+    wood = np.broadcast_to(np.float32([0.8, 0.5, 0.3]), (2, 2, 3))
+    plate = Plate(wood, np.full((2, 2), 0.01, np.float32), np.ones((2, 2), bool))
+    P, flat, height = np.full((2, 2), 0.5), np.ones((2, 2)), np.array([0.4, 0.5])
+    odds = lambda s, deep: log_odds(
+        s * wood, P, height, plate, Shadows(deep, deep), 100 * flat, flat
+    )
+    assert (odds(0.35, 0.0) > 1).all()  # skin
+    assert (odds(0.35, 0.7) < -1).all()  # the sun's shadow
+    assert (odds(0.95, 0.0) < -2).all()  # a faint shadow
+
+
+def test_frames_without_a_person_get_empty_masks_and_a_note(recording, tmp_path):
+    pictures, _, rough = recording
+    rough = [0 * P if k in (2, 3) else P for k, P in enumerate(rough)]
+    (note,) = video_masks(pictures, rough, tmp_path / "some")
+    assert "2-3" in note
+    masks = found(tmp_path / "some")
+    assert [k for k in range(T) if not masks[k].any()] == [2, 3]
+    (note,) = video_masks(pictures, [0 * P for P in rough], tmp_path / "none")
+    assert "0-9" in note and not found(tmp_path / "none").any()
+
+
+def test_a_hand_held_camera_is_followed(recording, tmp_path):
+    pictures, truth, rough = recording
+    ways = [(round(3 * np.sin(k)), round(2 * np.cos(2 * k))) for k in range(T)]
+    shaken = lambda images: [np.roll(x, way, (0, 1)) for x, way in zip(images, ways, strict=True)]
+    (note,) = video_masks(shaken(pictures), shaken(rough), tmp_path)
+    assert "the camera moves" in note
+    assert iou(found(tmp_path) > 0.5, np.array(shaken(truth)) > 0.5) > 0.975

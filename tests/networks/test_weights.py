@@ -1,0 +1,89 @@
+"""The networks' files: where they are looked for, fetched and checked."""
+
+import hashlib
+import sys
+import zipfile
+
+import pytest
+
+from gva_mi.core.errors import InputError
+from gva_mi.networks import mediapipe
+from gva_mi.networks.mediapipe import TfliteNetwork, weights_file
+
+NAMES = list(mediapipe._IN_WHEEL)
+
+
+@pytest.fixture
+def offline(monkeypatch):
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", "")
+
+
+@pytest.fixture
+def small_wheel(tmp_path, monkeypatch):
+    """A wheel of mediapipe that pip finds, with files of a few bytes, and their hashes."""
+    files = {name: name.encode() for name in NAMES}
+    folder = tmp_path / "wheels"
+    folder.mkdir()
+    version = mediapipe.VERSION
+    path = folder / f"mediapipe-{version}-cp311-cp311-manylinux_2_28_x86_64.whl"
+    about = f"mediapipe-{version}.dist-info"
+    with zipfile.ZipFile(path, "w") as wheel:
+        for name, (inside, _) in mediapipe._IN_WHEEL.items():
+            wheel.writestr(f"{inside}/{name}", files[name])
+        wheel.writestr(f"{about}/LICENSE", "Apache License")
+        wheel.writestr(
+            f"{about}/METADATA", f"Metadata-Version: 2.1\nName: mediapipe\nVersion: {version}\n"
+        )
+        wheel.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: false\n")
+    hashed = {
+        name: (inside, hashlib.sha256(files[name]).hexdigest())
+        for name, (inside, _) in mediapipe._IN_WHEEL.items()
+    }
+    monkeypatch.setattr(mediapipe, "_IN_WHEEL", hashed)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
+    return path
+
+
+def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
+    small_wheel, tmp_path, monkeypatch
+):
+    monkeypatch.delenv(mediapipe.FOLDER, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.VERSION}"
+    assert weights_file(NAMES[0]) == folder / NAMES[0]
+    assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE"}
+    assert "Apache License" in (folder / "LICENSE").read_text()
+    assert "Apache License 2.0" in (folder / "NOTICE").read_text()
+    small_wheel.unlink()
+    assert all(weights_file(name).read_text() == name for name in NAMES)
+
+
+def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
+    with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
+        weights_file(NAMES[0], tmp_path / "empty")
+    assert "\n" not in str(error.value) and NAMES[0] in str(error.value)
+    assert not list((tmp_path / "empty").iterdir())
+
+
+def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
+    path = weights_file(NAMES[0], tmp_path / "here")
+    path.write_bytes(b"another network")
+    with pytest.raises(InputError, match="another file than MediaPipe's .*remove it"):
+        weights_file(NAMES[0], path.parent)
+    inside = mediapipe._IN_WHEEL[NAMES[0]][0]
+    monkeypatch.setitem(mediapipe._IN_WHEEL, NAMES[0], (inside, "0" * 64))
+    with pytest.raises(InputError, match="another file"):  # fetched, and not kept
+        weights_file(NAMES[0], tmp_path / "there")
+    assert not list((tmp_path / "there").glob("*.tflite"))
+
+
+def test_a_missing_package_and_a_damaged_file_are_sentences(tmp_path, monkeypatch):
+    path = tmp_path / "network.tflite"
+    path.write_bytes(b"no network")
+    with pytest.raises(InputError, match="no readable .tflite"):
+        TfliteNetwork(path)
+    monkeypatch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+    with pytest.raises(InputError, match=r"pip install 'gva_mi\[video\]'"):
+        TfliteNetwork(path)

@@ -1,0 +1,108 @@
+"""Standard deviations of landmarks: sizes in pixels scale with the picture, gaps are infinite."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.core.errors import InputError
+from gva_mi.observe.landmark_noise import (
+    LONG,
+    LandmarkNoise,
+    correlated_frames,
+    person_sizes,
+)
+from gva_mi.observe.rig import LandmarkRig
+from gva_mi.subject.landmarks import BODY, Landmarks, hand_names
+
+
+@pytest.fixture(scope="module")
+def standing(built_in_body):
+    """The built-in body from the front, 200 pixels a metre, in three frames."""
+    rig = LandmarkRig.of(built_in_body, (*BODY, *hand_names("left"), *hand_names("right")))
+    metric = (rig.rest * torch.tensor([1.0, -1, -1])).numpy()[None].repeat(3, 0)
+    ones = np.ones(metric.shape[:2])
+    return Landmarks(rig.names, 200 * metric[..., :2] + 300, ones, 0 * ones, metric)
+
+
+def test_a_video_without_a_person_is_refused(standing):
+    with pytest.raises(InputError, match="no frame has a person"):
+        person_sizes(replace(standing, pixels=standing.pixels * np.nan))
+
+
+def test_noise_scales_with_the_picture_and_grows_with_doubt(standing):
+    names = standing.names
+    usual = LandmarkNoise.of(standing, names)
+    larger = LandmarkNoise.of(replace(standing, pixels=2 * standing.pixels), names)
+    assert torch.allclose(larger.pixels, 2 * usual.pixels)
+    assert torch.equal(larger.depth, usual.depth)
+    spread = replace(standing, spread=np.full_like(standing.confidence, 3.0))
+    assert (LandmarkNoise.of(spread, names).pixels > usual.pixels).all()
+    unsure = replace(standing, confidence=0.6 * standing.confidence)
+    doubted = LandmarkNoise.of(unsure, names)
+    assert torch.allclose(doubted.pixels, usual.pixels / 0.6)
+    assert torch.equal(doubted.depth, usual.depth)
+
+
+def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standing):
+    k = standing.names.index("left_wrist")
+    lost = replace(standing, pixels=standing.pixels.copy())
+    lost.pixels[1, k] = np.nan
+    noise = LandmarkNoise.of(lost, standing.names)
+    assert noise.pixels[1, k].isinf() and noise.pixels.isfinite().sum() == 3 * 75 - 1
+    touching = (noise.bones == k).any(1)
+    assert touching.sum() == 3
+    assert torch.equal(noise.depth[1].isinf(), touching) and noise.depth[[0, 2]].isfinite().all()
+
+
+def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):
+    """The tracker stayed 0.3 m beside the wrist in one frame: the hand alone is doubted, there."""
+    moved = replace(standing, pixels=standing.pixels.copy())
+    hand = [k for k, name in enumerate(standing.names) if name.startswith("left_hand_")]
+    moved.pixels[1, hand, 0] += 60
+    usual, noise = (LandmarkNoise.of(x, standing.names) for x in (standing, moved))
+    assert (noise.pixels[1, hand] - 60).abs().max() < 1.0
+    of_hand = torch.isin(noise.bones, torch.tensor(hand)).any(1)
+    assert (noise.depth[1, of_hand] > 0.29).all()
+    noise.pixels[1, hand], noise.depth[1, of_hand] = usual.pixels[1, hand], usual.depth[1, of_hand]
+    assert torch.equal(noise.pixels, usual.pixels) and torch.equal(noise.depth, usual.depth)
+
+
+def test_the_ends_of_a_limb_slide_along_it(standing):
+    names = list(standing.names)
+    arm = ("shoulder", "elbow", "wrist")
+    shoulder, elbow, wrist = (names.index(f"left_{name}") for name in arm)
+    end_on = replace(standing, pixels=standing.pixels.copy())
+    end_on.pixels[1, wrist] = end_on.pixels[1, elbow]
+    noise = LandmarkNoise.of(end_on, names)
+    precision = noise.aspect @ noise.aspect  # σ² Σ⁻¹
+    limb = torch.from_numpy(standing.pixels[0, elbow] - standing.pixels[0, shoulder]).float()
+    u = limb / limb.norm()
+    across = u.flip(0) * torch.tensor([1.0, -1.0])
+    for point in (shoulder, elbow):
+        assert torch.allclose(precision[0, point] @ u, u / LONG**2)
+        assert torch.allclose(precision[0, point] @ across, across)
+    round_ = (precision == torch.eye(2)).all((2, 3))
+    assert round_[1, wrist] and not round_[0, wrist]
+    ends = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    slide = [name.endswith(ends) and "hand" not in name for name in names]
+    assert torch.equal(~round_[0], torch.tensor(slide))
+
+
+def test_frames_that_look_alike_count_as_one(standing):
+    pixels = standing.pixels.repeat(2, 0)  # six frames
+    pixels[3:, standing.names.index("left_wrist"), 0] += 200  # a metre aside
+    pixels[2] = 2 * pixels[2] - 150  # nearer, and at another place
+    pixels[5] = np.nan
+    recording = replace(
+        standing,
+        pixels=pixels,
+        confidence=standing.confidence.repeat(2, 0),
+        spread=standing.spread.repeat(2, 0),
+        metric=standing.metric.repeat(2, 0),
+    )
+    alike = correlated_frames(recording, dt=1.0)
+    assert alike[:3].numpy() == pytest.approx([3, 3, 3], abs=1e-3)
+    assert alike[3:5].numpy() == pytest.approx([2, 2], abs=1e-3)
+    assert correlated_frames(recording, dt=0.02)[3] == 5  # a tenth of a second

@@ -1,0 +1,96 @@
+"""Landmarks as evidence: projected from known poses, they hold the body where it is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.observe.rig import HEAD_SPREAD, MEMORY, LandmarkRig, SeenLandmarks
+from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+
+NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+FPS = 30.0
+SHAPE = Shape(torch.zeros(10))
+
+
+def seen_of(body, pose, camera, names=NAMES):
+    """Landmarks without errors, of a body in T poses."""
+    rig = LandmarkRig.of(body, names)
+    places = rig.places(body(pose, SHAPE).T_world_rest, SHAPE.betas, 0 * rig.rest).double()
+    T = torch.tensor(camera.T_camera_world)
+    metric = (places @ T[:3, :3].T + T[:3, 3]).numpy()
+    pixels = np.stack([camera.project(points) for points in places.numpy()])
+    ones = np.ones(pixels.shape[:2])
+    return Landmarks(names, pixels, ones, 0 * ones, metric - metric[:, :1])
+
+
+def loss_of(landmarks, body, pose, camera, offsets=None):
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS, (pose, SHAPE))
+    offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
+    return seen.losses(range(len(pose)), body(pose, SHAPE).T_world_rest, SHAPE, offsets).mean()
+
+
+@pytest.fixture(scope="module")
+def landmarks(body, true_pose, camera):
+    return seen_of(body, true_pose, camera)
+
+
+def test_the_true_pose_costs_nothing_and_a_turned_arm_does(body, true_pose, camera, landmarks):
+    assert float(loss_of(landmarks, body, true_pose, camera)) == pytest.approx(0, abs=1e-4)
+    turned = true_pose.rotations.clone()
+    turned[:, JOINTS.index("left_elbow"), 1] += 0.3
+    turned.requires_grad_()
+    loss = loss_of(landmarks, body, replace(true_pose, rotations=turned), camera)
+    loss.backward()
+    assert float(loss.detach()) > 0.02
+    assert (turned.grad[:, JOINTS.index("left_elbow"), 1] > 0).all()  # back
+
+
+def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, camera, landmarks):
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS, (true_pose, SHAPE))
+    offsets = torch.zeros_like(seen.rig.rest)
+    offsets[seen.rig.names.index("left_hip")] = torch.tensor([0.0, 0.04, 0.0])
+    assert float(loss_of(landmarks, body, true_pose, camera, offsets)) > 0.01
+    offset_spread = float(seen.rig.offset_spread[seen.rig.names.index("left_hip")])
+    assert float(seen.energy(offsets)) == pytest.approx((0.04 / offset_spread) ** 2 / 2)
+
+
+def test_a_landmark_that_is_not_known_pulls_at_nothing(body, true_pose, camera, landmarks):
+    lost, at = replace(landmarks, pixels=landmarks.pixels.copy()), NAMES.index("left_wrist")
+    lost.pixels[:, at] += 200
+    far = float(loss_of(lost, body, true_pose, camera))
+    lost.pixels[:, at] = np.nan
+    assert far > 0.1 > 1e-4 > float(loss_of(lost, body, true_pose, camera))
+
+
+def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
+    """By half the square of its angle over σ, a frame; a face turned away, or none, by nothing."""
+    for root, share in (((0.0, 0.0, 0.0), 1.0), ((0.0, torch.pi, 0.0), 0.0)):
+        rotations = torch.zeros_like(true_pose.rotations)
+        rotations[:, 0] = torch.tensor(root)
+        pose = replace(true_pose, rotations=rotations)
+        plain = seen_of(body, pose, camera)
+        pixels, ones = np.zeros((len(pose), len(FACE), 2)), np.ones((len(pose), len(FACE)))
+        unknown = np.full((*ones.shape, 3), np.nan)
+        face = Landmarks(FACE, pixels, ones, 0 * ones, unknown)
+        both = Landmarks(
+            (*NAMES, *FACE),
+            *(
+                np.concatenate([getattr(x, name) for x in (plain, face)], 1)
+                for name in ("pixels", "confidence", "spread", "metric")
+            ),
+        )
+        bent = rotations.clone()
+        bent[:, JOINTS.index("spine2"), 1] = 0.05
+        losses = []
+        for given in (plain, both):
+            seen = SeenLandmarks.of(given, body, [camera] * len(pose), FPS, (pose, SHAPE))
+            offsets = torch.zeros_like(seen.rig.rest)
+            every = range(len(pose))
+            T_world_rest = body(replace(pose, rotations=bent), SHAPE).T_world_rest
+            losses.append(seen.losses(every, T_world_rest, SHAPE, offsets))
+        assert seen.faces.tolist() == pytest.approx([share] * len(pose), abs=0.15)
+        expected = seen.faces * (0.05 / HEAD_SPREAD) ** 2 / (2 * MEMORY * FPS)
+        assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)

@@ -1,0 +1,88 @@
+"""What a video lacks is named, with a figure and what to do; a good video has no findings."""
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.smplx import load_body
+from gva_mi.splat import Camera, look_at
+from gva_mi.stage1.video_check import check_recording
+from gva_mi.subject.cameras import save_cameras
+from gva_mi.subject.landmarks import Landmarks, hand_names
+from gva_mi.subject.pictures import write_image
+from gva_mi.subject.video import load_video
+
+FRAMES, WIDE, TALL = 40, 320, 320
+PERSON = np.s_[20:300, 120:200]  # rows and columns
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+@pytest.fixture
+def recording(tmp_path, body):
+    """Return a function that writes and checks a video: a textured box who turns round once."""
+    rng = np.random.default_rng(0)
+    tiles = (rng.random((TALL // 8, WIDE // 8 + 8, 3)).astype(np.float32) for _ in range(2))
+    room, cloth = (tile.repeat(8, 0).repeat(8, 1) for tile in tiles)
+
+    def checked(turn=1.0, person=PERSON, change=lambda image, k: image, slide=0, hands=1.0, **how):
+        rotations = torch.zeros(FRAMES, 55, 3)
+        rotations[:, 0, 1] = 2 * torch.pi * turn * torch.arange(FRAMES) / FRAMES
+        pose = Pose(rotations, torch.zeros(FRAMES, 3), torch.zeros(FRAMES, 10))
+        save_poses(tmp_path / "poses.npz", pose, Shape(torch.zeros(10)), stage=1)
+        camera = Camera(300, 300, WIDE / 2, TALL / 2, look_at((0, 0, 3), (0, 0, 0)), WIDE, TALL)
+        save_cameras(tmp_path / "cameras.npz", [camera])
+        mask = np.zeros((TALL, WIDE), np.float32)
+        mask[person] = 1
+        for k in range(FRAMES):
+            at = k * slide // FRAMES
+            image = np.where(mask[..., None] > 0, cloth[:, :WIDE], room[:, at : at + WIDE])
+            write_image(tmp_path / f"frames/{k:06d}.png", change(image, k))
+            write_image(tmp_path / f"masks/{k:06d}.png", mask)
+        names = (*hand_names("left"), *hand_names("right"))
+        pixels = np.ones((FRAMES, len(names), 2))
+        pixels[round(hands * FRAMES) :, : len(names) // 2] = np.nan
+        zero = np.zeros(pixels.shape[:2])
+        landmarks = Landmarks(names, pixels, zero, zero, np.zeros((*zero.shape, 3)))
+        about = {"fps": 15.0} | how
+        found = check_recording(load_video(tmp_path), body, landmarks, **about)
+        assert all(problem.remedy and problem.cause for problem in found)
+        return {problem.what: problem.figure for problem in found}
+
+    return checked
+
+
+FAULTS = {  # of one video: what it is called, and what its figure says
+    "never turned, too near, dark, in a crowd": (
+        {"turn": 0.0, "person": np.s_[60:320, 120:200], "change": lambda image, k: image / 8,
+         "crowded": (3, 4)},
+        {"not seen from all sides": "its left side, back, right side",
+         "feet or legs cut off": "40 of 40 frames", "too dark": "of white",
+         "several people": "2 of 40 frames"},
+    ),
+    "half turned, far away, short": (
+        {"turn": 0.5, "person": np.s_[20:120, 120:160], "fps": 30.0},
+        {"not seen from all sides": "240 of 360 degrees; never its left side",
+         "few pixels": "100 pixels tall", "short": "40 frames, 1.3 s"},
+    ),
+    "from a hand, without a hand": (
+        {"slide": 9, "hands": 0.0},
+        {"camera moves": "by up to 2.", "left hand never seen": "0%"},
+    ),
+}  # fmt: skip
+
+
+def test_a_good_video_has_no_findings(recording):
+    assert recording() == {}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_with_its_figure(recording, name):
+    how, expected = FAULTS[name]
+    found = recording(**how)
+    assert found.keys() == expected.keys()
+    assert all(expected[what] in figure for what, figure in found.items())

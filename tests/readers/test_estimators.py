@@ -1,0 +1,71 @@
+"""Files in exactly the form of each estimator: the person stands where the file says."""
+
+import re
+
+import numpy as np
+import pytest
+from samples.estimates import (
+    CENTRED,
+    HEIGHT,
+    WIDTH,
+    WRITTEN,
+    dumped,
+    named,
+)
+
+from gva_mi.core.errors import InputError
+from gva_mi.readers.estimators import VideoInfo, read_estimator
+from gva_mi.readers.people import follow
+from gva_mi.subject.lens import rescaled
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_the_person_stands_where_the_estimator_saw_them(name, tmp_path, cli, seen, footage, stands):
+    source, words, K, places, *more = WRITTEN[name](tmp_path, *seen)
+    rotations, joints, *given = more or (seen[0], 22)
+    footage = footage if "--body" not in given else footage[2:]
+    assert words in cli.works("prepare", "auto", source, tmp_path / "s", *footage, *given)
+    stands(tmp_path / "s", rotations, places, K, joints)
+
+
+@pytest.fixture
+def refused(tmp_path, cli, footage):
+    def run(words, source, *more):
+        err = cli.fails("prepare", "auto", source, tmp_path / "s", *footage, *more)
+        assert re.search(words, err) and err.count("\n") <= 2, err
+        assert not (tmp_path / "s").exists()
+
+    return run
+
+
+def test_missing_or_encoded_parameters_are_named(tmp_path, seen):
+    def refused(words, source, kind="auto", **info):
+        with pytest.raises(InputError, match=words) as error:
+            read_estimator(kind, source, VideoInfo((WIDTH, HEIGHT), **info))
+        assert "\n" not in str(error.value)
+
+    np.savez(tmp_path / "p.npz", **named(*seen))
+    refused("says no camera.*give --lens", tmp_path / "p.npz")
+    np.savez(tmp_path / "no.npz", **{k: x for k, x in named(*seen).items() if k != "transl"})
+    refused(r"no translation; expected transl \(T, 3\)", tmp_path / "no.npz", focal=70)
+
+
+def test_arrays_without_names_other_bodies_and_damage_are_refused(tmp_path, refused):
+    np.save(tmp_path / "flat.npy", np.zeros((5, 265)))
+    refused(r"of no known kind, holds one ndarray \(5, 265\) without names", tmp_path / "flat.npy")
+    res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
+    refused("\\(of the kind hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
+
+
+def test_the_nearest_person_keeps_the_name():
+    a, b = np.array([0.0, 0, 4]), np.array([0.6, 0, 4])
+    named = follow([[a], [b, a], [a, b], [], [b + 0.1]])
+    assert named == [["0"], ["1", "0"], ["0", "1"], [], ["1"]]
+    assert follow([[a], [a + 5]]) == [["0"], ["1"]]
+
+
+def test_a_lens_of_another_size_is_scaled():
+    K = rescaled("x", CENTRED(10), (WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT))
+    assert np.allclose(K, [[20, 0, WIDTH], [0, 20, HEIGHT], [0, 0, 1]])
+    with pytest.raises(InputError, match="expected the same shape"):
+        rescaled("x", CENTRED(10), (0, 0), (WIDTH, HEIGHT))

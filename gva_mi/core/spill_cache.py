@@ -36,11 +36,11 @@ class SpillCache(Mapping[int, T], Generic[T]):
     Args:
         folder: where the file lies if one is needed; on the disk that results go to, because the
             system's folder for temporary files may be in memory.
-        kept: bytes of values that stay in memory.
+        kept: bytes of values that stay in memory; None: :data:`KEPT`.
     """
 
-    def __init__(self, folder: Path, kept: int = KEPT) -> None:
-        self._folder, self._room = folder, kept
+    def __init__(self, folder: Path, kept: int | None = None) -> None:
+        self._folder, self._room = folder, KEPT if kept is None else kept
         self._entries: dict[int, T | _OnDisk] = {}
         self._file: BinaryIO | None = None
 

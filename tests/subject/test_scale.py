@@ -1,6 +1,6 @@
 """Cost per frame of long videos: 2,000 frames of 1080p must fit into 4 GiB.
 
-    python -m pytest -m slow tests/data/test_scale.py -s
+    python -m pytest -m slow tests/subject/test_scale.py -s
 
 prints the figures. The subject is the built-in body, in one picture that serves under many names.
 """
@@ -44,10 +44,7 @@ COMMAND = "from gva_mi.__main__ import main; main()"
 # both lengths are measured with little of it, and the rest is added.
 LITTLE_KEPT = 1 << 24  # bytes
 CACHES = 2  # of one command
-SPILLS = (
-    "from gva_mi.core.spill_cache import SpillCache; "
-    f"SpillCache.__init__.__defaults__ = ({LITTLE_KEPT},); {COMMAND}"
-)
+SPILLS = f"from gva_mi.core import spill_cache; spill_cache.KEPT = {LITTLE_KEPT}; {COMMAND}"
 OPEN = (
     "from pathlib import Path; from gva_mi.subject.video import load_video; "
     "assert all(f.mask.max() == 1 for f in load_video(Path(sys.argv[1])).frames())"

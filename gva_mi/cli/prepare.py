@@ -21,12 +21,12 @@ from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_
 from gva_mi.readers.prepare import PrepareOptions, prepare_folder
 from gva_mi.readers.track import TargetBody
 from gva_mi.stage1.prepare import RecordingOptions, RecordingSource, motion_of_video
-from gva_mi.subject.fingerprint import PREPARED, RECORDING
+from gva_mi.subject.fingerprint import PREPARED, VIDEO_KIND
 
 VIDEO_FILES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
 OF_VIDEOS = ("body", "person", "lens", "masks")  # of PrepareOptions
 _HELP = (
-    f"{RECORDING}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; "
+    f"{VIDEO_KIND}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; "
     f"or the data set: {', '.join(DATASETS)}; "
     '"auto" recognises it by its keys and files'
 )
@@ -52,19 +52,21 @@ def prepare(
         recording: of a video.
         overwrite: replace a folder that was prepared here.
     """
-    if kind not in ("auto", RECORDING) and kind not in (kinds := {**KINDS, **DATASETS}):
-        raise InputError(f"prepare: kind must be auto, {RECORDING}, {', '.join(kinds)}; got {kind}")
-    if kind == RECORDING:
+    if kind not in ("auto", VIDEO_KIND) and kind not in (kinds := {**KINDS, **DATASETS}):
+        raise InputError(
+            f"prepare: kind must be auto, {VIDEO_KIND}, {', '.join(kinds)}; got {kind}"
+        )
+    if kind == VIDEO_KIND:
         wrong = [option for name, option in given(options).items() if name not in OF_VIDEOS]
         if wrong:
-            raise InputError(f"prepare: {wrong[0]} is not for a {RECORDING}")
+            raise InputError(f"prepare: {wrong[0]} is not for a {VIDEO_KIND}")
         app.prepare(
             source, out, recording, options, person=nth_person(options.person), lens=options.lens,
             body=options.body, overwrite=overwrite,
         )  # fmt: skip
         return
     if wrong := given(recording):
-        raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {RECORDING}; got {kind}")
+        raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {VIDEO_KIND}; got {kind}")
     if options.body is None:
         raise InputError("prepare: give --body, the body of the poses: a body file, or built-in")
     body = TargetBody.read(options.body)

@@ -1,11 +1,11 @@
-"""Masks of a video that hold at the person's outline.
+"""Masks of a video, exact at the person's outline.
 
-A network knows roughly where the person is; the pictures know exactly where the outline runs.
+A network knows roughly where the person is. The pictures show exactly where the outline runs.
 
 ================  ==================================================================================
-:mod:`.video`      masks of a video, and the smoothest outline with its soft pixels: start here
-:mod:`.camera`    the part of the pictures that is looked at, and how the camera moved
+:mod:`.masks`     all masks of a video, by the smoothest outline and its soft pixels: start here
+:mod:`.camera`    the working grid around the person, and the camera's motion
 :mod:`.plate`     the background without the person, gathered over the whole video
-:mod:`.odds`      evidence of each pixel: person or background, by colours and shadows
+:mod:`.odds`      log odds of each pixel, person against background, by colours and shadows
 ================  ==================================================================================
 """

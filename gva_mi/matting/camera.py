@@ -1,4 +1,4 @@
-"""The part of a video's pictures that is looked at, and how a hand-held camera moved.
+"""The working grid (the pictures' part around the person), and how a hand-held camera moved.
 
 A small turn of a camera moves its picture by nearly an affine map A. From a reference picture R and
 a picture I, without the person in either, A minimises
@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-LONGEST = 720  # pixels of the person's longer side at work: more costs time and shows no more
-AROUND = 0.12  # of the person's longer side: margin on each side, which networks may have missed
+GRID_SIDE = 720  # pixels of the person's longer side on the grid. Chosen: more shows no more
+GRID_MARGIN = 0.12  # of the person's longer side, around it. Chosen: networks miss hands and hair
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class WorkGrid:
     def around(extents: np.ndarray, picture: tuple[int, int]) -> WorkGrid:
         """Return the grid around the person's extents (T, 4): left, top, right, bottom, pixels."""
         longer = (extents[:, 2:] - extents[:, :2]).max(1)
-        border = np.ceil(AROUND * longer.max())
+        border = np.ceil(GRID_MARGIN * longer.max())
         low = np.maximum(extents[:, :2].min(0) - border, 0).astype(int)
         high = np.minimum(extents[:, 2:].max(0) + border, picture[::-1]).astype(int)
-        scale = min(1.0, LONGEST / float(np.median(longer)))
+        scale = min(1.0, GRID_SIDE / float(np.median(longer)))
         width, height = (max(1, round(float(x))) for x in (high - low) * scale)
         return WorkGrid(picture, (*low.tolist(), *high.tolist()), (height, width))
 
@@ -65,7 +65,7 @@ class WorkGrid:
         return np.linalg.inv(part) @ A @ part
 
     def cut(self, image: np.ndarray) -> np.ndarray:
-        """Return an image (H, W) or (H, W, C) of the whole picture, 8-bit, on the grid."""
+        """Resample an image (H, W) or (H, W, C) 8-bit of the whole picture to the grid."""
         from PIL import Image
 
         left, top, right, bottom = self.box
@@ -75,7 +75,7 @@ class WorkGrid:
         return np.asarray(part.resize(self.size[::-1], Image.Resampling.BILINEAR))
 
     def paste(self, mask: np.ndarray) -> np.ndarray:
-        """Return a mask (h, w) of the grid, in [0, 1], as the picture's (H, W), 8-bit."""
+        """Resample a mask (h, w) of the grid, in [0, 1], to the whole picture (H, W), 8-bit."""
         from PIL import Image
 
         left, top, right, bottom = self.box
@@ -87,12 +87,15 @@ class WorkGrid:
         return whole
 
 
-LONGER_SIDES = (80, 320)  # pixels of the shrunk pictures' longer side
-STEPS = (12, 6)  # of each
-CLEAR = 8  # 8-bit probability below which a pixel shows background
-LEAST = 0.2  # share of the picture that both have to show of the background
-BETTER = 0.6  # share of the identity's misfit that another map's has to be below
-COARSE = 0.06  # difference of grey in [0, 1] beyond which a pixel counts less: something moved
+# All chosen.
+LONGER_SIDES = (80, 320)  # pixels of the shrunk pictures' longer side: coarse, then fine
+STEPS_PER_SIZE = (12, 6)  # at most; the fine picture starts from the coarse one's map
+CONVERGED_PIXELS = 0.01  # of a shrunk picture: a smaller step ends the iteration
+BARE_BELOW = 8  # 8-bit probability of the person below which a pixel shows background
+LEAST_SHARED = 0.2  # share of the picture that has to be background in both pictures
+MISFIT_RATIO = 0.6  # the map has to fit better than this times the identity's misfit
+OUTLIER_GREY = 0.06  # grey in [0, 1]: with a larger difference something moved, and counts less
+ALL_BACKGROUND = 0.99  # of a resampled mask in [0, 1]: above it all four neighbours are background
 
 
 @dataclass(frozen=True)
@@ -116,20 +119,20 @@ class ShrunkPicture:
                 for x in (np.ascontiguousarray(image), np.ascontiguousarray(probability))
             )
             grey.append(small.mean(-1, dtype=np.float32) / 255)
-            bare.append((P < CLEAR).astype(np.float32))
+            bare.append((P < BARE_BELOW).astype(np.float32))
         return ShrunkPicture(grey, bare)
 
 
 def camera_motion(
     reference: ShrunkPicture, picture: ShrunkPicture, start: np.ndarray
 ) -> np.ndarray | None:
-    """Return A (3, 3), eq. 1, from a near one; None if too little of the background is shared.
+    """Return A (3, 3), eq. 1, starting at ``start``; None if too little background is shared.
 
-    Coordinates are shares of the picture's width and height, from -1 to 1. The answer is the
-    identity where no other map fits clearly better: a bare wall hardly tells.
+    Coordinates are shares of the picture's width and height, from -1 to 1. The result is the
+    identity unless A fits clearly better, because a bare wall hardly constrains A.
     """
     A = start
-    for level, steps in enumerate(STEPS):
+    for level, steps in enumerate(STEPS_PER_SIZE):
         R, bare = reference.grey[level], reference.bare[level]
         h, w = R.shape
         y, x = np.mgrid[:h, :w].astype(np.float32)
@@ -140,27 +143,29 @@ def camera_motion(
         both = np.stack([picture.grey[level], picture.bare[level]], -1)
         for _ in range(steps):
             seen = moved(both, A, outside=0)
-            weight = bare * (seen[..., 1] > 0.99)
-            if weight.mean() < LEAST:
+            weight = bare * (seen[..., 1] > ALL_BACKGROUND)
+            if weight.mean() < LEAST_SHARED:
                 return None
             rest = seen[..., 0] - R
             rest = rest - np.median(rest[weight > 0])
-            weight = (weight / (1 + (rest / COARSE) ** 2)).ravel()
+            weight = (weight / (1 + (rest / OUTLIER_GREY) ** 2)).ravel()
             JW = J.T * weight
             step = np.linalg.solve(JW @ J + 1e-6 * np.eye(6), JW @ rest.ravel())
             A = A @ np.linalg.inv(np.eye(3) + np.vstack([step.reshape(2, 3), np.zeros(3)]))
-            if np.abs(step).max() < 0.02 / max(h, w):
+            if np.abs(step).max() < 2 * CONVERGED_PIXELS / max(h, w):
                 break
     bent = _misfit(reference, picture, A)
-    return A if bent < BETTER * _misfit(reference, picture, np.eye(3)) else np.eye(3)
+    return A if bent < MISFIT_RATIO * _misfit(reference, picture, np.eye(3)) else np.eye(3)
 
 
 def _misfit(reference: ShrunkPicture, picture: ShrunkPicture, A: np.ndarray) -> float:
-    """Return the mean square of eq. 1's differences, each cut off at :data:`COARSE`."""
+    """Return the mean square of eq. 1's differences, each cut off at :data:`OUTLIER_GREY`."""
     seen = moved(np.stack([picture.grey[-1], picture.bare[-1]], -1), A, outside=0)
-    both = (reference.bare[-1] > 0) & (seen[..., 1] > 0.99)
+    both = (reference.bare[-1] > 0) & (seen[..., 1] > ALL_BACKGROUND)
     rest = (seen[..., 0] - reference.grey[-1])[both]
-    return float(np.minimum((rest - np.median(rest)) ** 2, COARSE**2).mean()) if both.any() else 1.0
+    if not both.any():
+        return 1.0
+    return float(np.minimum((rest - np.median(rest)) ** 2, OUTLIER_GREY**2).mean())
 
 
 def moved(image: np.ndarray, A: np.ndarray, outside: float | None = None) -> np.ndarray:

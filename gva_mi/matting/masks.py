@@ -1,4 +1,4 @@
-"""Find the masks of a video from its pictures and a network's rough probabilities.
+"""Make the masks of a video from its pictures and a network's rough probabilities.
 
 1. Does the camera move? If so, its motion is found from picture to picture.
 2. The plate and the colours of person and background are gathered from some pictures of the whole
@@ -26,8 +26,8 @@ A pixel there mixes the person's colour F and the background's B:
 
 with the noise n of a colour and the variance V of the person's colours around. F is their mean just
 inside, and B is the background, in the shade that is seen just outside
-(:meth:`gva_mi.matting.plate.Plate.beside`). The cut says something, too: blurred a little, it
-is another estimate of a, whose variance w falls with the distance from the cut. The result is the
+(:meth:`gva_mi.matting.plate.Plate.beside`). The cut, blurred a little, is another
+estimate of a, whose variance w falls with the distance from the cut. The result is the
 mean of both, weighted by the inverse variances.
 """
 
@@ -41,28 +41,38 @@ import numpy as np
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.matting.camera import ShrunkPicture, WorkGrid, camera_motion, moved
-from gva_mi.matting.odds import ColorsByHeight, Shadows, counted, log_odds
-from gva_mi.matting.plate import REACH, Plate, mean_around
+from gva_mi.matting.camera import (
+    ALL_BACKGROUND,
+    ShrunkPicture,
+    WorkGrid,
+    camera_motion,
+    moved,
+)
+from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
+from gva_mi.matting.plate import MEAN_SQUARE, Plate, mean_around
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import frame_name
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.splits import spread
 
-GATHERED = 48  # pictures that the plate and the colours are gathered from
-COMPARED = 6  # pictures that show whether the camera moves at all
-STILL = 0.5  # pixels of the grid: the camera stands if the picture's corners move less
-PERSON = 0.5  # probability from which a pixel counts to the person's extent
-SMALLEST = 64  # pixels of that kind: with fewer there is no person
-UNSTEADY = 0.04  # spread of colours: beyond it the background changes too much to help
-POSSIBLE, CERTAIN = 0.05, 0.95  # probabilities: below the one is background, above the other person
-NEAR = 4, 3  # pixels around what is possible that count as possible, too: by the network, the cut
-INNER = 1  # pixels inside of the outline whose colours are not counted
-AROUND = 0.12  # of the person's longer side: where a picture is looked at beyond what is possible
-PRICE, FLAT_PRICE = 1.5, 4.0  # of an outline: anywhere, and added where colours are equal
-EDGE = 0.1  # difference of colours, in [0, 1], at which less than half of this is added
-STEPS = 50  # of the cut
-ISLAND = 0.002  # share of the largest piece's area: smaller ones are dropped
+# All chosen. Pixels are those of the working grid, unless the picture's are named.
+SCENE_PICTURES = 48  # pictures from which the scene is gathered: more cost time and show the same
+MOTION_PICTURES = 6  # pictures that show whether the camera moves at all
+STILL_PIXELS = 0.5  # the camera stands still if the picture's corners move by less
+PERSON_PROBABILITY = 0.5  # a pixel with a larger one belongs to the person's extent
+SMALLEST_PERSON = 64  # the picture's pixels: a person of fewer pixels is not a person
+CHANGING_SPREAD = 0.04  # of the plate's colours in [0, 1]: with more it hardly tells the person
+POSSIBLE_PERSON, CERTAIN_PERSON = 0.05, 0.95  # probabilities: background below, person above
+# Pixels within this distance of the possible person are possible, too: first by the network's
+# probability, then by the cut, which is closer to the outline.
+POSSIBLE_MARGINS = 4, 3
+INNER_MARGIN = 1  # pixels inside the outline, which mix two colours: they are not counted
+LOOK_MARGIN = 0.12  # of the person's longer side: a picture is searched so far around the person
+OUTLINE_PRICE, FLAT_OUTLINE_PRICE = 1.5, 4.0  # g of eq. 1: everywhere, and added on flat colours
+EDGE_CONTRAST = 0.1  # difference of colours in [0, 1] that leaves 1 / e of what is added
+CUT_STEPS = 50  # iterations of eq. 2 and 3; later ones change few pixels
+SMALLEST_PIECE = 0.002  # share of the largest piece's area: smaller pieces are dropped
+LEAST_PIECE_PROBABILITY = 0.3  # mean probability of a piece; with less the network denies it
 
 
 def video_masks(
@@ -86,20 +96,23 @@ def video_masks(
     shown = np.flatnonzero(extents[:, 2] > 0)
     notes: list[str] = []
     if len(shown):
-        recording = _VideoOnGrid(pictures, probabilities, extents, shown)
-        scene = VideoScene.gather([recording.view(k) for k in spread(shown, GATHERED)])
-        notes = recording.notes()
-        if scene.plate.seen.any() and np.median(scene.plate.spread[scene.plate.seen]) > UNSTEADY:
+        on_grid = _VideoOnGrid(pictures, probabilities, extents, shown)
+        scene = VideoScene.gather([on_grid.view(k) for k in spread(shown, SCENE_PICTURES)])
+        notes = on_grid.notes()
+        if (
+            scene.plate.seen.any()
+            and np.median(scene.plate.spread[scene.plate.seen]) > CHANGING_SPREAD
+        ):
             notes.append("the background changes, so masks rely on the network and on colours")
     nobody = np.zeros(pictures[0].shape[:2], np.uint8)
 
     def write(numbered: tuple[int, GridPicture | None]) -> int:
         k, view = numbered
-        mask = nobody if view is None else recording.grid.paste(scene.mask(view))
+        mask = nobody if view is None else on_grid.grid.paste(scene.mask(view))
         write_image(Path(out) / frame_name(k), mask)
         return k
 
-    views = ((k, recording.view(k) if extents[k, 2] > 0 else None) for k in range(total))
+    views = ((k, on_grid.view(k) if extents[k, 2] > 0 else None) for k in range(total))
     for k in on_all_cores(write, views):
         if progress:
             progress(k + 1, total)
@@ -111,8 +124,8 @@ def video_masks(
 
 def _extent(probability: np.ndarray) -> np.ndarray:
     """Return left, top, right, bottom (4,) of a probability (H, W) 8-bit; zeros without anybody."""
-    inside = probability > 255 * PERSON
-    if inside.sum() < SMALLEST:
+    inside = probability > 255 * PERSON_PROBABILITY
+    if inside.sum() < SMALLEST_PERSON:
         return np.zeros(4)
     return bounds(inside)
 
@@ -130,8 +143,8 @@ class _VideoOnGrid:
         first = int(self.shown[0])
         self.grid = WorkGrid.around(self.extents[self.shown], self.pictures[first].shape[:2])
         self._motions: dict[int, np.ndarray | None] | None = None  # None: the camera stands
-        some = np.array(spread(self.shown, COMPARED))
-        if any(A is None or self._pixels(A) > STILL for A in self._found(some).values()):
+        some = np.array(spread(self.shown, MOTION_PICTURES))
+        if any(A is None or self._pixels(A) > STILL_PIXELS for A in self._found(some).values()):
             self._motions = self._found(self.shown)
 
     def view(self, k: int) -> GridPicture:
@@ -143,7 +156,7 @@ class _VideoOnGrid:
         return GridPicture(image, P, self.grid.heights(self.extents[k]), motion)
 
     def notes(self) -> list[str]:
-        """Return a sentence if the camera moves, and one on pictures where it is lost."""
+        """Return sentences: that the camera moves, and in which pictures its motion is unknown."""
         if self._motions is None:
             return []
         moves = max(self._pixels(A) for A in self._motions.values() if A is not None)
@@ -180,7 +193,7 @@ class GridPicture:
     image: np.ndarray  # (h, w, 3) 8-bit
     probability: np.ndarray  # (h, w) float32 in [0, 1], of the person
     height: np.ndarray  # (h,) of each row: 0 at the person's highest pixel, 1 at the lowest
-    motion: np.ndarray | None  # (3, 3) from the plate to this picture, as in camera.py; None: lost
+    motion: np.ndarray | None  # (3, 3) from the plate, as in camera.py; None: unknown
 
 
 @dataclass(frozen=True)
@@ -197,20 +210,23 @@ class VideoScene:
         """Gather the scene: by the probabilities, then by the masks found with these."""
         from scipy.ndimage import binary_dilation, binary_erosion
 
-        inside = [view.probability > CERTAIN for view in views]
-        possible = [view.probability > POSSIBLE for view in views]
-        for near in NEAR:
+        inside = [view.probability > CERTAIN_PERSON for view in views]
+        possible = [view.probability > POSSIBLE_PERSON for view in views]
+        for near in POSSIBLE_MARGINS:
             outside = [~binary_dilation(x, iterations=near) for x in possible]
             person, background = ColorsByHeight(), ColorsByHeight()
             for k, view in enumerate(views):
-                person.add(view.image, binary_erosion(inside[k], iterations=INNER), view.height)
+                person.add(
+                    view.image, binary_erosion(inside[k], iterations=INNER_MARGIN), view.height
+                )
                 background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
             scene = VideoScene(_plate(views, outside), Shadows(), person, background)
             scene = replace(scene, shadows=scene._shadows_of(views, outside))
-            if near == NEAR[0]:
+            if near == POSSIBLE_MARGINS[0]:
                 inside = list(on_all_cores(scene.inside, views))
                 possible = [
-                    x | (view.probability > CERTAIN) for x, view in zip(inside, views, strict=True)
+                    x | (view.probability > CERTAIN_PERSON)
+                    for x, view in zip(inside, views, strict=True)
                 ]
         return scene
 
@@ -221,14 +237,14 @@ class VideoScene:
         if not inside.any():
             return mask
         left, top, right, bottom = (int(x) for x in bounds(inside))
-        wide = lambda low, high: slice(max(0, low - BORDER), high + BORDER)
+        wide = lambda low, high: slice(max(0, low - OUTLINE_BORDER), high + OUTLINE_BORDER)
         part = wide(top, bottom), wide(left, right)
         image = view.image[part].astype(np.float32) / 255
         mask[part] = outline_alpha(image, inside[part], plate.part(part))
         return mask
 
     def inside(self, view: GridPicture, plate: Plate | None = None) -> np.ndarray:
-        """Return where the person is in a picture (h, w) bool, whose plate may be known."""
+        """Return where the person is in a picture, (h, w) bool; ``plate`` is its plate, if known."""
         part = _looked_at(view)
         image, P = view.image[part], view.probability[part]
         plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]
@@ -239,19 +255,20 @@ class VideoScene:
         )
         image = image.astype(np.float32) / 255
         odds = log_odds(image, P, rows, plate, self.shadows, person, background)
-        cut = smoothest_cut(odds, _prices(image), odds > 0, STEPS) > 0.5
+        cut = smoothest_cut(odds, _prices(image), odds > 0, CUT_STEPS) > 0.5
         whole = np.zeros(view.probability.shape, bool)
         whole[part] = _person_alone(cut, P)
         return whole
 
     def _shadows_of(self, views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Shadows:
-        """Count shadows around the person, in pictures (h, w) bool of where it is not."""
+        """Count shadows in pictures where the person is not, ``outside`` (h, w) bool of each."""
 
         def count(seen: tuple[GridPicture, np.ndarray]) -> np.ndarray:
             view, bare = seen
             part = _looked_at(view)
             image = view.image[part].astype(np.float32) / 255
-            return counted(image, self._plate_in(view).part(part), bare[part], view.height[part[0]])
+            plate, height = self._plate_in(view).part(part), view.height[part[0]]
+            return count_shadows(image, plate, bare[part], height)
 
         return Shadows.of(sum(on_all_cores(count, zip(views, outside, strict=True))))
 
@@ -261,7 +278,7 @@ class VideoScene:
             return Plate.unknown(view.probability.shape)
         still = (view.motion == np.eye(3)).all()
         plate = self.plate if still else self.plate.moved(np.linalg.inv(view.motion))
-        return plate.exposed_as(view.image, view.probability < POSSIBLE)
+        return plate.exposed_as(view.image, view.probability < POSSIBLE_PERSON)
 
 
 def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate:
@@ -273,7 +290,7 @@ def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate
         image = view.image
         if not (view.motion == np.eye(3)).all():
             image = np.round(moved(image, view.motion)).astype(np.uint8)
-            out = moved(out[..., None], view.motion, outside=0)[..., 0] > 0.99
+            out = moved(out[..., None], view.motion, outside=0)[..., 0] > ALL_BACKGROUND
         images.append(image)
         bare.append(out)
     return Plate.gather(np.stack(images), np.stack(bare))
@@ -281,26 +298,26 @@ def _plate(views: Sequence[GridPicture], outside: Sequence[np.ndarray]) -> Plate
 
 def _looked_at(view: GridPicture) -> tuple[slice, slice]:
     """Return rows and columns of a picture that may show the person."""
-    possible = view.probability > POSSIBLE
+    possible = view.probability > POSSIBLE_PERSON
     rows, columns = (np.flatnonzero(possible.any(axis)) for axis in (1, 0))
     if not len(rows):
         return slice(0, 1), slice(0, 1)
-    border = round(AROUND * max(np.ptp(rows), np.ptp(columns)) + 2)
+    border = round(LOOK_MARGIN * max(np.ptp(rows), np.ptp(columns)) + 2)
     return tuple(slice(max(0, x[0] - border), x[-1] + 1 + border) for x in (rows, columns))
 
 
 def _prices(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the price of an outline between each pixel (h, w, 3) and the right and lower one."""
+    """Return g of eq. 1 between each pixel (h, w, 3) and its right and lower neighbour."""
     found = []
     for axis in (1, 0):
         R, G, B = np.moveaxis(np.abs(np.diff(image, axis=axis)), -1, 0)
-        differs = np.maximum(np.maximum(R, G), B) / EDGE
-        found.append(PRICE + FLAT_PRICE * np.exp(-(differs**2)))
+        differs = np.maximum(np.maximum(R, G), B) / EDGE_CONTRAST
+        found.append(OUTLINE_PRICE + FLAT_OUTLINE_PRICE * np.exp(-(differs**2)))
     return found[0], found[1]
 
 
 def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Drop pieces (h, w) bool that are small, or that the network holds for background."""
+    """Drop pieces of a mask (h, w) bool that are small, or background to the network."""
     from scipy.ndimage import label
 
     pieces, count = label(inside)
@@ -308,11 +325,13 @@ def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
         return inside
     area = np.bincount(pieces.ravel())[1:]
     likely = np.bincount(pieces.ravel(), probability.ravel())[1:] / area
-    kept = (area >= ISLAND * area.max()) & ((likely > 0.3) | (area == area.max()))
+    kept = (area >= SMALLEST_PIECE * area.max()) & (
+        (likely > LEAST_PIECE_PROBABILITY) | (area == area.max())
+    )
     return np.concatenate([[False], kept])[pieces]
 
 
-STEP = 0.35  # s = t; s t |grad|^2 <= 1 is needed, and |grad|^2 <= 8
+CUT_STEP_SIZE = 0.35  # s = t of eq. 2, 3; converges if s t |grad|^2 <= 1, and |grad|^2 <= 8
 
 
 def smoothest_cut(
@@ -333,8 +352,8 @@ def smoothest_cut(
     p, q = np.zeros_like(right), np.zeros_like(below)
     step_p, step_q, least_p, least_q = np.empty_like(p), np.empty_like(q), -right, -below
     for _ in range(steps):
-        p += np.multiply(np.subtract(v[:, 1:], v[:, :-1], out=step_p), STEP, out=step_p)
-        q += np.multiply(np.subtract(v[1:], v[:-1], out=step_q), STEP, out=step_q)
+        p += np.multiply(np.subtract(v[:, 1:], v[:, :-1], out=step_p), CUT_STEP_SIZE, out=step_p)
+        q += np.multiply(np.subtract(v[1:], v[:-1], out=step_q), CUT_STEP_SIZE, out=step_q)
         np.minimum(np.maximum(p, least_p, out=p), right, out=p)  # half of the time of np.clip
         np.minimum(np.maximum(q, least_q, out=q), below, out=q)
         moved[:] = odds
@@ -342,7 +361,7 @@ def smoothest_cut(
         moved[:, 1:] -= p
         moved[:-1] += q
         moved[1:] -= q
-        moved *= STEP
+        moved *= CUT_STEP_SIZE
         moved += u
         np.minimum(np.maximum(moved, 0, out=moved), 1, out=moved)
         np.subtract(np.multiply(moved, 2, out=v), u, out=v)
@@ -350,11 +369,15 @@ def smoothest_cut(
     return u
 
 
-BAND = 3  # pixels on each side of the cut whose share is open
-BORDER = BAND + REACH + 2  # pixels around the person that have to be in the picture
-BLUR = 0.6  # pixels, of the cut
-DOUBT, FADES = 0.2, 1.2  # square root of w at the cut; pixels in which it falls to a share 1 / e
-NOISE = 0.02  # n
+# Chosen: the blur of a phone's picture is a pixel or two wide.
+OPEN_BAND = 3  # pixels on each side of the cut where eq. 4 decides
+OUTLINE_BORDER = (
+    OPEN_BAND + MEAN_SQUARE + 2
+)  # pixels around the person that have to be in the picture
+CUT_BLUR = 0.6  # pixels, standard deviation
+CUT_DEVIATION = 0.2  # square root of w at the cut
+CUT_FADING = 1.2  # pixels, over which this square root falls to 1 / e
+COLOR_NOISE = 0.02  # n of eq. 5, of colours in [0, 1]
 
 
 def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.ndarray:
@@ -365,17 +388,17 @@ def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.nda
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     away = distance_transform_edt(inside) + distance_transform_edt(~inside) - 0.5
-    open_ = away < BAND
+    open_ = away < OPEN_BAND
     alpha = inside.astype(np.float32)
     if not open_.any() or inside.all():
         return alpha
-    blurred = gaussian_filter(alpha, BLUR)
+    blurred = gaussian_filter(alpha, CUT_BLUR)
     sure, bare = inside & ~open_, ~inside & ~open_
     F, V = mean_around(image, sure)
     B = plate.beside(image, bare)
     span = np.einsum("ijk,ijk->ij", F - B, F - B) + 1e-6
     share = (np.einsum("ijk,ijk->ij", image - B, F - B) / span).clip(0, 1)
-    doubt = (NOISE**2 + share**2 * V) / span
-    w = (DOUBT * np.exp(-away / FADES)) ** 2
+    doubt = (COLOR_NOISE**2 + share**2 * V) / span
+    w = (CUT_DEVIATION * np.exp(-away / CUT_FADING)) ** 2
     mixed = (share * w + blurred * doubt) / (w + doubt)
     return np.where(open_, mixed, alpha).astype(np.float32)

@@ -1,7 +1,7 @@
-"""The background without the person: the median of what is seen of each pixel in a whole video.
+"""The background without the person: the median of each pixel over the pictures that show it.
 
-A pixel that the person nearly always hides has no median. There the plate continues the nearest
-pixel that has one, and says by a larger spread how little it knows.
+A pixel that the person nearly always hides has no median. There the plate has the colour of the
+nearest pixel that has one, with a larger spread: it is a guess.
 """
 
 from __future__ import annotations
@@ -10,15 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gva_mi.matting.camera import moved
+from gva_mi.matting.camera import ALL_BACKGROUND, moved
 
-SEEN = 3  # pictures that have to show a pixel of the background
-LEAST = 0.006  # smallest spread, of colours in [0, 1]: that of rounding to 8 bits
-GUESSED = 0.06  # spread of a colour that is continued from the nearest pixel
-FARTHER = 0.003  # growth of this spread for each pixel of distance
-AGREES = 0.04  # mean difference of the channels, in [0, 1], up to which colours agree
-ROWS = 64  # computed at once
-REACH = 7  # pixels, side of the squares whose mean is the colour or the shade near a pixel
+# All chosen; spreads and differences are of colours in [0, 1].
+LEAST_SIGHTS = 3  # pictures that have to show a pixel of the background
+LEAST_SPREAD = 0.006  # about an 8-bit step and a half: rounding alone spreads colours so far
+GUESSED_SPREAD = 0.06  # of a colour that is continued from the nearest seen pixel
+SPREAD_PER_PIXEL = 0.003  # by which this spread grows with the distance from that pixel
+AGREEING_DIFFERENCE = 0.04  # mean over the channels, below which two colours agree
+ROWS_AT_ONCE = 64  # rows whose median is computed together, which bounds the memory
+LEAST_PIXELS = 64  # seen pixels that show a picture's exposure
+MEAN_SQUARE = 7  # pixels, side of the squares whose mean is the colour, or the shade, near a pixel
+DEVIATION_PER_MAD = 1.4826  # of a Gaussian: standard deviation over median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -31,41 +34,41 @@ class Plate:
 
     @staticmethod
     def gather(pictures: np.ndarray, bare: np.ndarray) -> Plate:
-        """Return the plate of pictures (N, h, w, 3) 8-bit, where ``bare`` (N, h, w) of the person.
+        """Return the plate of pictures (N, h, w, 3) 8-bit; ``bare`` (N, h, w): no person there.
 
-        It says nothing if no pixel was seen often enough.
+        If no pixel was seen often enough, it is :meth:`unknown`.
         """
         count = bare.sum(0)
         color = np.zeros(pictures.shape[1:], np.float32)
-        spread = np.full(count.shape, LEAST, np.float32)
-        for top in range(0, len(count), ROWS):
-            part = np.s_[top : top + ROWS]
+        spread = np.full(count.shape, LEAST_SPREAD, np.float32)
+        for top in range(0, len(count), ROWS_AT_ONCE):
+            part = np.s_[top : top + ROWS_AT_ONCE]
             values, shown = pictures[:, part].astype(np.int16), bare[:, part, :, None]
             middle = _median(values, shown)
             color[part] = middle / 255
             away = _median(np.abs(values - middle), shown).mean(-1)
-            spread[part] = np.maximum(LEAST, 1.4826 / 255 * away)
-        seen = count >= min(SEEN, len(pictures))
+            spread[part] = np.maximum(LEAST_SPREAD, DEVIATION_PER_MAD / 255 * away)
+        seen = count >= min(LEAST_SIGHTS, len(pictures))
         if not seen.any():
             return Plate.unknown(seen.shape)
         return Plate(*_continued(color, spread, seen), seen)
 
     @staticmethod
     def unknown(shape: tuple[int, int]) -> Plate:
-        """Return a plate (h, w) that says nothing."""
+        """Return a plate (h, w) of which nothing was seen: grey, with a spread of 1."""
         h, w = shape
         grey, wide = np.full((h, w, 3), 0.5, np.float32), np.ones((h, w), np.float32)
         return Plate(grey, wide, np.zeros((h, w), bool))
 
     def part(self, part: tuple[slice, slice]) -> Plate:
-        """Return some rows and columns."""
+        """Cut out rows and columns."""
         return Plate(self.color[part], self.spread[part], self.seen[part])
 
     def exposed_as(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate in the exposure of a picture (h, w, 3) 8-bit, by its ``bare`` pixels."""
-        half = np.s_[::2]  # of the rows tells enough
+        half = np.s_[::2]  # of the rows are enough for a median
         some = bare[half] & self.seen[half]
-        if some.sum() < ROWS:
+        if some.sum() < LEAST_PIXELS:
             return self
         add = lambda x: x[:, 0] + x[:, 1] + x[:, 2]  # numpy's sum over an axis of 3 is slow
         seen, plate = add(image[half][some].astype(np.uint32)), add(self.color[half][some])
@@ -83,15 +86,17 @@ class Plate:
         )
 
     def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
-        """Return the plate, a guess wherever it differs from the nearest bare pixels of a picture.
+        """Return the plate; where it differs from a picture's nearest bare pixels, it is a guess.
 
-        For pictures of which nobody knows whether the camera stood still.
+        Use it for pictures whose camera may have moved.
         """
         known = bare & self.seen
         if not known.any():
             return Plate.unknown(self.seen.shape)
         off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
-        return replace(self, seen=self.seen & (mean_around(off, known)[0][..., 0] < AGREES))
+        return replace(
+            self, seen=self.seen & (mean_around(off, known)[0][..., 0] < AGREEING_DIFFERENCE)
+        )
 
     def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
         """Return the plate in the shade of the nearest bare pixels of a picture."""
@@ -101,10 +106,10 @@ class Plate:
         return s * B
 
     def moved(self, A: np.ndarray) -> Plate:
-        """Return the plate (A x), as in :func:`.camera.moved`; what it lacks is a guess."""
+        """Return the plate at A x (:func:`.camera.moved`); what lies outside it is a guess."""
         both = moved(np.concatenate([self.color, self.spread[..., None]], -1), A)
-        seen = moved(self.seen[..., None], A, outside=0)[..., 0] > 0.99
-        spread = np.where(seen, both[..., 3], np.maximum(both[..., 3], np.float32(GUESSED)))
+        seen = moved(self.seen[..., None], A, outside=0)[..., 0] > ALL_BACKGROUND
+        spread = np.where(seen, both[..., 3], np.maximum(both[..., 3], np.float32(GUESSED_SPREAD)))
         return Plate(both[..., :3], spread, seen)
 
 
@@ -125,11 +130,13 @@ def _continued(
     if seen.all():
         return color, spread
     away, nearest = distance_transform_edt(~seen, return_indices=True)
-    share = uniform_filter(seen.astype(np.float32), REACH, mode="constant").clip(1e-6)
-    total = uniform_filter(color * seen[..., None], (REACH, REACH, 1), mode="constant")
+    share = uniform_filter(seen.astype(np.float32), MEAN_SQUARE, mode="constant").clip(1e-6)
+    total = uniform_filter(color * seen[..., None], (MEAN_SQUARE, MEAN_SQUARE, 1), mode="constant")
     mean = (total / share[..., None])[tuple(nearest)]
     color = np.where(seen[..., None], color, mean)
-    return color, np.where(seen, spread, GUESSED + FARTHER * away).astype(np.float32)
+    return color, np.where(seen, spread, GUESSED_SPREAD + SPREAD_PER_PIXEL * away).astype(
+        np.float32
+    )
 
 
 def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,10 +146,10 @@ def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
-    blur = lambda x: uniform_filter(x, (REACH, REACH, 1)[: x.ndim], mode="constant")
+    blur = lambda x: uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
     weight = known.astype(np.float32)
     total = blur(weight)
-    found = total > 0.5 / REACH**2
+    found = total > 0.5 / MEAN_SQUARE**2
     if not found.any():
         return np.zeros_like(values), np.ones(known.shape, np.float32)
     total = np.maximum(total, 1e-6)

@@ -24,27 +24,27 @@ import numpy as np
 from gva_mi.body.pose import SIDES, mirrored_name
 from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
-from gva_mi.subject.landmarks import BODY
+from gva_mi.subject.landmarks import BODY_LANDMARKS
 
-MARGIN = 1.25  # side of the square, relative to the diameter of the circle around the person
-_POINTS = 39
+SQUARE_MARGIN = 1.25  # side of the square, relative to the diameter of the circle around the person
+_POINT_COUNT = 39
 _HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
-_WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
-_PEAK = 0.5  # least probability in the window for this
+_HEAT_MAP_WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
+_HEAT_MAP_PEAK = 0.5  # least probability in the window for this
 _ARM = ("elbow", "wrist", "pinky", "index", "thumb")
 _LEG = ("knee", "ankle", "heel", "foot_index")
-_PARTS = [  # each arm, each leg, the trunk
-    [BODY.index(f"{side}_{name}") for side in sides for name in names]
+_BODY_PARTS = [  # each arm, each leg, the trunk
+    [BODY_LANDMARKS.index(f"{side}_{name}") for side in sides for name in names]
     for sides, names in (
         (["left"], _ARM), (["right"], _ARM), (["left"], _LEG), (["right"], _LEG),
         (SIDES, ("shoulder", "hip")),
     )
 ]  # fmt: skip
-_APART = 0.1  # of the radius: passes that see a part farther apart see two different ones
+_PASSES_DISAGREE = 0.1  # of the radius: passes that see a part farther apart see two different ones
 
-_MIRRORED = np.array([  # which landmark (39,) a landmark of the mirrored picture is
-    *(BODY.index(mirrored_name(name)) for name in BODY),
-    *range(33, _POINTS),
+_MIRRORED_POINTS = np.array([  # which landmark (39,) a landmark of the mirrored picture is
+    *(BODY_LANDMARKS.index(mirrored_name(name)) for name in BODY_LANDMARKS),
+    *range(33, _POINT_COUNT),
 ])  # fmt: skip
 
 
@@ -72,7 +72,7 @@ class SeenBody:
     @property
     def square(self) -> TurnedSquare:
         """Where to look for the person in the next picture."""
-        return TurnedSquare.upright(self.hips, self.points[_TOP], 2 * MARGIN * self.radius)
+        return TurnedSquare.upright(self.hips, self.points[_TOP], 2 * SQUARE_MARGIN * self.radius)
 
     def probability(self, shape: tuple[int, int]) -> np.ndarray:
         """Return the probability (H, W) float32 that a pixel of the picture is of the person."""
@@ -91,16 +91,16 @@ class BodyNetwork:
         """See the person in a square of a picture (H, W, 3) 8-bit once."""
         cut = square.cut(image, self._network.size)
         out = self._network(cut[:, ::-1] if mirrored else cut)
-        rows = out["Identity"].reshape(_POINTS, 5).astype(np.float64)
+        rows = out["Identity"].reshape(_POINT_COUNT, 5).astype(np.float64)
         places = _refined(rows[:, :2] / self._network.size, out["Identity_3"])
-        metric = out["Identity_4"].reshape(_POINTS, 3).astype(np.float64)
+        metric = out["Identity_4"].reshape(_POINT_COUNT, 3).astype(np.float64)
         visibility, inside = sigmoid(rows[:, 3]), sigmoid(out["Identity_2"][..., 0])
         if mirrored:
-            places = (places * (-1, 1) + (1, 0))[_MIRRORED]
-            metric = (metric * (-1, 1, 1))[_MIRRORED]
-            visibility, inside = visibility[_MIRRORED], inside[:, ::-1]
+            places = (places * (-1, 1) + (1, 0))[_MIRRORED_POINTS]
+            metric = (metric * (-1, 1, 1))[_MIRRORED_POINTS]
+            visibility, inside = visibility[_MIRRORED_POINTS], inside[:, ::-1]
         return SeenBody(
-            square.to_picture(places), visibility, np.zeros(_POINTS), square.turn(metric),
+            square.to_picture(places), visibility, np.zeros(_POINT_COUNT), square.turn(metric),
             float(out["Identity_1"][0]), ((square, inside),),
         )  # fmt: skip
 
@@ -117,9 +117,9 @@ def mean_of_passes(seen: Sequence[SeenBody], before: SeenBody | None) -> SeenBod
     points = np.stack([one.points for one in seen])
     metric = np.stack([one.metric for one in seen])
     mean_points, mean_metric = points.mean(0), metric.mean(0)
-    for part in _PARTS if before is not None else ():
+    for part in _BODY_PARTS if before is not None else ():
         off = np.linalg.norm(points[:, part] - mean_points[part], axis=-1).mean(1)
-        if 2 * off.max() > _APART * before.radius:
+        if 2 * off.max() > _PASSES_DISAGREE * before.radius:
             moved = np.linalg.norm(points[:, part] - before.points[part], axis=-1).mean(1)
             chosen = int(moved.argmin())
             mean_points[part], mean_metric[part] = points[chosen, part], metric[chosen, part]
@@ -137,13 +137,13 @@ def _refined(places: np.ndarray, heat: np.ndarray) -> np.ndarray:
     """Move places (39, 2) in [0, 1] to the centre of the heat (h, h, 39), logits, around them."""
     size = heat.shape[0]
     cells = np.floor(places * size).astype(int)  # x, y
-    steps = np.arange(-_WINDOW, _WINDOW + 1)
+    steps = np.arange(-_HEAT_MAP_WINDOW, _HEAT_MAP_WINDOW + 1)
     x, y = cells[:, 0, None, None] + steps, cells[:, 1, None, None] + steps[:, None]
     inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
     of = np.arange(len(places))[:, None, None]
     weight = sigmoid(heat[y.clip(0, size - 1), x.clip(0, size - 1), of]) * inside
     total = weight.sum((1, 2))
-    peak = (weight.max((1, 2)) >= _PEAK) & ((cells >= 0) & (cells < size)).all(1)
+    peak = (weight.max((1, 2)) >= _HEAT_MAP_PEAK) & ((cells >= 0) & (cells < size)).all(1)
     total = np.where(peak, total, 1)
     moved = np.stack([(weight * x).sum((1, 2)), (weight * y).sum((1, 2))], axis=1)
     return np.where(peak[:, None], moved / total[:, None] / size, places)

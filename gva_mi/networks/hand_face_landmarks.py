@@ -6,8 +6,9 @@ pass sees the square mirrored; the mean of both counts.
 
 * A hand has 21 landmarks, also in metres. It is left or right by the wrist that it hangs on,
   because the network itself often mistakes the side.
-* A face has 468 points of a mesh. Those 51 are kept that other programs know by their numbers
-  (:data:`gva_mi.subject.landmarks.FACE`). A face that is turned away, hidden or small is not found.
+* A face has 468 points of a mesh. Only the 51 of :data:`gva_mi.subject.landmarks.FACE_LANDMARKS`
+  are kept, which other programs know by their numbers. A face that is turned away, hidden or small
+  is not found.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from gva_mi.body.pose import SIDES
 from gva_mi.networks.body_landmarks import SeenBody
 from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
-from gva_mi.subject.landmarks import BODY, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, hand_names
 
-_LOOKS = 2  # at a part that is found anew: each look centres the next
+_NEW_PART_LOOKS = 2  # at a part that is found anew: each look centres the next
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def found_again(
     part = None if before is None else see(before.square)
     if part is not None and belongs(part):
         return part
-    for _ in range(_LOOKS):
+    for _ in range(_NEW_PART_LOOKS):
         part = see(square)
         if part is None:
             return None
@@ -72,14 +73,14 @@ def with_mirrored(see: See, first: SeenPart) -> SeenPart:
     )  # fmt: skip
 
 
-HAND_FOUND = 0.3  # least probability of a hand
-_POINTS = 21
+LEAST_HAND_PRESENCE = 0.3  # least probability of a hand
+_HAND_POINTS = 21
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
 _PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswith(("dip", "tip")))
-_AROUND_PALM = 2.0  # side of the next square, relative to the palm's extent
-_AROUND_WRIST = 2.0  # likewise of a square from the body, relative to the hand's length
-_FORWARD = 0.1  # shift of both towards the fingers
-_FAR_HAND = (
+_PALM_MARGIN = 2.0  # side of the next square, relative to the palm's extent
+_HAND_MARGIN = 2.0  # likewise of a square from the body, relative to the hand's length
+_FINGERWARD_SHIFT = 0.1  # shift of both towards the fingers
+_WRIST_DISTANCE = (
     0.15  # of the person's circle's diameter: a hand farther from its wrist is another thing
 )
 
@@ -105,7 +106,7 @@ class HandNetwork:
         see = partial(self._see, image)
         for side in SIDES:
             hangs_on = lambda hand, side=side: (
-                _from_wrist(hand, body, side) < _FAR_HAND * 2 * body.radius
+                _from_wrist(hand, body, side) < _WRIST_DISTANCE * 2 * body.radius
             )
             hand = found_again(see, before.get(side), _square_at_wrist(body, side), hangs_on)
             if hand is not None:
@@ -119,14 +120,14 @@ class HandNetwork:
         """See the hand in a square once; None if there is none."""
         cut = square.cut(image, self._network.size)
         out = self._network(cut[:, ::-1] if mirrored else cut)
-        if (presence := float(out["Identity_1"][0])) < HAND_FOUND:
+        if (presence := float(out["Identity_1"][0])) < LEAST_HAND_PRESENCE:
             return None
-        places = out["Identity"].reshape(_POINTS, 3)[:, :2] / self._network.size
-        metric = out["Identity_3"].reshape(_POINTS, 3).astype(np.float64)
+        places = out["Identity"].reshape(_HAND_POINTS, 3)[:, :2] / self._network.size
+        metric = out["Identity_3"].reshape(_HAND_POINTS, 3).astype(np.float64)
         if mirrored:
             places, metric = places * (-1, 1) + (1, 0), metric * (-1, 1, 1)
         points = square.to_picture(places)
-        zero = np.zeros(_POINTS)
+        zero = np.zeros(_HAND_POINTS)
         return SeenPart(points, zero, square.turn(metric), presence, _square_around_hand(points))
 
 
@@ -137,13 +138,13 @@ def _square_around_hand(points: np.ndarray) -> TurnedSquare:
     palm = turned.from_picture(points[list(_PALM)])
     low, high = palm.min(0), palm.max(0)
     extent = high - low
-    centre = (low + high) / 2 - (0, _FORWARD * extent[1])
+    centre = (low + high) / 2 - (0, _FINGERWARD_SHIFT * extent[1])
     x, y = turned.to_picture(centre).tolist()
-    return TurnedSquare((x, y), _AROUND_PALM * float(extent.max()), turned.angle)
+    return TurnedSquare((x, y), _PALM_MARGIN * float(extent.max()), turned.angle)
 
 
 def _body_point(body: SeenBody, side: str, part: str) -> np.ndarray:
-    return body.points[BODY.index(f"{side}_{part}")]
+    return body.points[BODY_LANDMARKS.index(f"{side}_{part}")]
 
 
 def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
@@ -152,8 +153,8 @@ def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
     middle = (2 * index + pinky) / 3
     length = max(2 * float(np.linalg.norm(middle - wrist)), 0.08 * 2 * body.radius)
     up = (middle - wrist) / max(float(np.linalg.norm(middle - wrist)), 1e-6)
-    centre = middle + _FORWARD * length * up
-    return TurnedSquare.upright(centre, centre + up, _AROUND_WRIST * length)
+    centre = middle + _FINGERWARD_SHIFT * length * up
+    return TurnedSquare.upright(centre, centre + up, _HAND_MARGIN * length)
 
 
 def _from_wrist(hand: SeenPart, body: SeenBody, side: str) -> float:
@@ -173,9 +174,9 @@ def _one_each(found: dict[str, SeenPart], body: SeenBody) -> dict[str, SeenPart]
     return found
 
 
-FACE_FOUND = 0.5  # least probability of a face
-SMALLEST = 32.0  # pixels: the side of a square in which a face can be read
-_MESH = (  # of the network's 468 points, those with the numbers 17 to 67
+LEAST_FACE_PRESENCE = 0.5  # least probability of a face
+SMALLEST_FACE_SQUARE = 32.0  # pixels: the side of a square in which a face can be read
+_MESH_POINTS = (  # of the network's 468 points, those with the numbers 17 to 67
     70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows, the right one's outer end first
     168, 6, 195, 4, 98, 97, 2, 326, 327,  # nose: down its bridge, then below, from right to left
     33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,  # right eye, left eye
@@ -187,10 +188,12 @@ _MIRRORED_FACE = (  # which of the 51 each of them is in a mirrored picture
     28, 27, 26, 25, 30, 29, 22, 21, 20, 19, 24, 23,
     37, 36, 35, 34, 33, 32, 31, 42, 41, 40, 39, 38, 47, 46, 45, 44, 43, 50, 49, 48,
 )  # fmt: skip
-_EYES = (33, 263)  # outer corners in the mesh: right, left
-_AROUND_MESH = 1.5  # side of the next square, relative to the mesh's extent
-_AROUND_BODY = 3.6, 1.9  # of a first square: times the eyes' distance to the mouth, and the ears'
-_FAR_FACE = 0.06  # of the person's circle's diameter: a face farther from the body's is another one
+_MESH_EYES = (33, 263)  # outer corners in the mesh: right, left
+_MESH_MARGIN = 1.5  # side of the next square, relative to the mesh's extent
+_FACE_PER_EYES_TO_MOUTH, _FACE_PER_EARS = 3.6, 1.9
+_FACE_DISTANCE = (
+    0.06  # of the person's circle's diameter: a face farther from the body's is another one
+)
 
 
 class FaceNetwork:
@@ -216,7 +219,7 @@ class FaceNetwork:
         self, image: np.ndarray, body: SeenBody, square: TurnedSquare, mirrored: bool = False
     ) -> SeenPart | None:
         """See the face in a square once; None if there is none, or that of somebody else."""
-        if square.side < SMALLEST:
+        if square.side < SMALLEST_FACE_SQUARE:
             return None
         cut = square.cut(image, self._network.size)
         out = self._network(cut[:, ::-1] if mirrored else cut).values()
@@ -226,11 +229,11 @@ class FaceNetwork:
         if mirrored:
             places = places * (-1, 1) + (1, 0)
         mesh, presence = square.to_picture(places), float(sigmoid(logit))
-        points = mesh[list(_MESH)]
+        points = mesh[list(_MESH_POINTS)]
         if mirrored:
             points = points[list(_MIRRORED_FACE)]
-        far = np.linalg.norm(points.mean(0) - _middle_of(body)) > _FAR_FACE * 2 * body.radius
-        if presence < FACE_FOUND or far:
+        far = np.linalg.norm(points.mean(0) - _middle_of(body)) > _FACE_DISTANCE * 2 * body.radius
+        if presence < LEAST_FACE_PRESENCE or far:
             return None
         n = len(points)
         metric = np.full((n, 3), np.nan)
@@ -239,18 +242,18 @@ class FaceNetwork:
 
 def _square_around_face(mesh: np.ndarray) -> TurnedSquare:
     """Return the square around a mesh (468, 2) in which its eyes are level."""
-    along = mesh[_EYES[1]] - mesh[_EYES[0]]
+    along = mesh[_MESH_EYES[1]] - mesh[_MESH_EYES[0]]
     up = np.array([along[1], -along[0]])
     level = TurnedSquare.upright(mesh.mean(0), mesh.mean(0) + up, 1.0)
     places = level.from_picture(mesh)
     low, high = places.min(0), places.max(0)
     x, y = level.to_picture((low + high) / 2).tolist()
-    return TurnedSquare((x, y), _AROUND_MESH * float((high - low).max()), level.angle)
+    return TurnedSquare((x, y), _MESH_MARGIN * float((high - low).max()), level.angle)
 
 
 def _at(body: SeenBody, *names: str) -> np.ndarray:
     """Return the middle of some landmarks of a body (2,)."""
-    return body.points[[BODY.index(name) for name in names]].mean(0)
+    return body.points[[BODY_LANDMARKS.index(name) for name in names]].mean(0)
 
 
 def _middle_of(body: SeenBody) -> np.ndarray:
@@ -262,7 +265,7 @@ def _square_of_body(body: SeenBody) -> TurnedSquare:
     """Return where the body's own landmarks place the face."""
     up = _at(body, "left_eye", "right_eye") - _at(body, "mouth_left", "mouth_right")
     wide = _at(body, "left_ear") - _at(body, "right_ear")
-    tall, broad = _AROUND_BODY
+    tall, broad = _FACE_PER_EYES_TO_MOUTH, _FACE_PER_EARS
     side = max(tall * float(np.linalg.norm(up)), broad * float(np.linalg.norm(wide)))
     middle = _middle_of(body)
     return TurnedSquare.upright(middle, middle + up, side)

@@ -35,8 +35,8 @@ from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError, reason_of
 
-VERSION = "0.10.21"
-FOLDER = "GVA_MI_WEIGHTS"  # environment variable
+MEDIAPIPE_VERSION = "0.10.21"
+WEIGHTS_VARIABLE = "GVA_MI_WEIGHTS"  # environment variable
 _IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
     "pose_detection.tflite": (
         "mediapipe/modules/pose_detection",
@@ -55,16 +55,16 @@ _IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
         "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
     ),
 }
-_LICENCE = f"mediapipe-{VERSION}.dist-info/LICENSE"
+_LICENCE_IN_WHEEL = f"mediapipe-{MEDIAPIPE_VERSION}.dist-info/LICENSE"
 _NOTICE = f"""\
-The .tflite files of this folder are networks of MediaPipe {VERSION}, Copyright The MediaPipe
-Authors, under the Apache License 2.0: see LICENSE. They are unchanged files of the package
-mediapipe on the Python Package Index, which gva_mi has downloaded by pip.
+The .tflite files of this folder are networks of MediaPipe {MEDIAPIPE_VERSION}, Copyright The
+MediaPipe Authors, under the Apache License 2.0: see LICENSE. They are unchanged files of the
+package mediapipe on the Python Package Index, which gva_mi has downloaded by pip.
 """
-_PIP = (
+_PIP_DOWNLOAD = (
     "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-deps",
     "--only-binary", ":all:", "--python-version", "3.11", "--platform", "manylinux_2_28_x86_64",
-    f"mediapipe=={VERSION}",
+    f"mediapipe=={MEDIAPIPE_VERSION}",
 )  # fmt: skip
 
 
@@ -87,10 +87,10 @@ def _place(folder: Path | None) -> Path:
     """Return the folder of the weights."""
     if folder is not None:
         return Path(folder)
-    if os.environ.get(FOLDER):
-        return Path(os.environ[FOLDER]).expanduser()
+    if os.environ.get(WEIGHTS_VARIABLE):
+        return Path(os.environ[WEIGHTS_VARIABLE]).expanduser()
     cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    return cache / "gva_mi" / f"mediapipe-{VERSION}"
+    return cache / "gva_mi" / f"mediapipe-{MEDIAPIPE_VERSION}"
 
 
 def _fetch(folder: Path) -> None:
@@ -101,12 +101,12 @@ def _fetch(folder: Path) -> None:
         try:
             with zipfile.ZipFile(wheel) as archive:
                 files = {name: f"{inside}/{name}" for name, (inside, _) in _IN_WHEEL.items()}
-                for name, inside in (files | {"LICENSE": _LICENCE}).items():
+                for name, inside in (files | {"LICENSE": _LICENCE_IN_WHEEL}).items():
                     (Path(scratch) / name).write_bytes(archive.read(inside))
         except (zipfile.BadZipFile, KeyError) as error:
             raise InputError(
-                f"{wheel.name}: is not the wheel of mediapipe {VERSION} ({reason_of(error)}); "
-                "check the package index that pip uses"
+                f"{wheel.name}: is not the wheel of mediapipe {MEDIAPIPE_VERSION} "
+                f"({reason_of(error)}); check the package index that pip uses"
             ) from None
         (Path(scratch) / "NOTICE").write_text(_NOTICE)
         for name, (_, expected) in _IN_WHEEL.items():
@@ -117,7 +117,7 @@ def _fetch(folder: Path) -> None:
 
 def _download(scratch: Path, folder: Path) -> Path:
     """Download the wheel into ``scratch`` by this Python's own pip."""
-    command = [sys.executable, "-m", "pip", *_PIP, "--dest", str(scratch)]
+    command = [sys.executable, "-m", "pip", *_PIP_DOWNLOAD, "--dest", str(scratch)]
     run = subprocess.run(command, capture_output=True, text=True)
     wheels = sorted(scratch.glob("*.whl"))
     if run.returncode == 0 and wheels:
@@ -128,8 +128,8 @@ def _download(scratch: Path, folder: Path) -> Path:
     )
     raise InputError(
         f"{folder}: the landmark networks are missing, and pip cannot fetch them ({reason:.200}); "
-        f"go online once, or set {FOLDER} to a folder with {', '.join(_IN_WHEEL)} "
-        f"of the wheel mediapipe {VERSION}"
+        f"go online once, or set {WEIGHTS_VARIABLE} to a folder with {', '.join(_IN_WHEEL)} "
+        f"of the wheel mediapipe {MEDIAPIPE_VERSION}"
     )
 
 

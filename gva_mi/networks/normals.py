@@ -25,15 +25,15 @@ import numpy as np
 
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.subject.crop import CropBox
-from gva_mi.subject.normals import LONGEST, SHORTEST, Convention
+from gva_mi.subject.normals import LONGEST_NORMAL, SHORTEST_NORMAL, Convention
 
-MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
-OUTPUT = "normal"  # the one of several outputs that is taken
-PATCH = 14  # pixels
+BOX_MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
+NORMAL_OUTPUT = "normal"  # the one of several outputs that is taken
+PATCH_PIXELS = 14  # pixels
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-_ASKED = (
+_EXPECTED_NETWORK = (
     "a network that takes a picture (1, 3, h, w) and answers with normals (1, 3, h, w) or "
     "(1, h, w, 3)"
 )
@@ -49,7 +49,7 @@ class NormalsSpec:
     # network that counts patches.
     mean: tuple[float, float, float] | None = None
     std: tuple[float, float, float] | None = None
-    output: str | None = None  # its name; None: the only one, or OUTPUT
+    output: str | None = None  # its name; None: the only one, or NORMAL_OUTPUT
 
 
 class NormalNetwork:
@@ -59,7 +59,7 @@ class NormalNetwork:
         """Read the file."""
         if path.suffix.lower() != ".onnx" or not path.is_file():
             raise InputError(
-                f"{path}: no such network of normals; expected a file .onnx of {_ASKED}"
+                f"{path}: no such network of normals; expected a file .onnx of {_EXPECTED_NETWORK}"
             )
         self.path, self._session = path, _session(path)
         inputs = self._session.get_inputs()
@@ -67,9 +67,9 @@ class NormalNetwork:
         numbers = [x for x in inputs if x.type == "tensor(int64)" and x.shape in ([], [1])]
         if len(pictures) != 1 or 1 + len(numbers) != len(inputs) or len(numbers) > 1:
             found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
-            raise InputError(f"{path}: takes {found}; expected {_ASKED}")
+            raise InputError(f"{path}: takes {found}; expected {_EXPECTED_NETWORK}")
         names, self._picture = [x.name for x in self._session.get_outputs()], pictures[0]
-        usual = names[0] if len(names) == 1 else OUTPUT
+        usual = names[0] if len(names) == 1 else NORMAL_OUTPUT
         self._output = spec.output or usual
         if self._output not in names:
             raise InputError(
@@ -94,7 +94,7 @@ class NormalNetwork:
             the part that is shown, and (h, w, 3) unit normals in the convention's axes, zero where
             unknown.
         """
-        crop = CropBox.round_box(box, MARGIN, self.spec.size)
+        crop = CropBox.round_box(box, BOX_MARGIN, self.spec.size)
         mean, std = np.array(self.spec.mean), np.array(self.spec.std)
         fill = np.round(255 * mean)
         if self.spec.convention == "icon":
@@ -107,13 +107,13 @@ class NormalNetwork:
         width, height = self.spec.size
         for x in self._session.get_inputs():
             if x.name != self._picture.name:
-                patches = np.array(round(width * height / PATCH**2))
+                patches = np.array(round(width * height / PATCH_PIXELS**2))
                 inputs[x.name] = patches.reshape([1] * len(x.shape))
         try:
             answer = np.asarray(self._session.run([self._output], inputs)[0])
         except Exception as error:  # noqa: BLE001 (each of its errors is a class of its own)
             reason = f"fails ({reason_of(error)})"
-            raise InputError(f"{self.path}: {reason}; expected {_ASKED}") from None
+            raise InputError(f"{self.path}: {reason}; expected {_EXPECTED_NETWORK}") from None
         return crop, self._unit_normals(answer)
 
     def _unit_normals(self, answer: np.ndarray) -> np.ndarray:
@@ -122,14 +122,15 @@ class NormalNetwork:
         rows = answer.ndim == 4 and (answer.shape[0], answer.shape[3]) == (1, 3)
         if not (planes or rows) or answer.dtype.kind != "f":
             raise InputError(
-                f"{self.path}: answers with {answer.dtype} {answer.shape}; expected {_ASKED}"
+                f"{self.path}: answers with {answer.dtype} {answer.shape}; "
+                f"expected {_EXPECTED_NETWORK}"
             )
         normals = (answer[0].transpose(1, 2, 0) if planes else answer[0]).astype(np.float32)
         normals = np.where(np.isfinite(normals).all(-1, keepdims=True), normals, 0)
         if normals.min() >= 0 and _from_unit(2 * normals - 1) < _from_unit(normals):
             normals = 2 * normals - 1
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
-        known = (length > SHORTEST) & (length < LONGEST)
+        known = (length > SHORTEST_NORMAL) & (length < LONGEST_NORMAL)
         if not known.any():
             raise InputError(
                 f"{self.path}: answers with vectors {length.min():.3g} to {length.max():.3g} long, "
@@ -159,5 +160,5 @@ def _session(path: Path) -> InferenceSession:
         )
     except Exception as error:  # noqa: BLE001 (as above)
         reason = f"no ONNX network ({reason_of(error)})"
-        raise InputError(f"{path}: {reason}; expected {_ASKED}") from None
+        raise InputError(f"{path}: {reason}; expected {_EXPECTED_NETWORK}") from None
     return session

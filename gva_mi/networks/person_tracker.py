@@ -24,35 +24,41 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.body.pose import SIDES
-from gva_mi.networks.body_landmarks import MARGIN, BodyNetwork, SeenBody
+from gva_mi.networks.body_landmarks import SQUARE_MARGIN, BodyNetwork, SeenBody
 from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
-from gva_mi.subject.landmarks import BODY
+from gva_mi.subject.landmarks import BODY_LANDMARKS
 
-CERTAIN = 0.5  # least score of a detected person
-_SAME_BOX = 0.3  # overlap of boxes (IoU) of one person
-_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
+LEAST_DETECTION_SCORE = 0.5  # least score of a detected person
+_SAME_BOX_IOU = 0.3  # overlap of boxes (IoU) of one person
+_ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
 
-FOUND = 0.5  # least presence of a person
-MOST = 6  # people of a picture
-_EVERY = 5  # pictures between two that are searched for other people
-_WATCHFUL = 60  # pictures after several people were seen in which each one is searched
-_SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a whole person
-_LOOKS = 3  # at a detected person: each look centres the next
-_SAME = 0.4  # of the radius: bodies closer than this are one person
-_TRIED = 3  # detected people whom the body network is asked about, of those not known
-_AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
-_GREY, _AROUND = 128, 0.1  # what is painted over; of the radius: around the landmarks
-_SURROUNDINGS = 5.0  # of the radius: side of the square in which the person is searched
+LEAST_PRESENCE = 0.5  # least presence of a person
+PEOPLE_LIMIT = 6  # people of a picture
+_SEARCH_EVERY = 5  # pictures between two that are searched for other people
+_CROWDED_PICTURES = 60  # pictures after several people were seen in which each one is searched
+_DETECTION_SCALES = (
+    1.0,
+    1.7,
+)  # of a detected square: the detector may take a torso for a whole person
+_DETECTION_LOOKS = 3  # at a detected person: each look centres the next
+_SAME_PERSON_DISTANCE = 0.4  # of the radius: bodies closer than this are one person
+_DETECTIONS_TRIED = 3  # detected people whom the body network is asked about, of those not known
+_PASSES_AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
+_PAINT, _PAINT_MARGIN = 128, 0.1  # what is painted over; of the radius: around the landmarks
+_LOST_SQUARE = 5.0  # of the radius: side of the square in which the person is searched
 
-_BINS = 4  # of each colour channel
-_MEMORY, _STEADY = 0.9, 0.7  # shares of the colours and of the speed that stay in each picture
+_COLOR_BINS = 4  # of each colour channel
+_COLOR_MEMORY, _SPEED_MEMORY = (
+    0.9,
+    0.7,
+)  # shares of the colours and of the speed that stay in each picture
 # Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
 # and in each picture without a sight.
-_STEP, _DRIFT = 1.0, 0.3
-_LEAST = -0.5  # least resemblance to the person
-_DOUBTFUL = 0.42  # overlap of colours: less is another person, if several are around
-_TORSO = [BODY.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
+_FREE_STEP, _FREE_DRIFT = 1.0, 0.3
+_LEAST_RESEMBLANCE = -0.5  # least resemblance to the person
+_LEAST_COLOR_OVERLAP = 0.42  # overlap of colours: less is another person, if several are around
+_TORSO = [BODY_LANDMARKS.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
 
 
 class PersonDetector:
@@ -73,15 +79,15 @@ class PersonDetector:
             np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
         )
         order = np.argsort(-scores, kind="stable")
-        order = order[scores[order] >= CERTAIN]
+        order = order[scores[order] >= LEAST_DETECTION_SCORE]
         people = []
         while len(order):  # the mean of overlapping boxes, weighted by their scores, is a person
-            same = _overlap(boxes[order[0]], boxes[order]) > _SAME_BOX
+            same = _overlap(boxes[order[0]], boxes[order]) > _SAME_BOX_IOU
             same[0] = True
             group, order = order[same], order[~same]
             hips, top = np.average(points[group], axis=0, weights=scores[group])
             radius = float(np.linalg.norm(top - hips))
-            people.append(TurnedSquare.upright(hips, top, 2 * MARGIN * radius))
+            people.append(TurnedSquare.upright(hips, top, 2 * SQUARE_MARGIN * radius))
         return people
 
     def _see(
@@ -119,7 +125,7 @@ def _middles(length: int, side: float) -> list[float]:
 def _anchors(size: int) -> np.ndarray:
     """Return the centres of the anchors (n, 2) in [0, 1], in the network's order."""
     grids = []
-    for stride, each in _GRIDS:
+    for stride, each in _ANCHOR_GRIDS:
         places = (np.arange(size // stride) + 0.5) * stride / size
         cells = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
         grids.append(np.repeat(cells, each, axis=0))
@@ -147,7 +153,7 @@ class PersonTracker:
         """
         self._detector, self._network, self._person = detector, network, person
         self._body: SeenBody | None = None  # when the person was last seen
-        self._colours = np.zeros(_BINS**3)  # of the person's torso, of sum 1
+        self._colours = np.zeros(_COLOR_BINS**3)  # of the person's torso, of sum 1
         self._unseen = 0  # pictures since then
         self._speed = np.zeros(2)  # pixels a picture
         self._number = -1
@@ -167,7 +173,7 @@ class PersonTracker:
     @property
     def _several(self) -> bool:
         """Whether several people were seen lately."""
-        return bool(self.crowded) and self._number - self.crowded[-1] < _WATCHFUL
+        return bool(self.crowded) and self._number - self.crowded[-1] < _CROWDED_PICTURES
 
     def follow(self, image: np.ndarray) -> SeenBody | None:
         """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
@@ -175,8 +181,8 @@ class PersonTracker:
         seen = []
         if self._body is not None and not self._unseen:
             body = self._network.see(image, self._body.square)
-            seen = [body] if body.presence >= FOUND else []
-        if not seen or self._several or self._number % _EVERY == 0:
+            seen = [body] if body.presence >= LEAST_PRESENCE else []
+        if not seen or self._several or self._number % _SEARCH_EVERY == 0:
             seen = self._search(image, seen)
         if len(seen) > 1:
             self.crowded.append(self._number)
@@ -187,12 +193,12 @@ class PersonTracker:
 
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Add the people who are not among the seen."""
-        due = self._number % _EVERY == 0
+        due = self._number % _SEARCH_EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
         if self.begun and not seen:
             middle = tuple(self._expected.tolist())
-            squares.append(TurnedSquare(middle, _SURROUNDINGS * self._body.radius))
-        just_lost = self.begun and self._unseen < _EVERY
+            squares.append(TurnedSquare(middle, _LOST_SQUARE * self._body.radius))
+        just_lost = self.begun and self._unseen < _SEARCH_EVERY
         if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
             squares += squares_over(image, min(image.shape[:2]))
         found = self._found_in(squares, image, seen)
@@ -207,8 +213,10 @@ class PersonTracker:
         rest = image.copy()
         for body in seen:
             _paint_over(rest, body)
-        while len(seen) < MOST:
-            looks = (self._look(rest, x) for x in self._detector.find(rest, squares)[:_TRIED])
+        while len(seen) < PEOPLE_LIMIT:
+            looks = (
+                self._look(rest, x) for x in self._detector.find(rest, squares)[:_DETECTIONS_TRIED]
+            )
             others = (x for x in looks if x is not None and not any(_is_same(x, y) for y in seen))
             body = next(others, None)
             if body is None:
@@ -220,22 +228,22 @@ class PersonTracker:
     def _look(self, image: np.ndarray, person: TurnedSquare) -> SeenBody | None:
         """Return the body of a detected person, if the body network agrees that it is one."""
         bodies = []
-        for scale in _SCALES:
+        for scale in _DETECTION_SCALES:
             square = person.scaled(scale)
-            for _ in range(_LOOKS):
+            for _ in range(_DETECTION_LOOKS):
                 body = self._network.see(image, square)
                 square = body.square
             bodies.append(body)
         best = max(bodies, key=lambda body: body.presence * body.visibility.mean())
-        if best.presence < FOUND:
+        if best.presence < LEAST_PRESENCE:
             return None
         if self.begun:
             off = np.linalg.norm(best.hips - self._expected) / self._body.radius
-            if off < _SAME:
+            if off < _SAME_PERSON_DISTANCE:
                 return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
-        return best if mirrored.presence >= FOUND and off < _AGREE else None
+        return best if mirrored.presence >= LEAST_PRESENCE and off < _PASSES_AGREE else None
 
     def _choose(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Choose the person, if enough people are there."""
@@ -253,23 +261,25 @@ class PersonTracker:
     def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Return the one of the seen who resembles our person most, if anybody does."""
         self._unseen += 1
-        last, found, least = self._body, None, _LEAST
+        last, found, least = self._body, None, _LEAST_RESEMBLANCE
         for body in seen:
             colours = torso_colours(image, body)
             likeness = float(np.minimum(self._colours, colours).sum())
-            if self._several and likeness < _DOUBTFUL:
+            if self._several and likeness < _LEAST_COLOR_OVERLAP:
                 continue
             moved = np.linalg.norm(body.hips - self._expected) / last.radius
             grown = abs(np.log(body.radius / last.radius))
-            resemblance = likeness - float(moved + grown) / (_STEP + _DRIFT * self._unseen)
+            resemblance = likeness - float(moved + grown) / (
+                _FREE_STEP + _FREE_DRIFT * self._unseen
+            )
             if resemblance > least:
                 least, found = resemblance, (body, colours)
         if found is None:
             return None
         moved = (found[0].hips - last.hips) / self._unseen
-        self._speed = _STEADY * self._speed + (1 - _STEADY) * moved
+        self._speed = _SPEED_MEMORY * self._speed + (1 - _SPEED_MEMORY) * moved
         self._body, self._unseen = found[0], 0
-        self._colours = _MEMORY * self._colours + (1 - _MEMORY) * found[1]
+        self._colours = _COLOR_MEMORY * self._colours + (1 - _COLOR_MEMORY) * found[1]
         return self._body
 
 
@@ -282,20 +292,20 @@ def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
         np.ceil(corners.max(0)).astype(int).clip(0, limit), (left + 1, top + 1)
     )
     step = max(1, (bottom - top) // 32)
-    pixels = image[top:bottom:step, left:right:step].reshape(-1, 3) // (256 // _BINS)
-    codes = pixels.astype(int) @ (_BINS * _BINS, _BINS, 1)
-    return np.bincount(codes, minlength=_BINS**3) / len(codes)
+    pixels = image[top:bottom:step, left:right:step].reshape(-1, 3) // (256 // _COLOR_BINS)
+    codes = pixels.astype(int) @ (_COLOR_BINS * _COLOR_BINS, _COLOR_BINS, 1)
+    return np.bincount(codes, minlength=_COLOR_BINS**3) / len(codes)
 
 
 def _is_same(one: SeenBody, other: SeenBody) -> bool:
     """Return whether two bodies are those of one person."""
     apart = np.linalg.norm(one.hips - other.hips)
-    return bool(apart < _SAME * min(one.radius, other.radius))
+    return bool(apart < _SAME_PERSON_DISTANCE * min(one.radius, other.radius))
 
 
 def _paint_over(image: np.ndarray, body: SeenBody) -> None:
     """Hide a person of a picture (H, W, 3)."""
-    margin = _AROUND * body.radius
+    margin = _PAINT_MARGIN * body.radius
     left, top = np.floor(body.points.min(0) - margin).astype(int).clip(0)
     right, bottom = np.ceil(body.points.max(0) + margin).astype(int).clip(0)
-    image[top:bottom, left:right] = _GREY
+    image[top:bottom, left:right] = _PAINT

@@ -27,16 +27,23 @@ from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import read_json
 from gva_mi.subject.crop import CropBox
 
-GET = (
+EXPECTED_WEIGHTS = (
     "a folder as transformers saves it (config.json, model.safetensors), such as "
     "facebook/sam-vit-base or facebook/sam2.1-hiera-tiny of the Hugging Face hub"
 )
-MODELS = {"sam": "SamModel", "sam2": "Sam2Model", "sam2_video": "Sam2Model"}  # by config.json
+TRANSFORMERS_CLASSES = {
+    "sam": "SamModel",
+    "sam2": "Sam2Model",
+    "sam2_video": "Sam2Model",
+}  # by config.json
 
-MARGIN = 0.15  # of the box's longer side, on each side: shown to the network around the person
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures it was trained on
-_FILL = tuple(round(255 * x) for x in _MEAN)  # zero, as the network sees it
-_NOTHING = 32.0  # a logit of certainty: beyond the last frame's crop, all is outside
+BOX_MARGIN = 0.15  # of the box's longer side, on each side: shown to the network around the person
+_IMAGENET_MEAN, _IMAGENET_STD = (
+    (0.485, 0.456, 0.406),
+    (0.229, 0.224, 0.225),
+)  # of the pictures it was trained on
+_FILL_COLOR = tuple(round(255 * x) for x in _IMAGENET_MEAN)  # zero, as the network sees it
+_CERTAIN_LOGIT = 32.0  # a logit of certainty: beyond the last frame's crop, all is outside
 
 
 @dataclass(frozen=True)
@@ -65,9 +72,9 @@ class MaskGuess:
         place = np.stack(np.meshgrid(x, y), axis=-1) * (2 / self.crop.width) - 1
         grid = torch.from_numpy(place.astype(np.float32))[None]
         moved = torch.nn.functional.grid_sample(
-            self.logits[None, None] + _NOTHING, grid, align_corners=False
+            self.logits[None, None] + _CERTAIN_LOGIT, grid, align_corners=False
         )
-        return moved[0, 0] - _NOTHING
+        return moved[0, 0] - _CERTAIN_LOGIT
 
 
 class SegmentAnything:
@@ -83,7 +90,7 @@ class SegmentAnything:
         """Load a checkpoint, a folder as the module's docstring says."""
         if not path.is_dir():
             what = "is a file" if path.exists() else "no such checkpoint of Segment Anything"
-            raise InputError(f"{path}: {what}; expected {GET}")
+            raise InputError(f"{path}: {what}; expected {EXPECTED_WEIGHTS}")
         try:
             import transformers
         except ModuleNotFoundError:
@@ -93,26 +100,30 @@ class SegmentAnything:
             ) from None
         transformers.utils.logging.set_verbosity_error()
         transformers.utils.logging.disable_progress_bar()
-        about = read_json(path / "config.json", GET)
+        about = read_json(path / "config.json", EXPECTED_WEIGHTS)
         kind = about.get("model_type") if isinstance(about, dict) else None
-        if not isinstance(kind, str) or kind not in MODELS:
-            raise InputError(f"{path}: holds a network of the kind {kind}; expected {GET}")
+        if not isinstance(kind, str) or kind not in TRANSFORMERS_CLASSES:
+            raise InputError(
+                f"{path}: holds a network of the kind {kind}; expected {EXPECTED_WEIGHTS}"
+            )
         try:
-            network = getattr(transformers, MODELS[kind]).from_pretrained(
+            network = getattr(transformers, TRANSFORMERS_CLASSES[kind]).from_pretrained(
                 path, local_files_only=True, use_safetensors=True, dtype=torch.float32
             )
         except Exception as error:  # noqa: BLE001 (safetensors and transformers have their own)
             raise InputError(
-                f"{path}: cannot be read ({reason_of(error)}); expected {GET}"
+                f"{path}: cannot be read ({reason_of(error)}); expected {EXPECTED_WEIGHTS}"
             ) from None
         return SegmentAnything(network.eval().requires_grad_(False))
 
     @torch.inference_mode()
     def find(self, image: np.ndarray, prompt: Prompt, before: MaskGuess | None = None) -> MaskGuess:
         """Segment the person in a picture (H, W, 3) 8-bit, given the frame before's mask."""
-        crop = CropBox.round_box(prompt.box, MARGIN)
-        seen = torch.from_numpy(crop.resized(image, self.size, _FILL).astype(np.float32) / 255)
-        seen = (seen - torch.tensor(_MEAN)) / torch.tensor(_STD)
+        crop = CropBox.round_box(prompt.box, BOX_MARGIN)
+        seen = torch.from_numpy(
+            crop.resized(image, self.size, _FILL_COLOR).astype(np.float32) / 255
+        )
+        seen = (seen - torch.tensor(_IMAGENET_MEAN)) / torch.tensor(_IMAGENET_STD)
         embeddings = self.network.get_image_embeddings(seen.permute(2, 0, 1)[None])
         logits, scores = self._guess(embeddings, crop, prompt, None)
         last = None if before is None else before.seen_in(crop)

@@ -14,9 +14,9 @@ from gva_mi.core.errors import InputError
 from gva_mi.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.networks.hand_face_landmarks import FaceNetwork, HandNetwork, SeenPart
 from gva_mi.networks.person_tracker import PersonDetector, PersonTracker
-from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
-NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
+LANDMARK_NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"), *FACE_LANDMARKS)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def watch_video(
             f"no picture of the video shows {several} whom the network recognises; film one person "
             "from head to feet"
         )
-    landmarks = Landmarks(NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))
+    landmarks = Landmarks(LANDMARK_NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))
     return WatchedVideo(landmarks, _notes(tracker, landmarks), tuple(tracker.crowded))
 
 
@@ -78,15 +78,18 @@ def _row(
     body: SeenBody | None, hands: dict[str, SeenPart], face: SeenPart | None
 ) -> tuple[np.ndarray, ...]:
     """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
-    pixels, metric = np.full((len(NAMES), 2), np.nan), np.full((len(NAMES), 3), np.nan)
-    confidence, spread = np.zeros(len(NAMES)), np.zeros(len(NAMES))
+    pixels, metric = (
+        np.full((len(LANDMARK_NAMES), 2), np.nan),
+        np.full((len(LANDMARK_NAMES), 3), np.nan),
+    )
+    confidence, spread = np.zeros(len(LANDMARK_NAMES)), np.zeros(len(LANDMARK_NAMES))
     if body is not None:
-        n = len(BODY)
+        n = len(BODY_LANDMARKS)
         pixels[:n], metric[:n] = body.points[:n], body.metric[:n]
         confidence[:n], spread[:n] = body.visibility[:n], body.spread[:n]
     parts = {hand_names(side)[0]: hand for side, hand in hands.items()}
-    for name, part in (parts | ({} if face is None else {FACE[0]: face})).items():
-        at = slice(NAMES.index(name), NAMES.index(name) + len(part.points))
+    for name, part in (parts | ({} if face is None else {FACE_LANDMARKS[0]: face})).items():
+        at = slice(LANDMARK_NAMES.index(name), LANDMARK_NAMES.index(name) + len(part.points))
         pixels[at], metric[at] = part.points, part.metric
         confidence[at], spread[at] = part.presence, part.spread
     return pixels, confidence, spread, metric

@@ -57,7 +57,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.core.errors import InputError
-from gva_mi.subject.landmarks import BODY, Landmarks
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
 PERSON = 1.7  # metres, whose pixels are S
 SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
@@ -99,7 +99,7 @@ LIMB = {  # a point, and the other end of its limb
     "hip": "knee", "knee": "hip", "ankle": "knee",
 }  # fmt: skip
 PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger
-_FACE = BODY[: BODY.index("left_shoulder")]
+_FACE = BODY_LANDMARKS[: BODY_LANDMARKS.index("left_shoulder")]
 _FINGERS = {
     "thumb": ("cmc", "mcp", "ip", "tip"),
     **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},

@@ -42,7 +42,7 @@ from gva_mi.body.smplx import BodyModel, columns_of
 from gva_mi.observe.landmark_noise import LandmarkNoise, independent_points
 from gva_mi.prior.error_model import FREEDOM
 from gva_mi.splat import Camera
-from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
 # Landmarks that are joints, and how far off, metres (1σ). A name of two sides lacks its side.
 _JOINTS = {
@@ -261,8 +261,8 @@ def _heads(
     T = T_camera_world @ T_world_rest
     places = T[:, :3, :3] @ joints[_HEAD] + T[:, :3, 3]
     faces = torch.zeros(len(T))
-    if set(FACE) <= set(landmarks.names):
-        confidence = landmarks.confidence[:, landmarks.indices(FACE)].min(1)
+    if set(FACE_LANDMARKS) <= set(landmarks.names):
+        confidence = landmarks.confidence[:, landmarks.indices(FACE_LANDMARKS)].min(1)
         faces = torch.from_numpy(np.nan_to_num(confidence)).float() * facing(T[:, :3, :3], places)
     return T_world_rest[:, :3, :3], faces
 
@@ -311,7 +311,7 @@ def _face(body: BodyModel) -> dict[str, tuple[int, float]]:
     own = body.weights[:, [JOINTS.index("head"), JOINTS.index("jaw")]].sum(1)
     front = (own > 0.5) & (v[:, 2] > middle[2] - 0.3 * wide)
     found = {}
-    for name in BODY[: BODY.index("left_shoulder")]:
+    for name in BODY_LANDMARKS[: BODY_LANDMARKS.index("left_shoulder")]:
         sign = -1 if "right" in name else 1
         if name.endswith("ear"):
             beside = v - (middle * v.new_tensor([1, 1, 0]) + at["head"] * v.new_tensor([0, 0, 1]))

@@ -33,7 +33,7 @@ from gva_mi.prior.inference import JOINTS as CORRECTED
 from gva_mi.prior.inference import prior_from_stage1
 from gva_mi.prior.process import step_cost
 from gva_mi.prior.stage1_poses import Stage1, turns_between
-from gva_mi.subject.landmarks import FACE, Landmarks
+from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 # a and b, nats: one frame in a hundred begins a run of exchanged ones.
 SWAP_NATS, SWAP_RUN_NATS = 1.0, 4.6
@@ -153,10 +153,10 @@ def _mistaken(landmarks: Landmarks, fps: float) -> list[int]:
     )
     motion = np.stack([np.stack([same, changed], -1), np.stack([changed, same], -1)], -2)
     motion = INDEPENDENCE * torch.from_numpy(motion)
-    if not set(FACE) <= set(landmarks.names):
+    if not set(FACE_LANDMARKS) <= set(landmarks.names):
         data = torch.zeros(len(seen), 2, dtype=motion.dtype)
         return seen[least_states(data, motion, BACK_NATS).numpy()].tolist()
-    face = np.isfinite(landmarks.pixels[seen][:, landmarks.indices(FACE)]).all((1, 2))
+    face = np.isfinite(landmarks.pixels[seen][:, landmarks.indices(FACE_LANDMARKS)]).all((1, 2))
     frontal = _frontal(x, height)
     states = np.zeros(len(seen), bool)
     for _ in range(ROUNDS):

@@ -1,7 +1,7 @@
 """Find a body's arrays in a file by their public names: :func:`find_body`.
 
-:data:`NAMES` is the table: our name of an array, and the names under which programs write it. The
-first one that a file holds is taken, also in camel case or behind the name of a model
+:data:`ARRAY_NAMES` is the table: our name of an array, and the names under which programs write it.
+The first name that a file holds is taken, also in camel case or with the name of a model before it
 (``smplx_body_pose``, ``bodyPose``). The arrays may lie in a dictionary of their own, such as
 ``params``.
 
@@ -35,8 +35,8 @@ from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
 from gva_mi.body.rotations import composed, nearest_rotations, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 
-WHOLE = ("poses", "pose", "fullpose", "full_pose", "thetas")  # all joints in a row
-NAMES = {
+ALL_JOINTS_NAMES = ("poses", "pose", "fullpose", "full_pose", "thetas")  # all joints in a row
+ARRAY_NAMES = {
     "global_orient": ("global_orient", "root_orient", "root_pose", "global_rot"),
     "body_pose": ("body_pose", "pose_body"),
     "left_hand_pose": ("left_hand_pose", "lhand_pose", "pose_lhand", "left_hand", "lhand"),
@@ -55,20 +55,30 @@ NAMES = {
     "expression": ("expression", "expressions", "expr", "exp", "face_expr"),
 }  # fmt: skip
 # What is neither pose nor shape: lens, time, boxes. It is not named as unused.
-OTHERS = set(
+NOT_BODY_NAMES = set(
     "K cam_K intrinsic intrinsics focal focal_length focal_l princpt bbox width height frame_ids "
     "frame_id frame time stage offsets".split()
 )
-PARTS = {**SMPLX_FIELDS, "hands": slice(LEFT_HAND.start, RIGHT_HAND.stop), "eyes": slice(23, 25)}
-_EXTREMITIES = {ours: PARTS[ours] for ours in PARTS if ours not in ("global_orient", "body_pose")}
-_NUMBERS = {k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)}  # of a row: its joints
-_BELOW_ROOT = (63, 69)  # numbers of a row
-_MODEL = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
-_CAMEL = re.compile("(?<=[a-z0-9])(?=[A-Z])")
-_DEEP = 3  # dictionaries in dictionaries
+JOINTS_OF_ARRAY = {
+    **SMPLX_FIELDS,
+    "hands": slice(LEFT_HAND.start, RIGHT_HAND.stop),
+    "eyes": slice(23, 25),
+}
+_HANDS_AND_FACE = {
+    ours: JOINTS_OF_ARRAY[ours]
+    for ours in JOINTS_OF_ARRAY
+    if ours not in ("global_orient", "body_pose")
+}
+_JOINTS_BY_ROW_LENGTH = {
+    k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)
+}  # of a row: its joints
+_ROW_LENGTHS_BELOW_ROOT = (63, 69)  # numbers of a row
+_MODEL_PREFIX = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
+_CAMEL_CASE_BREAK = re.compile("(?<=[a-z0-9])(?=[A-Z])")
+_NESTING_DEPTH = 3  # dictionaries in dictionaries
 # Some programs add whole turns to a limb's rotation, but not so many; in degrees, arms that hang
 # down are turned by more than this.
-_TURNS = 4 * 2 * np.pi
+_LARGEST_ROTATION = 4 * 2 * np.pi
 
 
 @dataclass(frozen=True)
@@ -92,8 +102,9 @@ def find_body(where: str, found: Mapping[str, Any]) -> FoundBody:
     if body is None:
         names = ", ".join(sorted(map(str, found))[:12]) or "nothing"
         raise InputError(
-            f"{where}: holds no poses of one person; expected one of {', '.join(WHOLE)}, or "
-            f"root_orient and pose_body, or global_orient and body_pose; found: {names}"
+            f"{where}: holds no poses of one person; expected one of "
+            f"{', '.join(ALL_JOINTS_NAMES)}, or root_orient and pose_body, or global_orient "
+            f"and body_pose; found: {names}"
         )
     frames = len(body.rotations)
     turns, place = None, "transl"
@@ -119,7 +130,7 @@ class NamedArrays(dict):
 
     def find(self, *names: str) -> str | None:
         """Return the file's own name of the first of ``names``, ours or the file's, it holds."""
-        public = [name for ours in names for name in NAMES.get(ours, (ours,))]
+        public = [name for ours in names for name in ARRAY_NAMES.get(ours, (ours,))]
         found = (name if name in self else self._own.get(name) for name in public)
         return next((name for name in found if name is not None), None)
 
@@ -140,7 +151,7 @@ class NamedArrays(dict):
 
     def cover(self, *names: str) -> None:
         """Count ``names`` of ours as taken, because other arrays hold the same."""
-        public = {name for ours in names for name in NAMES[ours]}
+        public = {name for ours in names for name in ARRAY_NAMES[ours]}
         self.taken |= {own for plain, own in self._own.items() if plain in public}
 
     def unused(self) -> tuple[str, ...]:
@@ -150,7 +161,7 @@ class NamedArrays(dict):
 
 def plain_name(name: object) -> str:
     """Return a name in lower case with underscores, without that of a model before it."""
-    return _MODEL.sub("", _CAMEL.sub("_", str(name)).lower())
+    return _MODEL_PREFIX.sub("", _CAMEL_CASE_BREAK.sub("_", str(name)).lower())
 
 
 def is_numbers(x: Any) -> bool:  # noqa: ANN401
@@ -160,14 +171,14 @@ def is_numbers(x: Any) -> bool:  # noqa: ANN401
 
 def holds_pose(found: Any) -> bool:  # noqa: ANN401
     """Whether a file's content has the poses of a body by name."""
-    names = {*WHOLE, *NAMES["body_pose"]}
+    names = {*ALL_JOINTS_NAMES, *ARRAY_NAMES["body_pose"]}
     return isinstance(found, Mapping) and any(
         plain_name(name) in names and x is not None and not isinstance(x, Mapping)
         for name, x in found.items()
     )
 
 
-def unnested(found: Any, deep: int = _DEEP) -> Any:  # noqa: ANN401
+def unnested(found: Any, deep: int = _NESTING_DEPTH) -> Any:  # noqa: ANN401
     """Return a dictionary in whose only inner dictionary with poses the parameters lie with these
     parameters by name, the outer names kept; anything else as it is."""
     if not isinstance(found, Mapping) or holds_pose(found) or not deep:
@@ -188,8 +199,8 @@ def one_object(found: Any) -> Any:  # noqa: ANN401
 
 def _rotations(arrays: NamedArrays) -> FoundBody | None:
     """Find the joints of T frames; None if the arrays hold no poses."""
-    name, pose = arrays.take(*WHOLE)
-    below_root = name is None or math.prod(pose.shape[pose.ndim > 1 :]) in _BELOW_ROOT
+    name, pose = arrays.take(*ALL_JOINTS_NAMES)
+    below_root = name is None or math.prod(pose.shape[pose.ndim > 1 :]) in _ROW_LENGTHS_BELOW_ROOT
     if name is None:
         name, pose = arrays.take("body_pose")
     root, orient = arrays.take("global_orient") if below_root else (None, None)
@@ -197,13 +208,13 @@ def _rotations(arrays: NamedArrays) -> FoundBody | None:
         return None
     if root is None:
         body, form = _of_all_joints(arrays.where, name, pose)
-        arrays.cover(*(PARTS if body.has_hands else ("global_orient", "body_pose")))
+        arrays.cover(*(JOINTS_OF_ARRAY if body.has_hands else ("global_orient", "body_pose")))
     else:
         body = _of_root_and_body(arrays.where, root, orient, name, pose)
         form = body.form
     body = body if body.has_hands else _with_extremities(arrays, body, form)
     turns = np.nan_to_num(np.linalg.norm(body.rotations[:, 1:], axis=2))
-    if (largest := float(np.median(turns, axis=0).max())) > _TURNS:
+    if (largest := float(np.median(turns, axis=0).max())) > _LARGEST_ROTATION:
         raise InputError(
             f"{arrays.where}: a limb is turned by {largest:.0f} radians in most frames, such as by "
             "rotations in degrees; expected axis-angle in radians"
@@ -214,17 +225,17 @@ def _rotations(arrays: NamedArrays) -> FoundBody | None:
 def _of_all_joints(where: str, name: str, pose: np.ndarray) -> tuple[FoundBody, str]:
     """Return a pose with all joints in a row, (T, 3 J), and the form of hands beside it."""
     rows = pose[None] if pose.ndim == 1 else pose
-    if rows.ndim > 2 and len(rows) == 1 and rows[0].size not in _NUMBERS:
+    if rows.ndim > 2 and len(rows) == 1 and rows[0].size not in _JOINTS_BY_ROW_LENGTH:
         rows = rows[0]  # a batch of one motion
     numbers = rows[0].size if len(rows) else 0
     axes = [n for n in rows.shape[1:] if n > 1]
-    if numbers not in _NUMBERS or (len(axes) > 1 and axes[-1] != 3):
+    if numbers not in _JOINTS_BY_ROW_LENGTH or (len(axes) > 1 and axes[-1] != 3):
         raise InputError(
             f"{where}: '{name}' has {numbers} numbers a frame; expected axis-angle, 165 (SMPL-X), "
             f"156 (SMPL+H), 72 (SMPL) or 66 (its 22 joints above the hands), or matrices, and no "
             f"quaternions; got {pose.shape}"
         )
-    count = _NUMBERS[numbers]
+    count = _JOINTS_BY_ROW_LENGTH[numbers]
     angles = axis_angles(where, name, rows, len(rows), count)
     rotations = np.zeros((len(angles), len(JOINTS), 3))
     form = FORMATS.get(count, SMPL)
@@ -258,7 +269,7 @@ def _with_extremities(arrays: NamedArrays, body: FoundBody, form: str) -> FoundB
     With any of these the body is a ``form``.
     """
     names = {}
-    for ours, part in _EXTREMITIES.items():
+    for ours, part in _HANDS_AND_FACE.items():
         name, x = arrays.take(ours)
         if name is not None:
             names[ours] = name

@@ -29,12 +29,14 @@ from gva_mi.core.files import read_bytes
 _CHANNEL = re.compile(r"([xyz])(position|rotation)", re.IGNORECASE)
 _MOTION = re.compile(r"^\s*MOTION\s*$", re.MULTILINE | re.IGNORECASE)
 _FRAMES = re.compile(r"\s*Frames\s*:\s*(\S+)\s+Frame\s+Time\s*:\s*(\S+)", re.IGNORECASE)
-_EXPECTED = "a BVH file: HIERARCHY with its joints, then MOTION with a row of numbers a frame"
-FINGERS = {"index": "index", "middle": "middle", "pinky": "pinky|pinkie|little", "ring": "ring",
-           "thumb": "thumb"}  # fmt: skip
-_NO_JOINT = re.compile(r"twist|roll|(^|[^a-z])ik[^a-z]|nub$|end$|top|tip$")
-_PALM = re.compile(r"metacarpal|inhand|0(?=\D*$)")  # names of bones inside the palm
-_CHAINS = (  # words in the name of a limb's end, and what follows from it to the trunk
+_EXPECTED_BVH = "a BVH file: HIERARCHY with its joints, then MOTION with a row of numbers a frame"
+FINGER_WORDS = {  # finger: pattern of the words that programs name it by
+    "index": "index", "middle": "middle", "pinky": "pinky|pinkie|little", "ring": "ring",
+    "thumb": "thumb",
+}  # fmt: skip
+_HELPER_BONE = re.compile(r"twist|roll|(^|[^a-z])ik[^a-z]|nub$|end$|top|tip$")
+_PALM_BONE = re.compile(r"metacarpal|inhand|0(?=\D*$)")  # names of bones inside the palm
+_LIMB_CHAINS = (  # words in the name of a limb's end, and what follows from it to the trunk
     (("ankle", "foot"), ("ankle", "knee", "hip")),
     (("wrist", "hand"), ("wrist", "elbow", "shoulder")),
     (("elbow", "forearm", "lowerarm", "lowarm"), ("elbow", "shoulder")),  # where no hand is named
@@ -74,14 +76,14 @@ class BvhClip:
 
 def read_bvh(path: Path) -> BvhClip:
     """Read a file."""
-    text = read_bytes(path, _EXPECTED).decode("utf-8-sig", errors="replace")
+    text = read_bytes(path, _EXPECTED_BVH).decode("utf-8-sig", errors="replace")
     head, *tail = _MOTION.split(text, maxsplit=1)
     found = _FRAMES.match(tail[0]) if tail else None
     if found is None:
         raise InputError(
-            f"{path}: has no MOTION with 'Frames:' and 'Frame Time:'; expected {_EXPECTED}"
+            f"{path}: has no MOTION with 'Frames:' and 'Frame Time:'; expected {_EXPECTED_BVH}"
         )
-    with expecting(path, _EXPECTED):
+    with expecting(path, _EXPECTED_BVH):
         names, parents, offsets, channels = _hierarchy(path, head)
         frame_time = float(found[2])
         values = np.array(tail[0][found.end() :].split(), np.float64)
@@ -144,9 +146,9 @@ def _hierarchy(
                     ("xyz".index(m[1].lower()), m[2].lower() == "rotation") for m in matches
                 ]
             case _:
-                raise InputError(f"{path}: holds the line '{line:.40}'; expected {_EXPECTED}")
+                raise InputError(f"{path}: holds the line '{line:.40}'; expected {_EXPECTED_BVH}")
     if not any(channels) or len(above) > 1:
-        raise InputError(f"{path}: has no whole skeleton; expected {_EXPECTED}")
+        raise InputError(f"{path}: has no whole skeleton; expected {_EXPECTED_BVH}")
     return names, parents, offsets, channels
 
 
@@ -164,7 +166,7 @@ def find_humanoid(where: object, names: Sequence[str], parents: np.ndarray) -> H
     """Find a person's joints; ``names`` are "" for points that are no joints."""
     tree = _NamedTree([name.lower().rsplit(":")[-1] for name in names], parents.tolist())
     points: dict[str, int] = {}
-    for ends, chain in _CHAINS:
+    for ends, chain in _LIMB_CHAINS:
         for side, end in zip(SIDES, tree.both(ends), strict=True):
             if f"{side}_{chain[-1]}" in points:
                 continue  # the hand was found
@@ -222,10 +224,10 @@ def _fingers(tree: _NamedTree, side: str, wrist: int | None) -> dict[str, int]:
     found = {}
     on_hand = [k for k, name in enumerate(tree.names)
                if name and k != wrist and wrist in tree.to_root(k)]  # fmt: skip
-    for finger, words in FINGERS.items():
+    for finger, words in FINGER_WORDS.items():
         of_finger = [k for k in on_hand if re.search(words, tree.names[k])]
         if len(of_finger) > 3:
-            of_finger = [k for k in of_finger if not _PALM.search(tree.names[k])
+            of_finger = [k for k in of_finger if not _PALM_BONE.search(tree.names[k])
                          and re.search(r"\d", tree.names[k])]  # fmt: skip
         if len(of_finger) >= 3:
             found |= {f"{side}_{finger}{n + 1}": k for n, k in enumerate(of_finger[:3])}
@@ -258,18 +260,18 @@ class _NamedTree:
     def both(self, words: Sequence[str]) -> tuple[int, int] | tuple[None, None]:
         """Return the first left joint named by any of ``words``, and its twin on the right."""
         fit = (k for word in words for k in sorted(self.twin) if word in self.names[k])
-        found = min((k for k in fit if not _NO_JOINT.search(self.names[k])), default=None)
+        found = min((k for k in fit if not _HELPER_BONE.search(self.names[k])), default=None)
         return (None, None) if found is None else (found, self.twin[found])
 
     def first(self, word: str) -> int | None:
         """Return the first joint without a side that is named by a word."""
         fit = (k for k, name in enumerate(self.names) if word in name and k not in self.sided)
-        return next((k for k in fit if not _NO_JOINT.search(self.names[k])), None)
+        return next((k for k in fit if not _HELPER_BONE.search(self.names[k])), None)
 
     def above(self, joint: int) -> int | None:
         """Return the next joint toward the root that is no helper of a twist."""
         joint = self.parents[joint]
-        while joint >= 0 and _NO_JOINT.search(self.names[joint]):
+        while joint >= 0 and _HELPER_BONE.search(self.names[joint]):
             joint = self.parents[joint]
         return None if joint < 0 or joint not in self.sided else joint
 

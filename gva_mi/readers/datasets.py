@@ -32,9 +32,11 @@ from gva_mi.subject.masks import MaskMeaning
 from gva_mi.subject.pictures import require_sides, write_image
 from gva_mi.subject.splits import spread
 
-ALL = "all"  # in the place of names of cameras
-VIEW_FRAMES = 8  # that each held-out camera contributes at most, evenly spaced
-_FIRST_PIXEL = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV's has its centre at 0
+ALL_CAMERAS = "all"  # in the place of names of cameras
+FRAMES_PER_VIEW = 8  # that each held-out camera contributes at most, evenly spaced
+_OPENCV_PIXEL_SHIFT = np.array(
+    [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+)  # OpenCV's has its centre at 0
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
     return FixedCamera(
         [folder / name for name in names],
         [(masks / name).with_suffix(".png") for name in names],
-        K.reshape(3, 3) + _FIRST_PIXEL, R.reshape(3, 3), T.ravel() / 1000, D.ravel(),
+        K.reshape(3, 3) + _OPENCV_PIXEL_SHIFT, R.reshape(3, 3), T.ravel() / 1000, D.ravel(),
     )  # fmt: skip
 
 
@@ -188,7 +190,7 @@ DATASETS = {
 def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]:
     """Return the names of the held-out cameras; "all" in ``names`` means every other camera."""
     there = capture.others
-    names = list(there) if list(names) == [ALL] and there else list(names)
+    names = list(there) if list(names) == [ALL_CAMERAS] and there else list(names)
     for name in names:
         if name not in there:
             some = ", ".join(list(there)[:30]) or "none"
@@ -206,7 +208,7 @@ def write_views(
 ) -> list[str]:
     """Write ``views/`` of the folder ``out``, and return notes.
 
-    Each camera of ``names`` sees at most :data:`VIEW_FRAMES` of ``frames``; ``upright`` is W
+    Each camera of ``names`` sees at most :data:`FRAMES_PER_VIEW` of ``frames``; ``upright`` is W
     (4, 4).
     """
     T_video = np.linalg.inv(capture.own.extrinsic) @ upright
@@ -218,7 +220,7 @@ def write_views(
             other = capture.others[name]()
             T = other.extrinsic @ T_video
             Camera.from_matrices(other.K, T, 1, 1)  # refuses what no camera has
-        for k in spread([k for k in frames if other.shows(k)], VIEW_FRAMES):
+        for k in spread([k for k in frames if other.shows(k)], FRAMES_PER_VIEW):
             image = next(pictures((other.frames[k],), 3))
             mask, size = next(capture.read_masks((other.masks[k],))), image.shape[1::-1]
             require_sides(f"{other.masks[k]}:", mask, *size)

@@ -21,7 +21,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.pickles import read_objects
 from gva_mi.readers.body_arrays import (
-    OTHERS,
+    NOT_BODY_NAMES,
     NamedArrays,
     holds_pose,
     is_numbers,
@@ -30,14 +30,14 @@ from gva_mi.readers.body_arrays import (
 )
 from gva_mi.readers.people import Arrays, Row, SeenPerson, followed, stacked
 from gva_mi.readers.track import (
-    PELVIS,
+    MEAN_PELVIS,
     TargetBody,
     Track,
     listed_names,
     make_track,
 )
 from gva_mi.subject.footage import frame_numbers, frames_named
-from gva_mi.subject.lens import CAMERA, centred, pinhole_K, rescaled
+from gva_mi.subject.lens import EXPECTED_CAMERA, centred, pinhole_K, rescaled
 
 _PICKLED = (".pkl", ".pickle", ".npz", ".npy", ".pt")
 _OF_BEV = re.compile(r"__\d+_[\d.]+$")  # what BEV adds to a picture's name
@@ -94,7 +94,7 @@ class Estimator:
         """Return the arrays under our names, and a note on numbers that are not used."""
         if not self.arrays:
             return found, []
-        known = {*OTHERS, *self.arrays.values()}
+        known = {*NOT_BODY_NAMES, *self.arrays.values()}
         rest = sorted(k for k, x in found.items() if k not in known and is_numbers(x))
         notes = [f"not used of the source: {listed_names(rest)}"] if rest else []
         return {ours: found[x] for ours, x in self.arrays.items() if x in found}, notes
@@ -234,7 +234,7 @@ def _romp(where: str, found: Any) -> People:  # noqa: ANN401
         x = person.arrays
         if x["smpl_betas"].shape[1] == 11:  # BEV, whose place is that of the hips
             R = to_matrices(x["smpl_thetas"][:, :3])
-            x["cam_trans"] = x["cam_trans"] - R @ _TO_HIPS - np.array(PELVIS["SMPL"])
+            x["cam_trans"] = x["cam_trans"] - R @ _TO_HIPS - np.array(MEAN_PELVIS["SMPL"])
         x["smpl_betas"] = x["smpl_betas"][:, :10]
     return people
 
@@ -277,8 +277,8 @@ def _smplerx(where: str, found: Path) -> People:
     for _, frame, path in _smplerx_files(found):
         arrays = read_named(path, "SMPL-X's parameters of one frame")
         about = path.parent.parent / "meta" / path.with_suffix(".json").name
-        with expecting(about, CAMERA):
-            lens = read_json(about, CAMERA)
+        with expecting(about, EXPECTED_CAMERA):
+            lens = read_json(about, EXPECTED_CAMERA)
             K = pinhole_K(np.reshape(lens["focal"], 2), np.reshape(lens["princpt"], 2))
         arrays = {name: x for name, x in arrays.items() if name in _OF_SMPLX}
         rows.append((None, frame, arrays | {"K": K}))

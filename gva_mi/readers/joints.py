@@ -44,15 +44,15 @@ from gva_mi.readers.retarget import Places, leg_length, on_body
 from gva_mi.readers.track import Track
 from gva_mi.readers.world import unit
 
-RATE = 20.0  # frames a second of HumanML3D
-FEATURES = 263
-_COUNTS = (22, 24, 52, 55)  # joints of bodies that share the first 22
-_EVEN = 0.2  # of a leg's length, by which it varies at most
-COUNT = 22  # joints above hands and face
-_PRIOR = 0.08  # weight of the shortest rotation, where a limb bent by 90 degrees weighs 1
-_FOOT = 0.2  # weight of the foot's direction
-_AVERAGED = 0.12  # seconds, standard deviation
-_FIXED = {"pelvis": ("left_hip", "right_hip", "spine1"),
+HUMANML3D_FPS = 20.0  # frames a second of HumanML3D
+HUMANML3D_FEATURES = 263
+_JOINT_COUNTS = (22, 24, 52, 55)  # joints of bodies that share the first 22
+_LEG_VARIATION = 0.2  # of a leg's length, by which it varies at most
+JOINT_COUNT = 22  # joints above hands and face
+_PARENT_WEIGHT = 0.08  # weight of the shortest rotation, where a limb bent by 90 degrees weighs 1
+_FOOT_WEIGHT = 0.2  # weight of the foot's direction
+_SMOOTHING_SECONDS = 0.12  # seconds, standard deviation
+_FIXED_NEIGHBOURS = {"pelvis": ("left_hip", "right_hip", "spine1"),
           "spine3": ("neck", "left_collar", "right_collar")}  # fmt: skip
 _BONES = {
     "neck": "head",
@@ -83,17 +83,17 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         found = motions[k, : int(lengths[k]) if len(lengths) == len(motions) else None]
     if not isinstance(found, np.ndarray) or found.dtype.kind != "f":
         return None
-    packed = len(found) == 1 and found.shape[2:] in ((FEATURES,), (COUNT, 3))
+    packed = len(found) == 1 and found.shape[2:] in ((HUMANML3D_FEATURES,), (JOINT_COUNT, 3))
     array = found[0] if packed else found
     if not len(array):
         return None
-    if array.ndim == 2 and array.shape[1] == FEATURES:
+    if array.ndim == 2 and array.shape[1] == HUMANML3D_FEATURES:
         places = _of_features(array.astype(np.float64))
-    elif array.ndim == 3 and array.shape[1] in _COUNTS and array.shape[2] == 3:
-        places = array[:, :COUNT].astype(np.float64)
+    elif array.ndim == 3 and array.shape[1] in _JOINT_COUNTS and array.shape[2] == 3:
+        places = array[:, :JOINT_COUNT].astype(np.float64)
     else:
         return None
-    if array.ndim == 3 and array.shape[1] != COUNT and not _is_person(places):
+    if array.ndim == 3 and array.shape[1] != JOINT_COUNT and not _is_person(places):
         return None  # rotations
     if not _is_person(places):
         raise InputError(
@@ -111,7 +111,7 @@ def _of_features(features: np.ndarray) -> np.ndarray:
     R = to_matrices(angles[:, None] * [0.0, 1.0, 0.0])
     steps = np.stack([before[:, 1], np.zeros(len(before)), before[:, 2]], 1)
     root = np.cumsum(np.einsum("tab,tb->ta", R, steps), 0)
-    places = np.einsum("tab,tjb->tja", R, features[:, 4:67].reshape(-1, COUNT - 1, 3))
+    places = np.einsum("tab,tjb->tja", R, features[:, 4:67].reshape(-1, JOINT_COUNT - 1, 3))
     root[:, 1] = features[:, 3]
     return np.concatenate([root[:, None], places + root[:, None] * [1.0, 0.0, 1.0]], 1)
 
@@ -125,10 +125,13 @@ def _is_person(places: np.ndarray) -> bool:
     places = places[(np.abs(places) < LARGEST["transl"]).all((1, 2))]  # finite, too
     length = lambda a, b: np.linalg.norm(places[:, a] - places[:, b], axis=1)
     legs = [length(a, b) for a, b in ((1, 4), (2, 5), (4, 7), (5, 8))]
-    if not len(places) or not all(leg.std() < _EVEN * leg.mean() for leg in legs):
+    if not len(places) or not all(leg.std() < _LEG_VARIATION * leg.mean() for leg in legs):
         return False
     left, right, *lower, trunk = map(np.median, (*legs, length(0, 15)))
-    alike = abs(left - right) < _EVEN * left and abs(lower[0] - lower[1]) < _EVEN * lower[0]
+    alike = (
+        abs(left - right) < _LEG_VARIATION * left
+        and abs(lower[0] - lower[1]) < _LEG_VARIATION * lower[0]
+    )
     return alike and 0.6 < lower[0] / left < 1.7 and 0.7 < trunk / left < 2.5
 
 
@@ -142,10 +145,10 @@ def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
     """
     known = np.flatnonzero((np.abs(places) < LARGEST["transl"]).all((1, 2)))
     places = places[known]
-    at = {name: places[:, k] for k, name in enumerate(JOINTS[:COUNT])}
+    at = {name: places[:, k] for k, name in enumerate(JOINTS[:JOINT_COUNT])}
     own = dict(zip(JOINTS, body, strict=True))
     A = {}
-    for name, around in _FIXED.items():
+    for name, around in _FIXED_NEIGHBOURS.items():
         ours = np.stack([unit(own[other] - own[name]) for other in around])
         theirs = np.stack([unit(at[other] - at[name]) for other in around], 1)
         A[name] = nearest_rotations(np.einsum("tka,kb->tab", theirs, ours))
@@ -188,16 +191,16 @@ def _turned_by_hinge(A: np.ndarray, at: Places, name: str, fps: float) -> np.nda
     seen = np.cross(bone, lower)  # as long as the sine of the bend
     if "knee" in joint:
         ankle, foot = at[_BONES[joint]], at[_BONES[_BONES[joint]]]
-        seen = seen + _FOOT * np.cross(unit(foot - ankle), bone)
+        seen = seen + _FOOT_WEIGHT * np.cross(unit(foot - ankle), bone)
     hinge = unit(np.cross(np.cross(bone, A @ np.array(axis)), bone))
     phase = (seen * hinge).sum(1) + 1j * (seen * np.cross(bone, hinge)).sum(1)
-    angle = np.angle(_smoothed(phase, fps) + _PRIOR)
+    angle = np.angle(_smoothed(phase, fps) + _PARENT_WEIGHT)
     return to_matrices(angle[:, None] * bone) @ A
 
 
 def _smoothed(values: np.ndarray, fps: float) -> np.ndarray:
     """Return values (T,) averaged over time by a Gaussian, without those beyond the ends."""
-    reach = max(1, round(3 * _AVERAGED * fps))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (_AVERAGED * fps)) ** 2)
+    reach = max(1, round(3 * _SMOOTHING_SECONDS * fps))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (_SMOOTHING_SECONDS * fps)) ** 2)
     mean = lambda x: np.convolve(x, kernel)[reach : reach + len(values)]
     return mean(values) / mean(np.ones(len(values)))

@@ -29,8 +29,8 @@ from gva_mi.core.files import read_json
 from gva_mi.subject.footage import counted_from_0
 from gva_mi.subject.landmarks import Landmarks, hand_names
 
-_EXPECTED = "keypoints of OpenPose, MMPose or AlphaPose (.json)"
-_FAR = 0.2  # of a person's height, by which keypoints lie off at most, in most frames
+_EXPECTED_KEYPOINTS = "keypoints of OpenPose, MMPose or AlphaPose (.json)"
+_LARGEST_OFFSET = 0.2  # of a person's height, by which keypoints lie off at most, in most frames
 
 
 def _sided(*names: str) -> list[str]:
@@ -52,27 +52,27 @@ LAYOUTS: Mapping[int, tuple[str, ...]] = {  # "" for points that nothing here is
     26: _HALPE,
     136: (*_HALPE, *[""] * 68, *_HANDS),
 }
-NAMES = (*dict.fromkeys(filter(None, LAYOUTS[133])),)
-_OPENPOSE = {f"hand_{side}_keypoints_2d": hand_names(side) for side in SIDES}
+KEYPOINT_NAMES = (*dict.fromkeys(filter(None, LAYOUTS[133])),)
+_OPENPOSE_HANDS = {f"hand_{side}_keypoints_2d": hand_names(side) for side in SIDES}
 
 
 def read_keypoints(path: Path) -> dict[int, list[np.ndarray]]:
     """Read all people of each frame, which count from 0.
 
-    A person is (P, 3): x and y in pixels and a confidence of each of :data:`NAMES`; NaN where a
+    A person is (P, 3): x, y in pixels and confidence of each of :data:`KEYPOINT_NAMES`; NaN where a
     point was not found.
     """
-    with expecting(path, _EXPECTED):
+    with expecting(path, _EXPECTED_KEYPOINTS):
         files = sorted(path.glob("*.json")) if path.is_dir() else [path]
         seen = [
             (file if path.is_dir() else frame, person)
             for file in files
-            for frame, person in _people(path, read_json(file, _EXPECTED), None)
+            for frame, person in _people(path, read_json(file, _EXPECTED_KEYPOINTS), None)
         ]
         names = files if path.is_dir() else [name for name, _ in seen]
         numbers = dict(zip(names, counted_from_0(names), strict=True))
     if not seen:
-        raise InputError(f"{path}: holds no people; expected {_EXPECTED}")
+        raise InputError(f"{path}: holds no people; expected {_EXPECTED_KEYPOINTS}")
     found: dict[int, list[np.ndarray]] = {}
     for name, person in seen:
         found.setdefault(numbers[name], []).append(person)
@@ -111,14 +111,14 @@ def _person(where: Path, value: Mapping) -> np.ndarray:
             f"{', '.join(map(str, sorted(LAYOUTS)))}"
         )
     parts = [(LAYOUTS[len(points)], points)]
-    for name, names in _OPENPOSE.items():
+    for name, names in _OPENPOSE_HANDS.items():
         hand = np.asarray(value.get(name, ()), np.float64).reshape(-1, 3)
         parts += [(names, hand)] if len(hand) == len(names) else []
-    found = np.full((len(NAMES), 3), np.nan)
+    found = np.full((len(KEYPOINT_NAMES), 3), np.nan)
     for names, points in parts:
         for name, point in zip(names, points, strict=True):
             if name and point[2] > 0 and np.isfinite(point).all():
-                found[NAMES.index(name)] = *(point[:2] + 0.5), min(point[2], 1.0)
+                found[KEYPOINT_NAMES.index(name)] = *(point[:2] + 0.5), min(point[2], 1.0)
     return found
 
 
@@ -137,8 +137,8 @@ def with_keypoints(
         scale: pixels of the landmarks in one of the file.
     """
     found = read_keypoints(path)
-    which = [k for k, name in enumerate(NAMES) if name in landmarks.names]
-    at = landmarks.indices([NAMES[k] for k in which])
+    which = [k for k, name in enumerate(KEYPOINT_NAMES) if name in landmarks.names]
+    at = landmarks.indices([KEYPOINT_NAMES[k] for k in which])
     names = ("pixels", "confidence", "spread")
     pixels, confidence, spread = (getattr(landmarks, name).copy() for name in names)
     pixels[:, at], confidence[:, at], spread[:, at] = np.nan, 0, 0
@@ -160,7 +160,7 @@ def with_keypoints(
         hand = landmarks.indices(hand_names(side))
         seen = confidence[:, hand]
         confidence[:, hand] = np.median(seen, 1, keepdims=True) * (seen > 0)
-    if not apart or not np.median(apart) < _FAR:
+    if not apart or not np.median(apart) < _LARGEST_OFFSET:
         raise InputError(
             f"{path}: its keypoints do not lie on the person of the video; expected those of all "
             "of the video's frames, numbered in their order, in pixels of its upright pictures"

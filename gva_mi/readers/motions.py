@@ -36,7 +36,7 @@ from gva_mi.readers.estimators import (
     lens_by_name,
     read_source,
 )
-from gva_mi.readers.joints import RATE, joints_in, joints_track
+from gva_mi.readers.joints import HUMANML3D_FPS, joints_in, joints_track
 from gva_mi.readers.people import choose
 from gva_mi.readers.retarget import bvh_track
 from gva_mi.readers.track import (
@@ -47,26 +47,33 @@ from gva_mi.readers.track import (
     median_betas,
     through_lens,
 )
-from gva_mi.readers.world import LEANS, UP, Axis, Upward, upright
+from gva_mi.readers.world import LEAN_NOTE_DEGREES, UP_AXES, Axis, Upward, upright
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.lens import is_one_lens, usual_lens
 
-EXPECTED = "a motion such as AMASS's .npz or AIST++'s .pkl"
+EXPECTED_MOTION = "a motion such as AMASS's .npz or AIST++'s .pkl"
 MOST_FRAMES = 1_000_000  # of one motion, after resampling
 LONGEST_GAP = 1.0  # seconds in a row without numbers that are still interpolated
-FPS = Within(0.001, 10_000)  # frames a second
-FrameRate = Annotated[float, FPS]
-RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
-AIST_RATE = 60.0  # frames a second of AIST++, whose files do not say so
-_SPRINT = 15.0  # metres a second; nobody ran faster than 12.5
-_MOSH = {  # of MoSh++ (SOMA), or of MoSh before: AMASS's names
+FPS_RANGE = Within(0.001, 10_000)  # frames a second
+FrameRate = Annotated[float, FPS_RANGE]
+FPS_NAMES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
+AIST_FPS = 60.0  # frames a second of AIST++, whose files do not say so
+_FASTEST_PERSON = 15.0  # metres a second; nobody ran faster than 12.5
+_MOSH_NAMES = {  # of MoSh++ (SOMA), or of MoSh before: AMASS's names
     "fullpose": "poses", "trans": "trans", "betas": "betas", "expression": "expression",
     "pose_est_fullposes": "poses", "pose_est_trans": "trans", "shape_est_betas": "betas",
     "pose_est_exprs": "expression",
 }  # fmt: skip
 _MOSH_DETAILS = "stageii_debug_details"  # of MoSh++: frame rate and settings
 _MOSH_BETAS = 10  # of a body of which the settings say nothing
-_ROWS = {(72,), (156,), (165,), (24, 3), (52, 3), (55, 3)}  # of a .npy, or matrices by joint
+_POSE_ROW_SHAPES = {
+    (72,),
+    (156,),
+    (165,),
+    (24, 3),
+    (52, 3),
+    (55, 3),
+}  # of a .npy, or matrices by joint
 
 
 @options_of("motion")
@@ -139,13 +146,13 @@ def _resampled(
     if up is None:
         raise InputError(
             f"{where}: the head is above the feet along no axis; give --up of gva-mi motion, one "
-            f"of {', '.join(UP)}"
+            f"of {', '.join(UP_AXES)}"
         )
-    if (lean := upward.lean(up)) >= LEANS:
+    if (lean := upward.lean(up)) >= LEAN_NOTE_DEGREES:
         notes.append(f"the person leans {lean:.0f} degrees from that axis; --up takes another")
     rotations, places = upright(rotations, places, up)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if len(steps) and (speed := np.median(steps) * options.fps) > _SPRINT:
+    if len(steps) and (speed := np.median(steps) * options.fps) > _FASTEST_PERSON:
         notes.append(f"doubtful: the pelvis goes {speed:.0f} m in a second: in centimetres or "
                      "millimetres? Translations must be metres")  # fmt: skip
     betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
@@ -164,14 +171,14 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
         clip = read_bvh(path)
         rate = rate_of(where, {"fps": 1 / clip.frame_time}, options.source_fps)
         return bvh_track(path, clip, body), rate, None
-    found = _from_mosh(read_source(path, EXPECTED))
+    found = _from_mosh(read_source(path, EXPECTED_MOTION))
     if (places := joints_in(path, found, options.person)) is not None:
-        rate = options.source_fps or RATE
+        rate = options.source_fps or HUMANML3D_FPS
         return joints_track(places, rate, body.joints), rate, None
     if isinstance(found, np.ndarray) and not found.dtype.hasobject:
         found = _named_rows(path, found)
     if not isinstance(found, dict | Path) or not found:
-        raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED}")
+        raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED_MOTION}")
     world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
     kind = world or kind_of(found)
     if kind is not None and (kind != "parameters" or isinstance(found, Path)):
@@ -203,7 +210,7 @@ def _from_mosh(found: Any) -> Any:  # noqa: ANN401
     details = found.get(_MOSH_DETAILS, found)
     settings = details.get("cfg", details.get("ps"))
     model = settings.get("surface_model", settings) if isinstance(settings, Mapping) else {}
-    renamed = {ours: found[name] for name, ours in _MOSH.items() if name in found}
+    renamed = {ours: found[name] for name, ours in _MOSH_NAMES.items() if name in found}
     rate = details.get("mocap_frame_rate", details.get("mocap_framerate"))
     renamed |= {} if rate is None else {"mocap_frame_rate": rate}
     counts = {"betas": model.get("num_betas", _MOSH_BETAS)}
@@ -217,7 +224,7 @@ def _from_mosh(found: Any) -> Any:  # noqa: ANN401
 def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Return an array without names as poses, where its shape says that it holds them."""
     shape = rows.shape[1:]
-    if shape not in _ROWS and not (shape[1:] == (3, 3) and shape[0] in (22, 24, 52, 55)):
+    if shape not in _POSE_ROW_SHAPES and not (shape[1:] == (3, 3) and shape[0] in (22, 24, 52, 55)):
         raise InputError(
             f"{where}: an array {rows.shape} without names, which could be any parameters in any "
             "order; save them by name: global_orient, body_pose, transl, betas (.npz)"
@@ -233,19 +240,19 @@ def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
     if given is not None:
         return given
     found = {plain_name(name): x for name, x in found.items()}
-    name = next((name for name in RATES if name in found), None)
+    name = next((name for name in FPS_NAMES if name in found), None)
     if name is None and "scaling" in found:
-        return AIST_RATE
+        return AIST_FPS
     if name is None:
         raise InputError(
-            f"{where}: says no frame rate (none of {', '.join(RATES)}); give --source-fps of "
+            f"{where}: says no frame rate (none of {', '.join(FPS_NAMES)}); give --source-fps of "
             "gva-mi motion"
         )
     try:
         rate = float(np.ravel(found[name])[0])
     except (ValueError, TypeError, IndexError):
         rate = np.nan
-    if rate not in FPS:
+    if rate not in FPS_RANGE:
         raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
 

@@ -19,12 +19,12 @@ from gva_mi.networks.segment_anything import MaskGuess, Prompt, SegmentAnything
 from gva_mi.subject import footage
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import FRAMES, MASKS, SubjectWriter, frame_name
-from gva_mi.subject.masks import BARELY, read_mask, require_person
+from gva_mi.subject.masks import INSIDE_ABOVE, read_mask, require_person
 from gva_mi.subject.pictures import in_8_bits, read_image, write_image
 
-CERTAIN = 0.95  # probability of certainty: no witness is believed beyond it
-HELD = 0.5  # share of certain pixels, or of the person's points, that a mask holds at least
-SHAPE = 0.01  # largest relative difference of a mask's width by height from the video's
+CERTAIN_PROBABILITY = 0.95  # probability of certainty: no witness is believed beyond it
+LEAST_HELD = 0.5  # share of certain pixels, or of the person's points, that a mask holds at least
+ASPECT_TOLERANCE = 0.01  # largest relative difference of a mask's width by height from the video's
 
 
 @options_of("prepare")
@@ -68,9 +68,9 @@ def write_own_masks(
         mask = _in_size(f"{source}: mask {number}", mask, size)
         write_image(folder / frame_name(k), mask)
         counts += np.bincount(mask.ravel(), minlength=256)
-        person = probabilities[k] > 255 * CERTAIN
+        person = probabilities[k] > 255 * CERTAIN_PROBABILITY
         if person.any():
-            held.append((mask[person] > BARELY).mean())
+            held.append((mask[person] > INSIDE_ABOVE).mean())
         if progress:
             progress(k + 1, len(numbers))
     if read <= numbers[-1]:
@@ -79,7 +79,7 @@ def write_own_masks(
             "expected a mask for each picture of the video, in their order"
         )
     require_person(str(source), counts)
-    if held and np.median(held) < HELD:
+    if held and np.median(held) < LEAST_HELD:
         raise InputError(
             f"{source}: its masks do not lie on the person of the video; expected a mask for each "
             "picture of the video, in their order, of its upright pictures"
@@ -92,7 +92,7 @@ def _in_size(where: str, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     from PIL import Image
 
     height, width = mask.shape
-    if abs(width / height / (size[0] / size[1]) - 1) > SHAPE:
+    if abs(width / height / (size[0] / size[1]) - 1) > ASPECT_TOLERANCE:
         raise InputError(
             f"{where}: {width}x{height}, but the video's pictures are {size[0]}x{size[1]}"
         )
@@ -123,7 +123,7 @@ def write_masks(
         else:
             write_image(folder / frame_name(k), before.mask * np.uint8(255))
             x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
-            if before.mask[y, x].mean() < HELD:
+            if before.mask[y, x].mean() < LEAST_HELD:
                 doubtful.append(k)
         if progress:
             progress(k + 1, len(prompts))
@@ -158,7 +158,7 @@ class WithMasks(Sequence[np.ndarray]):
         if not path.exists():
             return found
         shares = (x.astype(np.float32) / 255 for x in (found, read_image(path, 1)))
-        P, Q = (x.clip(1 - CERTAIN, CERTAIN) for x in shares)
+        P, Q = (x.clip(1 - CERTAIN_PROBABILITY, CERTAIN_PROBABILITY) for x in shares)
         return in_8_bits(P * Q / (P * Q + (1 - P) * (1 - Q)))
 
 

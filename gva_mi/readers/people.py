@@ -26,15 +26,15 @@ from gva_mi.core.errors import InputError
 from gva_mi.networks.segment_anything import Prompt
 from gva_mi.readers.track import Track
 from gva_mi.subject.lens import seen_alike, usual_lens
-from gva_mi.subject.masks import BARELY
+from gva_mi.subject.masks import INSIDE_ABOVE
 from gva_mi.subject.silhouettes import count_in_mask, joints_in_world
 
-_REACH = 1.0  # metres that a person moves from frame to frame at most
-ROOM = 0.05  # of the longer side of the joints' box, round it
-HEAD = 1.3  # from the head's joint to its top, in lengths from neck to head
-NEAR = 0.12  # of that side: others' points nearer than this to a joint are left out
+_LONGEST_STEP = 1.0  # metres that a person moves from frame to frame at most
+BOX_MARGIN = 0.05  # of the longer side of the joints' box, round it
+HEAD_TOP = 1.3  # from the head's joint to its top, in lengths from neck to head
+OTHERS_DISTANCE = 0.12  # of that side: others' points nearer than this to a joint are left out
 _NECK, _HEAD = JOINTS.index("neck"), JOINTS.index("head")
-_PAIRS = [  # points are in the middle of these joints
+_PROMPT_JOINTS = [  # points are in the middle of these joints
     (JOINTS.index(a), JOINTS.index(b))
     for a, b in (
         ("pelvis", "pelvis"), ("spine2", "spine2"), ("neck", "head"), ("head", "head"),
@@ -103,7 +103,7 @@ def joints_in_masks(
     seen = [pixels_by_frame(track, joints) for track in tracks]
     votes = np.zeros((len(tracks), 2), int)
     for k, mask in enumerate(masks):
-        inside = mask > BARELY
+        inside = mask > INSIDE_ABOVE
         for person, pixels in enumerate(seen if inside.any() else ()):
             if k in pixels:
                 hits, there = count_in_mask(pixels[k], inside)
@@ -186,7 +186,7 @@ def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
         pairs = [(np.linalg.norm(x - y), i, j) for i, x in enumerate(found)
                  for j, y in enumerate(last)]  # fmt: skip
         for distance, i, j in sorted(pairs):
-            if distance < _REACH and i not in chosen and j not in chosen.values():
+            if distance < _LONGEST_STEP and i not in chosen and j not in chosen.values():
                 chosen[i] = j
         for i, place in enumerate(found):
             if i not in chosen:
@@ -219,19 +219,19 @@ def prompt_at(
     None if the person is outside the picture.
     """
     with np.errstate(invalid="ignore"):  # behind the camera
-        top = pixels[_HEAD] + HEAD * (pixels[_HEAD] - pixels[_NECK])
+        top = pixels[_HEAD] + HEAD_TOP * (pixels[_HEAD] - pixels[_NECK])
     known = np.concatenate([pixels, top[None]])
     known = known[np.isfinite(known).all(1)]
     if not len(known):
         return None
     low, high = known.min(0), known.max(0)
     side = float((high - low).max())
-    low, high = np.maximum(low - ROOM * side, 0), np.minimum(high + ROOM * side, size)
+    low, high = np.maximum(low - BOX_MARGIN * side, 0), np.minimum(high + BOX_MARGIN * side, size)
     own = _points(pixels, size)
     if not len(own) or (high - low < 1).any():
         return None
     known = np.concatenate([known, own])
-    far = lambda place: np.linalg.norm(known - place, axis=1).min() > NEAR * side
+    far = lambda place: np.linalg.norm(known - place, axis=1).min() > OTHERS_DISTANCE * side
     their = [place for other in others for place in _points(other, size) if far(place)]
     labels = np.array([1] * len(own) + [0] * len(their))
     return Prompt(np.concatenate([low, high]), np.array([*own, *their]), labels)
@@ -240,5 +240,5 @@ def prompt_at(
 def _points(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the prompt points (n, 2) of a person's joints (55, 2) that are in the picture."""
     with np.errstate(invalid="ignore"):
-        places = np.stack([(pixels[a] + pixels[b]) / 2 for a, b in _PAIRS])
+        places = np.stack([(pixels[a] + pixels[b]) / 2 for a, b in _PROMPT_JOINTS])
         return places[((places >= 0) & (places < size)).all(1)]

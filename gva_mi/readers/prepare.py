@@ -48,7 +48,7 @@ from gva_mi.subject.lens import asked_for, recorded, undistort
 from gva_mi.subject.masks import read_mask, require_person
 from gva_mi.subject.normals import Convention
 from gva_mi.subject.pictures import read_image, require_sides
-from gva_mi.subject.silhouettes import COMPARED, doubt_of
+from gva_mi.subject.silhouettes import COMPARED_FRAMES, doubt_of
 from gva_mi.subject.splits import spread
 
 _UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
@@ -283,7 +283,7 @@ def _doubts(
     out: Path, track: Track, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
 ) -> list[str]:
     """Return why the person, in the frames of ``track``, may not be where the masks are."""
-    some = {k: read_mask(out / MASKS, k) for k in spread(track.frames.tolist(), COMPARED)}
+    some = {k: read_mask(out / MASKS, k) for k in spread(track.frames.tolist(), COMPARED_FRAMES)}
     seen = [(pose[k], cameras[k], mask) for k, mask in some.items() if mask is not None]
     doubt = doubt_of(seen, shape, body.model)
     upward = Upward.of(track.rotations, track.places, body.joints, len(track.frames))

@@ -27,19 +27,19 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
-from gva_mi.readers.bvh import FINGERS, BvhClip, Humanoid, find_humanoid
+from gva_mi.readers.bvh import FINGER_WORDS, BvhClip, Humanoid, find_humanoid
 from gva_mi.readers.track import TargetBody, Track
 from gva_mi.readers.world import unit
 
-_STRAIGHT, _MANY = 1.5, 40  # times the least doubt, of as many reference poses
-_STANDS = np.radians(60)  # a limb farther off the line of the body's axis does not stand
-_UPRIGHT = np.cos(np.radians(25))  # between the axis of the trunk and an axis of coordinates
+_STRAIGHT_FACTOR, _REFERENCE_POSES = 1.5, 40  # times the least doubt, of as many reference poses
+_STANDING_ANGLE = np.radians(60)  # a limb farther off the line of the body's axis does not stand
+_AXIS_COSINE = np.cos(np.radians(25))  # between the axis of the trunk and an axis of coordinates
 _LIMBS = {
     f"{side}_{joint}": f"{side}_{child}"
     for side in SIDES
     for joint, child in (
         ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
-        *((f"{finger}{k}", f"{finger}{k + 1}") for finger in FINGERS for k in (1, 2)),
+        *((f"{finger}{k}", f"{finger}{k + 1}") for finger in FINGER_WORDS for k in (1, 2)),
     )
 }  # fmt: skip
 Places = dict[str, np.ndarray]  # joint → (..., 3), or (..., 3, 3) rotations
@@ -116,19 +116,21 @@ def _stances(
     zero = replace(clip, rotations=eye, places=clip.offsets[None])
     zero_turns, zero_places = zero.in_world()
     at = _named(human, zero_places)
-    if _doubt(at)[0, :2].max() < _STANDS:
+    if _doubt(at)[0, :2].max() < _STANDING_ANGLE:
         return at, zero_turns, []
     at = _named(human, places)
     doubt = np.nan_to_num(_doubt(at), nan=np.pi)
-    stands, total = doubt[:, :2].max(1) < _STANDS, doubt.sum(1)
+    stands, total = doubt[:, :2].max(1) < _STANDING_ANGLE, doubt.sum(1)
     if not stands.any():
         raise InputError(
             f"{where}: nobody stands in its pose of zero angles nor in any frame, so its joints "
             "cannot be compared with a body's; expected a T-pose or an A-pose in one of them"
         )
     best = total[stands].min()
-    straight = np.flatnonzero(stands & (total <= _STRAIGHT * best + 1e-6))
-    straight = straight[np.linspace(0, len(straight) - 1, min(len(straight), _MANY)).astype(int)]
+    straight = np.flatnonzero(stands & (total <= _STRAIGHT_FACTOR * best + 1e-6))
+    straight = straight[
+        np.linspace(0, len(straight) - 1, min(len(straight), _REFERENCE_POSES)).astype(int)
+    ]
     note = (
         "its pose of zero angles is nobody's; joints are compared where the person stands "
         f"straightest, in {len(straight)} frames from {straight[0]} to {straight[-1]}"
@@ -172,7 +174,7 @@ def _frame(at: Places) -> np.ndarray:
     """Return the axes of somebody who stands, in columns (3, 3): to the left, up, forward."""
     left, up = _trunk(at)
     axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
-    up = axis if unit(up) @ axis > _UPRIGHT else unit(up)
+    up = axis if unit(up) @ axis > _AXIS_COSINE else unit(up)
     left = unit(left - up * (left @ up))
     return np.stack([left, up, np.cross(left, up)], 1)
 
@@ -220,7 +222,7 @@ def _foot(frame: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray
 
 def _palm(at: Places, side: str) -> np.ndarray:
     """Return the axes of a hand, in columns (3, 3): along it, across it, out of it."""
-    knuckles = [at[f"{side}_{finger}1"] for finger in FINGERS
+    knuckles = [at[f"{side}_{finger}1"] for finger in FINGER_WORDS
                 if finger != "thumb" and f"{side}_{finger}1" in at]  # fmt: skip
     along = unit(np.mean(knuckles, 0) - at[f"{side}_wrist"])
     across = knuckles[0] - at[f"{side}_pinky1"]

@@ -22,7 +22,7 @@ from gva_mi.body.smplx import BodyModel, body_name, resolve_body
 from gva_mi.body.so3 import compose
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
-from gva_mi.readers.body_arrays import OTHERS, find_body
+from gva_mi.readers.body_arrays import NOT_BODY_NAMES, find_body
 from gva_mi.subject.fingerprint import belongs_to
 from gva_mi.subject.footage import Pictures
 from gva_mi.subject.lens import (
@@ -35,14 +35,16 @@ from gva_mi.subject.lens import (
     usual_lens,
 )
 
-NEARLY = 0.1  # of a focal length's logarithm: a smaller difference is not worth a note
-BETAS_VARY = 0.1  # standard deviation of betas over frames from which a note is given
+LENS_NOTE_DIFFERENCE = (
+    0.1  # of a focal length's logarithm: a smaller difference is not worth a note
+)
+BETAS_NOTE_DEVIATION = 0.1  # standard deviation of betas over frames from which a note is given
 # The pelvis of the neutral mean person at rest, metres, as the public models regress it.
-PELVIS = {
+MEAN_PELVIS = {
     "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
     "SMPL-X": (0.0031, -0.3514, 0.0120),
 }  # fmt: skip
-_NEAR = 0.05  # metres of it are those of the male and of the female mean
+_PELVIS_TOLERANCE = 0.05  # metres of it are those of the male and of the female mean
 
 
 @dataclass(frozen=True)
@@ -139,11 +141,11 @@ def make_track(
     of_mean = False
     if not of_pelvis:
         of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(of.form))
-        pelvis = np.array(PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
+        pelvis = np.array(MEAN_PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
         if of.about_origin is not None:
             pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
         places = places + pelvis
-    if unused := sorted(set(of.unused) - OTHERS):
+    if unused := sorted(set(of.unused) - NOT_BODY_NAMES):
         notes.append(f"not used of the source: {listed_names(unused)}")
     return Track(
         person, frames, of.rotations, places, betas, K, of.form, of.has_hands,
@@ -230,7 +232,7 @@ def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
         return np.zeros(10), ["no betas are finite; they are zero"]
     spread = float(betas.std(0).max())
     note = f"betas differ by up to {spread:.2g} from frame to frame; their median is taken"
-    return np.median(betas, axis=0), [note] if spread > BETAS_VARY else []
+    return np.median(betas, axis=0), [note] if spread > BETAS_NOTE_DEVIATION else []
 
 
 @dataclass(frozen=True)
@@ -256,7 +258,7 @@ class TargetBody:
         # SMPL-X's format, too, and have betas of their own.
         moved = set(np.flatnonzero(arrays["weights"].any(0)).tolist())
         form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
-        form = form if np.linalg.norm(joints[0] - PELVIS[form]) < _NEAR else "own"
+        form = form if np.linalg.norm(joints[0] - MEAN_PELVIS[form]) < _PELVIS_TOLERANCE else "own"
         hands = np.stack(hands).reshape(30, 3)
         return TargetBody(body_name(path), model, form, joints, hands)
 
@@ -276,7 +278,7 @@ class TargetBody:
         move by centimetres.
         """
         if not self.keeps_betas(form):
-            return np.array(PELVIS[form])
+            return np.array(MEAN_PELVIS[form])
         betas = np.zeros(0) if betas is None else betas
         moves = self.model.shape_joints[:, :3].double().numpy()
         count = min(len(moves), betas.shape[-1])
@@ -310,7 +312,7 @@ def filmed_with(
             f"the estimator took another lens in each frame, of {each.min():.0f} to "
             f"{each.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
         ]
-    if given is None and (known is None or abs(np.log(known / assumed)) < NEARLY):
+    if given is None and (known is None or abs(np.log(known / assumed)) < LENS_NOTE_DIFFERENCE):
         return track, []
     if given is None:
         return track, [

@@ -13,12 +13,16 @@ from gva_mi.body.rotations import composed, to_matrices
 from gva_mi.subject.silhouettes import joints_in_world
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-UP: tuple[Axis, ...] = get_args(Axis)
-LEANS = 20  # degrees from the up axis that are worth a note
-_CLEAR = 0.7  # share of the way from feet to head that must lie along one axis
-_BEGINS = 0.5  # seconds: people begin upright, also who lies down, dances on the hands, or swims
-_EVEN = 0.15  # metres that the lowest joint rises and falls more than on the evenest floor
-_TO_Y = {  # axis-angle in quarter turns that takes an axis to y
+UP_AXES: tuple[Axis, ...] = get_args(Axis)
+LEAN_NOTE_DEGREES = 20  # degrees from the up axis that are worth a note
+_UP_COSINE = 0.7  # share of the way from feet to head that must lie along one axis
+_BEGINNING_SECONDS = (
+    0.5  # seconds: people begin upright, also who lies down, dances on the hands, or swims
+)
+_FLOOR_TOLERANCE = (
+    0.15  # metres that the lowest joint rises and falls more than on the evenest floor
+)
+_QUARTER_TURNS_TO_Y = {  # axis-angle in quarter turns that takes an axis to y
     "x": (0, 0, 1), "-x": (0, 0, -1), "y": (0, 0, 0), "-y": (2, 0, 0), "z": (-1, 0, 0),
     "-z": (1, 0, 0),
 }  # fmt: skip
@@ -30,7 +34,9 @@ class Upward:
 
     begins: np.ndarray  # (3,) unit vector from the feet to the head in the first frames
     mean: np.ndarray  # (3,) of all frames
-    drifts: Mapping[str, float]  # by axis of UP: how far the lowest joint rises and falls, metres
+    drifts: Mapping[
+        str, float
+    ]  # by axis of UP_AXES: how far the lowest joint rises and falls, metres
 
     @staticmethod
     def of(rotations: np.ndarray, places: np.ndarray, joints: np.ndarray, rate: float) -> Upward:
@@ -41,22 +47,22 @@ class Upward:
         seen = joints_in_world(rotations, places - joints[0], joints)
         at = lambda name: seen[:, JOINTS.index(name)]
         upward = unit(at("head") - (at("left_ankle") + at("right_ankle")) / 2)
-        first = max(1, round(_BEGINS * rate))
-        lows = {up: (seen @ axis_of(up)).min(1) for up in UP}
+        first = max(1, round(_BEGINNING_SECONDS * rate))
+        lows = {up: (seen @ axis_of(up)).min(1) for up in UP_AXES}
         drifts = {up: float(np.subtract(*np.percentile(x, (95, 5)))) for up, x in lows.items()}
         return Upward(unit(upward[:first].mean(0)), unit(upward.mean(0)), drifts)
 
     def axis(self) -> str | None:
-        """Return the axis of :data:`UP` that is up; None if none is clearly, as for who lies.
+        """Return the axis of :data:`UP_AXES` that is up; None if none is clearly, as for who lies.
 
         It is the one along which the person begins upright, of those with an even floor; if there
         is none, of all; and then the one along which the person is upright on average.
         """
-        least = min(self.drifts.values()) + _EVEN
-        floors = [up for up in UP if self.drifts[up] <= least]
-        for ups, upward in ((floors, self.begins), (UP, self.begins), (UP, self.mean)):
+        least = min(self.drifts.values()) + _FLOOR_TOLERANCE
+        floors = [up for up in UP_AXES if self.drifts[up] <= least]
+        for ups, upward in ((floors, self.begins), (UP_AXES, self.begins), (UP_AXES, self.mean)):
             best = max(ups, key=lambda up: float(upward @ axis_of(up)))
-            if upward @ axis_of(best) >= _CLEAR:
+            if upward @ axis_of(best) >= _UP_COSINE:
                 return best
         return None
 
@@ -67,7 +73,7 @@ class Upward:
 
 
 def axis_of(up: str) -> np.ndarray:
-    """Return the unit vector (3,) of an axis of :data:`UP`."""
+    """Return the unit vector (3,) of an axis of :data:`UP_AXES`."""
     return np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
 
 
@@ -79,9 +85,9 @@ def unit(x: np.ndarray) -> np.ndarray:
 def upright(rotations: np.ndarray, places: np.ndarray, up: str) -> tuple[np.ndarray, np.ndarray]:
     """Turn rotations (T, 55, 3) and pelvises (T, 3) with their world, whose axis ``up`` becomes y.
 
-    ``up`` is one of :data:`UP`.
+    ``up`` is one of :data:`UP_AXES`.
     """
-    turn = np.array(_TO_Y[up], np.float64) * np.pi / 2
+    turn = np.array(_QUARTER_TURNS_TO_Y[up], np.float64) * np.pi / 2
     rotations = rotations.copy()
     rotations[:, 0] = composed(turn, rotations[:, 0])
     return rotations, places @ to_matrices(turn).T

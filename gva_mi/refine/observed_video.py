@@ -45,7 +45,7 @@ from gva_mi.refine.sequence import LANDMARK_WEIGHT, ObservedClip, SequenceOption
 from gva_mi.refine.single_frame import SingleFrameOptions
 from gva_mi.splat import Camera
 from gva_mi.subject.crop import gather
-from gva_mi.subject.fingerprint import RECORDING
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.lens import is_one_lens, seen_alike
 from gva_mi.subject.video import Outline, Video
 
@@ -84,7 +84,7 @@ class ObservedVideo:
         begin = time.perf_counter()
         in_sequence = isinstance(options, SequenceOptions)
         held_out = list(video.splits.test) if in_sequence and options.hold_out_test else []
-        coarse, of_video = simplified(options.faces, in_sequence), video.kind == RECORDING
+        coarse, of_video = simplified(options.faces, in_sequence), video.kind == VIDEO_KIND
         evidence, pictures = SpillCache(video.folder), SpillCache(video.folder)
 
         def body_at(outline: Outline) -> Tensor:
@@ -121,7 +121,7 @@ class ObservedVideo:
             stage1 = self.pose, self.shape
             seen = video.landmarks, self.coarse.body, video.cameras, fps, stage1
             found = replace(self, landmarks=SeenLandmarks.of(*seen))
-        errors = stage1_errors(fps) if video.kind == RECORDING else None
+        errors = stage1_errors(fps) if video.kind == VIDEO_KIND else None
         stage1_person = Solution(
             self.pose, self.shape, torch.zeros_like(self.coarse.body.v_template)
         )

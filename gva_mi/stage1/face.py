@@ -39,7 +39,7 @@ from gva_mi.observe.rig import facing
 from gva_mi.prior.error_model import FREEDOM
 from gva_mi.stage1.normal_equations import FRAMES_AT_ONCE, NormalEquations
 from gva_mi.stage1.solver import Stage1Solution
-from gva_mi.subject.landmarks import FACE, Landmarks
+from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 NO_FACE = "the body has no face that moves: head, jaw and expression stay as the body's points say"
 # σ of a point on the face, and in the picture: both together.
@@ -50,7 +50,8 @@ OFFSET_SPREAD = 0.006  # metres
 HEAD_TURN, HEAD_PLACE, JAW_OPEN, EXPRESSION = (0.15, 0.5), (0.03, 1.0), (0.2, 0.3), (1.0, 0.4)
 CLOSED = 0.05  # share of the frames with a face in which the mouth is closed
 STEPS = 6
-_LIPS = FACE.index("face_62"), FACE.index("face_66")  # the middle of the upper and the lower one
+# The middle of the upper and of the lower lip.
+_LIPS = FACE_LANDMARKS.index("face_62"), FACE_LANDMARKS.index("face_66")
 EXPRESSIONS = 10  # coefficients that are fitted, at most
 _HEAD, _JAW, _LEFT, _RIGHT = (
     JOINTS.index(n) for n in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
@@ -82,13 +83,13 @@ def with_face(
 
     Args:
         solved: T frames of the body.
-        landmarks: of the same frames; without those of :data:`FACE` nothing changes.
+        landmarks: of the same frames; without those of :data:`FACE_LANDMARKS` nothing changes.
         body: of the poses.
         fps: frames a second.
     """
-    if not set(FACE) <= set(landmarks.names):
+    if not set(FACE_LANDMARKS) <= set(landmarks.names):
         return solved, []
-    if not bool((landmarks.confidence[:, landmarks.indices(FACE)] > 0).any()):
+    if not bool((landmarks.confidence[:, landmarks.indices(FACE_LANDMARKS)] > 0).any()):
         return solved, []
     points = FacePoints.of(body)
     if points is None:
@@ -136,7 +137,7 @@ class _FaceProblem:
         b = points.jaw[:, None] * torch.linalg.cross(right, x - joints[_JAW])
 
         K = torch.tensor(solved.camera.K)
-        at = landmarks.indices(FACE)
+        at = landmarks.indices(FACE_LANDMARKS)
         pixels, confidence, spread = (
             torch.from_numpy(getattr(landmarks, name)[:, at]).double()
             for name in ("pixels", "confidence", "spread")
@@ -215,7 +216,7 @@ class _FaceProblem:
     @property
     def _count(self) -> float:
         """``n / m``."""
-        return INDEPENDENT_POINTS / len(FACE) / max(1.0, MEMORY / self.dt)
+        return INDEPENDENT_POINTS / len(FACE_LANDMARKS) / max(1.0, MEMORY / self.dt)
 
     def _add_processes(self, q: Tensor, equations: NormalEquations) -> None:
         """Add eq. 3."""
@@ -234,7 +235,7 @@ class _FaceProblem:
 
 @dataclass(frozen=True)
 class FacePoints:
-    """The 51 landmarks of :data:`gva_mi.subject.landmarks.FACE` on a body; float64.
+    """The 51 landmarks of :data:`gva_mi.subject.landmarks.FACE_LANDMARKS` on a body; float64.
 
     SMPL-X's files mark them. On another body they are found by the shape of its head: the eyes'
     joints give the middle, the width and the height of the face, and the mouth is where the skin of

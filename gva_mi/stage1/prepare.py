@@ -37,7 +37,7 @@ from gva_mi.stage1.face import with_face
 from gva_mi.stage1.pictures import EvenPictures, even_pictures
 from gva_mi.stage1.solver import KnownOfVideo, Stage1Solution, solve_stage1
 from gva_mi.stage1.upright import vertical_of
-from gva_mi.subject.fingerprint import PREPARED, RECORDING, fingerprint
+from gva_mi.subject.fingerprint import PREPARED, VIDEO_KIND, fingerprint
 from gva_mi.subject.folder import FRAMES, MASKS, StoredPictures, SubjectWriter
 from gva_mi.subject.footage import mask_meaning
 from gva_mi.subject.lens import asked_for, in_pixels
@@ -178,7 +178,7 @@ def prepare_video(
     )
     file = None if body is None else str(body.resolve())
     name = BUILT_IN_NAME if body is None else body.stem
-    about = {"kind": RECORDING, "video": asdict(record)}
+    about = {"kind": VIDEO_KIND, "video": asdict(record)}
     about["body"] = {"name": name, "file": file} | fingerprint(model)
     write_record(out / PREPARED, about)
     return record.notes

@@ -29,7 +29,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.fit import paper
 from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.options import FitOptions
-from gva_mi.subject.fingerprint import RECORDING
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.synthetic import SynthOptions
 from gva_mi.synthetic.error_models import NO_ERRORS
 
@@ -146,7 +146,7 @@ TUNING = _cases(_TUNED, 1, (
     ("still", "lean"), ("dance", "bursts"), ("outfit", "masks"), ("dalia", "masks"),
     ("2", "mixed"), ("stretched", "outliers"), ("dance", "anything"), ("outfit", "anything"),
     ("walk", "outliers"), ("everyday", "outliers"),
-    ("filmed", RECORDING), ("filmed everyday", RECORDING), ("filmed half", RECORDING),
+    ("filmed", VIDEO_KIND), ("filmed everyday", VIDEO_KIND), ("filmed half", VIDEO_KIND),
 ))  # fmt: skip
 
 _JUDGED = {
@@ -172,13 +172,13 @@ HELD_OUT = _cases(_JUDGED, 1000, (
     ("bare", "lean"), ("bruno", "shape"), ("walk", "outliers"), ("11", "focal"),
     ("outfit", "masks"), ("12", "normals"), ("13", "anything"), ("outfit", "anything"),
     ("edgar", "bursts", False),
-    ("filmed", RECORDING), ("filmed everyday", RECORDING), ("filmed half", RECORDING),
+    ("filmed", VIDEO_KIND), ("filmed everyday", VIDEO_KIND), ("filmed half", VIDEO_KIND),
 ))  # fmt: skip
 
 _USUAL = Take(seed=140, scene="room")
 # One subject, filmed as usual, and with one thing changed at a time: how a video should be taken.
 LIMITS = tuple(
-    StudyCase(replace(_USUAL, **changed), RECORDING, draw)
+    StudyCase(replace(_USUAL, **changed), VIDEO_KIND, draw)
     for draw, changed in {
         60: {}, 61: {"motion": "half"}, 62: {"motion": "still"}, 63: {"motion": "everyday"},
         64: {"frames": 30}, 65: {"frames": 120}, 66: {"frames": 300}, 67: {"size": 256},

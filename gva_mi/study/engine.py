@@ -51,7 +51,7 @@ from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.study.cases import AvatarVariant, StudyCase
 from gva_mi.study.filmed import Filming, VideoOptions, Work, height_of
-from gva_mi.subject.fingerprint import RECORDING, fingerprint
+from gva_mi.subject.fingerprint import VIDEO_KIND, fingerprint
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.splits import Splits
@@ -238,7 +238,7 @@ def refine_case(
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = load_video(subject, normals=None if case.normals else "none")
     truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
-    if case.noise == RECORDING or known:  # the stage 1 of videos was given the height, too
+    if case.noise == VIDEO_KIND or known:  # the stage 1 of videos was given the height, too
         options = replace(options, height=height_of(truth))
     if not known:
         refined = refine(video, body, options, progress)
@@ -299,7 +299,7 @@ class AvatarStudy(Study):
         (row,) = (row for row in self.rows if row.name == variant)
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
-        options = options.of_video() if case.noise == RECORDING else options
+        options = options.of_video() if case.noise == VIDEO_KIND else options
         return VariantRun(self.filming.subject(case), out, row, self.body, options, self.stamp)
 
 

@@ -29,7 +29,7 @@ from gva_mi.matting.masks import video_masks
 from gva_mi.splat import Camera
 from gva_mi.stage1.prepare import RecordingOptions, motion_of_video
 from gva_mi.study.cases import StudyCase, Take
-from gva_mi.subject.fingerprint import PREPARED, RECORDING, SYNTH, require_same_body
+from gva_mi.subject.fingerprint import PREPARED, SYNTH, VIDEO_KIND, require_same_body
 from gva_mi.subject.folder import MASKS, SPLITS, TRUTH, SubjectWriter
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.pictures import in_8_bits
@@ -73,7 +73,7 @@ class Filming:
         A video's masks and poses are results of this program, so its folder names their version.
         """
         made = case.noise
-        if made == RECORDING:
+        if made == VIDEO_KIND:
             made += f"{RESULTS_VERSIONS['refine']}{'' if self.options.lens else '-anylens'}"
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
@@ -87,7 +87,7 @@ class Filming:
             if not take.exists():
                 made = case.take.synth(options.frames, options.size, options.novel)
                 make_subject(take, made, body)
-            if not subject.exists() and case.noise == RECORDING:
+            if not subject.exists() and case.noise == VIDEO_KIND:
                 watch_take(take, subject, body, options.lens)
             elif not subject.exists():
                 degrade(take, subject, case.noise, case.draw, body)
@@ -149,7 +149,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
             writer.truth.cameras([camera] * len(pictures))
         found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
         writer.cameras([found] * len(pictures))
-        write_json(folder / PREPARED, {"kind": RECORDING})
+        write_json(folder / PREPARED, {"kind": VIDEO_KIND})
 
 
 def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Camera) -> Pose:

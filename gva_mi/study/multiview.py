@@ -41,7 +41,7 @@ from gva_mi.evaluate.figures import Figure
 from gva_mi.observe.landmark_noise import person_sizes
 from gva_mi.stage1.prepare import RecordingOptions, SolvedMotion, motion_of_video
 from gva_mi.stage1.solver import Stage1Solution
-from gva_mi.subject.landmarks import BODY, Landmarks
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
 CALIBRATION = (
     "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
@@ -148,12 +148,12 @@ def compare(
     X: np.ndarray,
     up: np.ndarray,
 ) -> list[Figure]:
-    """Compare one video's stage 1 with points X (T, 33, 3) of the world, in the order of BODY.
+    """Compare one video's stage 1 with points X (T, 33, 3), world, one for each of BODY_LANDMARKS.
 
     ``up`` (3,) is the world's direction up.
     """
     names = [f"{side}_{name}" for name in COMPARED for side in SIDES]
-    true = 1e3 * camera.place(X)[:, [BODY.index(name) for name in names]]
+    true = 1e3 * camera.place(X)[:, [BODY_LANDMARKS.index(name) for name in names]]
     T = np.asarray(solved.camera.T_camera_world)
     joints = body(solved.pose, solved.shape).joints[:, [JOINTS.index(name) for name in names]]
     found = 1e3 * (joints.double().numpy() @ T[:3, :3].T + T[:3, 3])
@@ -164,7 +164,9 @@ def compare(
     off, own = centred(found) - centred(true), centred(guessed)
     scale = np.nansum(own * centred(true)) / np.nansum(np.where(np.isnan(true), 0, own**2))
     factor, local = solved.camera.width / camera.size[0], camera.place(X)
-    rays = camera.rays(landmarks.pixels[:, landmarks.indices(BODY)].astype(float) / factor)
+    rays = camera.rays(
+        landmarks.pixels[:, landmarks.indices(BODY_LANDMARKS)].astype(float) / factor
+    )
     beside = np.linalg.norm(local[..., :2] / local[..., 2:] - rays, axis=-1)
     angle = np.degrees(np.arccos(np.clip(T[:3, 1] @ (camera.R @ up), -1, 1)))
     values = {
@@ -251,7 +253,7 @@ def _video_of(folder: Path, camera: CalibratedCamera) -> Path:
 def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the rays of landmarks (T, 33, 2), where they were seen (T, 33), and τ."""
     landmarks, scale = motion.watched.landmarks, motion.pictures.scale
-    at = landmarks.indices(BODY)
+    at = landmarks.indices(BODY_LANDMARKS)
     pixels = landmarks.pixels[:, at].astype(float)
     seen = np.isfinite(pixels).all(2) & (np.nan_to_num(landmarks.confidence[:, at]) >= SEEN)
     tall = float(np.median(person_sizes(landmarks)))

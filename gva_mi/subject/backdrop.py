@@ -16,19 +16,21 @@ from __future__ import annotations
 
 import numpy as np
 
-AROUND = 3  # pixels, side of the squares whose mean is the background
-MARGIN = 8  # pixels around the mask, in which the background is looked for
-NOTHING = 0.5 / 255  # a mask below this is zero
+BACKGROUND_SQUARE = 3  # pixels, side of the squares whose mean is the background
+SEARCH_MARGIN = 8  # pixels around the mask, in which the background is looked for
+ZERO_MASK = 0.5 / 255  # a mask below this is zero
 
 
 def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the person's colour times the mask (eq. 2), (H, W, 3), for a mask (H, W)."""
     person = np.zeros_like(image)
-    rows, columns = (np.flatnonzero((mask > NOTHING).any(axis)) for axis in (1, 0))
+    rows, columns = (np.flatnonzero((mask > ZERO_MASK).any(axis)) for axis in (1, 0))
     if len(rows):
-        part = tuple(slice(max(0, x[0] - MARGIN), x[-1] + 1 + MARGIN) for x in (rows, columns))
+        part = tuple(
+            slice(max(0, x[0] - SEARCH_MARGIN), x[-1] + 1 + SEARCH_MARGIN) for x in (rows, columns)
+        )
         I, S = image[part], mask[part][..., None]
-        person[part] = np.where(S < NOTHING, 0, (I - (1 - S) * behind(I, S[..., 0])).clip(0, S))
+        person[part] = np.where(S < ZERO_MASK, 0, (I - (1 - S) * behind(I, S[..., 0])).clip(0, S))
     return person
 
 
@@ -40,12 +42,13 @@ def behind(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
-    bare = mask < NOTHING
+    bare = mask < ZERO_MASK
     if not bare.any():
         return image
     counts = bare[..., None].astype(image.dtype)
     share, total = (
-        uniform_filter(x, (AROUND, AROUND, 1), mode="constant") for x in (counts, counts * image)
+        uniform_filter(x, (BACKGROUND_SQUARE, BACKGROUND_SQUARE, 1), mode="constant")
+        for x in (counts, counts * image)
     )
     nearest = distance_transform_edt(~bare, return_distances=False, return_indices=True)
     return np.where(counts > 0, image, (total / share.clip(1e-6))[tuple(nearest)])
@@ -55,7 +58,7 @@ def unsure(mask: np.ndarray, width: float) -> np.ndarray:
     """Return where a mask (H, W) may be wrong: within ``width`` pixels of soft pixels and edges."""
     from scipy.ndimage import distance_transform_edt
 
-    inside, both = mask > 0.5, (mask > NOTHING) & (mask < 1 - NOTHING)
+    inside, both = mask > 0.5, (mask > ZERO_MASK) & (mask < 1 - ZERO_MASK)
     edge = (inside[1:] != inside[:-1], inside[:, 1:] != inside[:, :-1])
     both[1:] |= edge[0]
     both[:-1] |= edge[0]

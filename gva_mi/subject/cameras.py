@@ -13,7 +13,9 @@ from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 from gva_mi.subject.pictures import require_size
 
-FOCAL = Within(0.01, 1e6, unit="times the picture's longer side")  # of any lens, generously
+FOCAL_PER_SIDE = Within(
+    0.01, 1e6, unit="times the picture's longer side"
+)  # of any lens, generously
 _SIDE_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}  # pixels; metres
 
 
@@ -41,7 +43,7 @@ def load_cameras(
     for k, camera in enumerate(cameras):
         for focal in (camera.fx, camera.fy):
             share = focal / max(width, height)
-            FOCAL.require(str(path), f"the focal length of camera {k} in 'K'", share)
+            FOCAL_PER_SIDE.require(str(path), f"the focal length of camera {k} in 'K'", share)
     if there == 1 and count is not None:
         cameras *= count
     if count not in (None, len(cameras)):

@@ -21,26 +21,31 @@ from gva_mi.splat import Camera
 from gva_mi.subject.fingerprint import require_same_body
 from gva_mi.subject.folder import CAMERAS, FRAMES, MASKS, POSES, VIDEO
 from gva_mi.subject.ground_truth import read_views
-from gva_mi.subject.lens import ONE_LENS
+from gva_mi.subject.lens import ONE_LENS_TOLERANCE
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.problems import CheckReport, Faults, Problem, doubt, error
-from gva_mi.subject.silhouettes import LEAST_OVERLAP, compare, draw_sheet
+from gva_mi.subject.silhouettes import LEAST_IOU, compare, draw_sheet
 from gva_mi.subject.video import Video, read_video
 
 # A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large
 # has it an eighth of the width away.
-OFF_CENTRE = 0.12  # of width or height
-ANAMORPHIC = 1.5  # fx over fy: the widest pixels of any video standard, 16:9 in PAL, are 1.46
+PRINCIPAL_POINT_OFFSET = 0.12  # of width or height
+FOCAL_RATIO = 1.5  # fx over fy: the widest pixels of any video standard, 16:9 in PAL, are 1.46
 # Axis-angle needs no more than half a turn, and no unwrapping makes a limb's more than a whole one.
 # In degrees an ordinary bend is ten times as much. The root may have been unwrapped: it turns on.
-LARGEST_TURN = 2 * np.pi
-FAR, ABSURD = 5.0, 10.0  # standard deviations; one person in three million has a beta above 5
+LARGEST_ROTATION = 2 * np.pi
+DOUBTFUL_BETA, WRONG_BETA = (
+    5.0,
+    10.0,
+)  # standard deviations; one person in three million has a beta above 5
 
-FITS = 0.5  # IoU: more of both pictures is the person in common than not
-OUTSIDE = 0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
+FITTING_IOU = 0.5  # IoU: more of both pictures is the person in common than not
+JOINTS_INSIDE = (
+    0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
+)
 # The root mean square radius of a standing person is some 45 cm. Clothes and hair add 5 cm all
 # round, and grown-ups differ by 8 % from the mean person whom zero betas stand for: a sixth in all.
-DOUBTFUL_SIZE, WRONG_SIZE = 1.2, 1.35
+DOUBTFUL_SIZE_RATIO, WRONG_SIZE_RATIO = 1.2, 1.35
 
 
 def check_subject(
@@ -93,15 +98,15 @@ def _left_out(video: Video) -> Iterator[Problem]:
 
 def check_intrinsics(cameras: Sequence[Camera]) -> Iterator[Problem]:
     """Yield problems of focal lengths and principal points."""
-    uneven = [c.fx / c.fy for c in cameras if max(c.fx / c.fy, c.fy / c.fx) > ANAMORPHIC]
+    uneven = [c.fx / c.fy for c in cameras if max(c.fx / c.fy, c.fy / c.fx) > FOCAL_RATIO]
     if uneven:
         yield doubt("focal length", f"fx / fy is {uneven[0]:.3g}", "normalised by width and "
                     "height, or scaled in one direction", "fx, fy in pixels")  # fmt: skip
     at = np.array([(c.cx / c.width, c.cy / c.height) for c in cameras])
-    off = (np.abs(at - 0.5) > OFF_CENTRE).any(1)
+    off = (np.abs(at - 0.5) > PRINCIPAL_POINT_OFFSET).any(1)
     focal = np.array([c.fx for c in cameras])
     # Estimators that look at a person's box have another lens in each frame, with the box's axis.
-    of_boxes = (np.abs(focal / np.median(focal) - 1) > ONE_LENS).mean() > 0.5
+    of_boxes = (np.abs(focal / np.median(focal) - 1) > ONE_LENS_TOLERANCE).mean() > 0.5
     if off.any() and not of_boxes:
         yield doubt(
             "principal point",
@@ -120,13 +125,13 @@ def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
         figure = f"{len(shape.betas)}, but the body has {body.num_betas}"
         yield error("betas", figure, "they belong to another body", own)
         return
-    if largest > FAR:
-        yield (error if largest > ABSURD else doubt)(
+    if largest > DOUBTFUL_BETA:
+        yield (error if largest > WRONG_BETA else doubt)(
             "betas", f"up to {largest:.1f} standard deviations",
             "of another body, fitted to a wrong distance, or no betas at all", own,
         )  # fmt: skip
     turns = pose.rotations[:, 1:].norm(dim=-1).numpy()
-    wide = (turns > LARGEST_TURN).any(1)
+    wide = (turns > LARGEST_ROTATION).any(1)
     if wide.any():
         frame, joint = np.unravel_index(turns.argmax(), turns.shape)
         figure = f"{JOINTS[joint + 1]} turns by {turns.max():.3g} in frame {frame}"
@@ -168,8 +173,8 @@ def _size(ratios: np.ndarray) -> Iterator[Problem]:
     if np.isnan(ratios).all():
         return
     ratio = float(np.nanmedian(ratios))
-    if (wrong := max(ratio, 1 / ratio)) > DOUBTFUL_SIZE:
-        yield (error if wrong > WRONG_SIZE else doubt)(
+    if (wrong := max(ratio, 1 / ratio)) > DOUBTFUL_SIZE_RATIO:
+        yield (error if wrong > WRONG_SIZE_RATIO else doubt)(
             "focal length or distance", f"masks are {ratio:.2f} times as large as the body",
             "K is of pictures of another size, or the poses' distance belongs to another lens",
             f"fx, fy {ratio:.2f} times as long, or the person {1 / ratio:.2f} times as far away",
@@ -178,10 +183,10 @@ def _size(ratios: np.ndarray) -> Iterator[Problem]:
 
 def _outside(numbers: np.ndarray, inside: np.ndarray, iou: float) -> Iterator[Problem]:
     """Yield a body that is elsewhere than the masks, by joints inside (n,) and mean IoU."""
-    outside = inside < OUTSIDE
+    outside = inside < JOINTS_INSIDE
     figure = f"{outside.sum()} of {len(outside)} frames, IoU {iou:.2f}"
     look = "see the overlay (--sheet)"
-    if outside.mean() > 0.5 or iou < LEAST_OVERLAP:
+    if outside.mean() > 0.5 or iou < LEAST_IOU:
         yield error("poses outside the masks", figure,
                     "another person, T_camera_world inverted or in other axes than x right, y "
                     "down, z forward, no metres, K of another size, or mirrored pictures",
@@ -190,7 +195,7 @@ def _outside(numbers: np.ndarray, inside: np.ndarray, iou: float) -> Iterator[Pr
         yield doubt("poses outside the masks", figure,
                     "the estimator or the segmenter lost the person for some frames",
                     f"{look}; delete masks that are wrong", numbers[outside])  # fmt: skip
-    elif iou < FITS:
+    elif iou < FITTING_IOU:
         yield doubt("silhouettes beside the masks", f"IoU {iou:.2f}",
                     "wide clothes, a part of the person alone in the masks, or another body",
                     look)  # fmt: skip

@@ -25,7 +25,7 @@ from torch import Tensor
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.splat import Camera
 
-SMALLEST = 16  # pixels: a mask of a smaller area counts as empty
+EMPTY_MASK_PIXELS = 16  # pixels: a mask of a smaller area counts as empty
 
 Image = TypeVar("Image", np.ndarray, Tensor)
 Seen = TypeVar("Seen")
@@ -191,7 +191,7 @@ def mask_extent(mask: np.ndarray) -> Extent:
     Raises:
         NoEvidence: it is empty.
     """
-    if mask.sum() < SMALLEST:
+    if mask.sum() < EMPTY_MASK_PIXELS:
         raise NoEvidence("its mask is empty")
     low, high = bounds(mask > 0.5 * mask.max()).reshape(2, 2)
     return Extent(low, high)

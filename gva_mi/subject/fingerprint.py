@@ -23,13 +23,13 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 
-SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
-SAME = 3e-6  # m, root mean square; float32 rounding is a tenth of it
+SKETCH_SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
+SAME_BODY_METRES = 3e-6  # m, root mean square; float32 rounding is a tenth of it
 # Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
 # "name" there, and the "file" of a body that is not built in.
 SYNTH, PREPARED = "synth.json", "prepare.json"
-WRITTEN = "what gva-mi synth or gva-mi prepare writes"
-RECORDING = "video"  # kind of a subject that was prepared from a video alone
+EXPECTED_RECORD = "what gva-mi synth or gva-mi prepare writes"
+VIDEO_KIND = "video"  # kind of a subject that was prepared from a video alone
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
@@ -45,7 +45,7 @@ def fingerprint(body: BodyModel) -> dict[str, object]:
         states = torch.stack([body.rest(shape).vertices, body(bent, shape).vertices[0]])
     x = states.double().numpy() / np.sqrt(2)  # eq. 2 averages over both poses
     # RandomState, because its stream is frozen: a fingerprint outlives versions of numpy.
-    signs = np.random.RandomState(0).randint(0, 2, (SUMS, *x.shape)) * 2.0 - 1
+    signs = np.random.RandomState(0).randint(0, 2, (SKETCH_SUMS, *x.shape)) * 2.0 - 1
     sketch = np.einsum("ksvc,svc->k", signs, x) / np.sqrt(x.shape[1])
     return {"vertices": x.shape[1], "sketch": [round(float(s), 8) for s in sketch]}
 
@@ -60,7 +60,7 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 def belongs_to(folder: Path, body: BodyModel) -> bool:
     """Whether a subject's folder says that it was made on, or prepared for, this very body."""
     known = (_body_of(folder / name) for name in (SYNTH, PREPARED))
-    return any(distance(x, fingerprint(body)) <= SAME for x in known if x)
+    return any(distance(x, fingerprint(body)) <= SAME_BODY_METRES for x in known if x)
 
 
 def require_same_body(folder: Path, body: BodyModel) -> None:
@@ -71,7 +71,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
     for name in (SYNTH, PREPARED):
         known = _body_of(Path(folder) / name)
         away = distance(known, fingerprint(body)) if known else 0.0
-        if away <= SAME:
+        if away <= SAME_BODY_METRES:
             continue
         how = (
             f"{1000 * away:.2g} mm from this one on average"
@@ -97,19 +97,19 @@ def prepared_from(folder: Path) -> tuple[str | None, float | None]:
     Either is None if it is not known, both if the subject was not prepared.
     """
     about = _record(folder / PREPARED)
-    with expecting(folder / PREPARED, WRITTEN):
+    with expecting(folder / PREPARED, EXPECTED_RECORD):
         fps = about.get("video", {}).get("fps")
         return about.get("kind"), None if fps is None else float(fps)
 
 
 def _record(file: Path) -> dict:
-    return read_json(file, WRITTEN) if file.is_file() else {}
+    return read_json(file, EXPECTED_RECORD) if file.is_file() else {}
 
 
 def _body_of(file: Path) -> dict:
     """Return the body that a subject's record describes; nothing if it describes none."""
     about = _record(file)
-    with expecting(file, WRITTEN):
+    with expecting(file, EXPECTED_RECORD):
         body = about.get("body", {})
-        sketch = np.reshape(np.float64(body["sketch"]), SUMS).tolist() if body else []
+        sketch = np.reshape(np.float64(body["sketch"]), SKETCH_SUMS).tolist() if body else []
         return {**body, "sketch": sketch, "vertices": body["vertices"]} if body else {}

@@ -16,7 +16,7 @@ from gva_mi.subject.pictures import matte_of_pixels, read_image
 from gva_mi.subject.video_file import decoded, open_video_file, pixels_of, steps_of
 
 Pictures = Path | tuple[Path, ...]  # a video or a folder, or single files in order
-PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
@@ -51,9 +51,9 @@ def files_of(source: Pictures) -> list[Path] | None:
         return list(source)
     if not source.is_dir():
         return None
-    files = [path for path in source.iterdir() if path.suffix.lower() in PICTURES]
+    files = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
     if not files:
-        raise InputError(f"{source}: holds no pictures ({', '.join(PICTURES)})")
+        raise InputError(f"{source}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
     return sorted(files, key=_by_number)
 
 

@@ -44,8 +44,8 @@ from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video import Video
 
-ABOUT = "views.json"
-BODY = "body.npz"  # of another body than the fitted one
+VIEWS_RECORD = "views.json"
+TRUE_BODY = "body.npz"  # of another body than the fitted one
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def load_ground_truth(folder: Path, body: BodyModel, count: int | None = None) -
     ``body`` is the fitted body; it is also the rendered one unless the folder holds another.
     """
     pose, shape = load_poses(Path(folder) / POSES, count)
-    file = Path(folder) / BODY
+    file = Path(folder) / TRUE_BODY
     foreign = file.is_file()
     true = load_body(file, body.v_template.dtype) if foreign else body
     own = Path(folder) / CAMERAS
@@ -101,13 +101,13 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
     folder = subject / VIEWS
     if not folder.is_dir():
         return None
-    path, expected = folder / ABOUT, '{"frames": [...]}, the video\'s frame of each picture'
+    path, expected = folder / VIEWS_RECORD, '{"frames": [...]}, the video\'s frame of each picture'
     found = read_json(path, expected)
     with expecting(path, expected):
         frames = found["frames"]
         if not frames or not all(type(k) is int and 0 <= k < count for k in frames):
             raise ValueError(f"the video has frames 0 to {count - 1}")
-    cameras = load_cameras(folder / CAMERAS, len(frames), f" for {{}} pictures of {ABOUT}")
+    cameras = load_cameras(folder / CAMERAS, len(frames), f" for {{}} pictures of {VIEWS_RECORD}")
     for k, camera in enumerate(cameras):
         image = read_image(folder / FRAMES / frame_name(k), 3)
         mask = read_mask(folder / MASKS, k)
@@ -123,4 +123,4 @@ def save_views(
 ) -> None:
     """Write ``views.json`` and ``cameras.npz``: frame and camera of each picture."""
     save_cameras(folder / CAMERAS, cameras)
-    write_json(folder / ABOUT, {"frames": list(frames), "cameras": list(names)})
+    write_json(folder / VIEWS_RECORD, {"frames": list(frames), "cameras": list(names)})

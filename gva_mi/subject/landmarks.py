@@ -1,9 +1,9 @@
 """``Landmarks``: named points of a person, found in every frame by a network.
 
-The body has 33 points (:data:`BODY`), each hand 21 (:func:`hand_names`), named as MediaPipe's
-networks define them. The face has 51 (:data:`FACE`): the numbers 17 to 67 of the 68 points that
-iBUG marked in photographs, which SMPL-X's marks of the face and COCO-WholeBody share. A program
-that finds other points writes other names; readers ignore names that they do not know.
+The body has 33 points (:data:`BODY_LANDMARKS`) and each hand 21 (:func:`hand_names`), named as in
+MediaPipe's networks. The face has 51 (:data:`FACE_LANDMARKS`): numbers 17 to 67 of iBUG's 68
+points, which SMPL-X's face landmarks and COCO-WholeBody share. A program that finds other points
+writes other names; readers ignore names that they do not know.
 
 ``landmarks.npz`` in a subject's folder holds the fields of :class:`Landmarks` as arrays.
 """
@@ -18,7 +18,7 @@ import numpy as np
 
 from gva_mi.core.files import read_arrays, require_array, require_keys, write_arrays
 
-BODY = (
+BODY_LANDMARKS = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye",
     "right_eye_outer", "left_ear", "right_ear", "mouth_left", "mouth_right", "left_shoulder",
     "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_pinky",
@@ -27,7 +27,7 @@ BODY = (
     "left_foot_index", "right_foot_index",
 )  # fmt: skip
 # Brows (17-26), nose (27-35), eyes (36-47), lips (48-67); each begins on the person's right.
-FACE = tuple(f"face_{number}" for number in range(17, 68))
+FACE_LANDMARKS = tuple(f"face_{number}" for number in range(17, 68))
 
 
 def hand_names(side: str) -> tuple[str, ...]:

@@ -38,19 +38,21 @@ from gva_mi.subject.footage import Pictures, files_of
 from gva_mi.subject.pictures import opened
 
 RECORDED = "recorded"  # in the place of a focal length: what the file says
-PIXELS = Within(1, 1e6, unit="pixels")
-MILLIMETRES = Within(1, 2000, unit="mm")  # of 35 mm film: from fisheye lenses to telescopes
-EXPECTED = f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
-CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
-ONE_LENS = 1e-3  # by which entries of K may differ, as a share of the focal length
-_SAME_SHAPE = 0.01  # how much two pictures' sides may differ in proportion
-_DIAGONAL = 43.27  # mm of 36 x 24
-_WIDEST = 1.6  # longer over shorter side of a whole sensor's picture
-_QUICKTIME = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-_EXIF, _IN_35MM = 0x8769, 41989  # the photograph's tags among the file's, and the one
+FOCAL_IN_PIXELS = Within(1, 1e6, unit="pixels")
+FOCAL_IN_35MM = Within(1, 2000, unit="mm")  # of 35 mm film: from fisheye lenses to telescopes
+EXPECTED_FOCAL = (
+    f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
+)
+EXPECTED_CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
+ONE_LENS_TOLERANCE = 1e-3  # by which entries of K may differ, as a share of the focal length
+_ASPECT_TOLERANCE = 0.01  # how much two pictures' sides may differ in proportion
+_DIAGONAL_35MM = 43.27  # mm of 36 x 24
+_SENSOR_ASPECT = 1.6  # longer over shorter side of a whole sensor's picture
+_QUICKTIME_FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
+_EXIF_TAGS, _EXIF_FOCAL = 0x8769, 41989  # the photograph's tags among the file's, and the one
 # Types of QuickTime's whole numbers, of any number of bytes: signed, unsigned.
-_SIGNED, _UNSIGNED = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
-_TEXT, _FLOATS = 1, {23: ">f", 24: ">d"}
+_SIGNED_TYPES, _UNSIGNED_TYPES = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
+_TEXT_TYPE, _FLOAT_TYPES = 1, {23: ">f", 24: ">d"}
 
 
 def pinhole_K(focal: object, centre: object) -> np.ndarray:
@@ -67,7 +69,7 @@ def centred(focal: float, size: tuple[int, int]) -> np.ndarray:
 def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, int]) -> np.ndarray:
     """Rescale K (..., 3, 3) from pictures of the size ``of`` (W, H) to pictures of ``size``."""
     factors = np.array(size, np.float64) / np.maximum(of, 1e-9)
-    if not abs(factors[0] / factors[1] - 1) <= _SAME_SHAPE or min(of) < 1:
+    if not abs(factors[0] / factors[1] - 1) <= _ASPECT_TOLERANCE or min(of) < 1:
         raise InputError(
             f"{where}: its camera is of pictures of {of[0]:g}x{of[1]:g}, but the video has "
             f"{size[0]}x{size[1]}; expected the same shape"
@@ -88,7 +90,7 @@ def usual_lens(K: np.ndarray) -> np.ndarray:
 
 def is_one_lens(K: np.ndarray) -> bool:
     """Whether lenses (n, 3, 3) are the same in all frames."""
-    return bool(np.ptp(K, axis=0).max() <= ONE_LENS * K[0, 0, 0])
+    return bool(np.ptp(K, axis=0).max() <= ONE_LENS_TOLERANCE * K[0, 0, 0])
 
 
 def seen_alike(places: np.ndarray, K: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -114,26 +116,28 @@ def _parts(K: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
     """Convert a 35 mm focal length to pixels (eq. 1), for pictures of ``size`` (W, H)."""
     longer, shorter = max(size), min(size)
-    whole = longer <= _WIDEST * shorter
+    whole = longer <= _SENSOR_ASPECT * shorter
     diagonal = np.hypot(longer, shorter) if whole else 1.25 * longer
-    return float(millimetres * diagonal / _DIAGONAL)
+    return float(millimetres * diagonal / _DIAGONAL_35MM)
 
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
     """Return the focal length (pixels) recorded in the video or first picture; None without one."""
     found = in_pixels(recorded_35mm(source) or 0.0, size)
-    return found if found in PIXELS else None
+    return found if found in FOCAL_IN_PIXELS else None
 
 
 def recorded_35mm(source: Pictures) -> float | None:
     """Return the 35 mm focal length (mm) that the video or first picture records, if it does."""
     files, found = files_of(source), 0.0
     if files is None:
-        found = quicktime_numbers(source).get(_QUICKTIME, 0)
+        found = quicktime_numbers(source).get(_QUICKTIME_FOCAL, 0)
     else:
         with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):
-            found = float(image.getexif().get_ifd(_EXIF).get(_IN_35MM, 0))  # or readable without
-    return found if found in MILLIMETRES else None
+            found = float(
+                image.getexif().get_ifd(_EXIF_TAGS).get(_EXIF_FOCAL, 0)
+            )  # or readable without
+    return found if found in FOCAL_IN_35MM else None
 
 
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
@@ -153,8 +157,8 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
     except ValueError:
         number = 0.0
     found = in_pixels(number, size) if text.endswith("mm") else number
-    if found not in PIXELS:
-        raise InputError(f"prepare: --lens must be {EXPECTED}; got {text}")
+    if found not in FOCAL_IN_PIXELS:
+        raise InputError(f"prepare: --lens must be {EXPECTED_FOCAL}; got {text}")
     return found
 
 
@@ -246,9 +250,9 @@ def _value(data: bytes) -> float | None:
     """Return the number in a ``data`` box, after type and language; None without one."""
     kind, value = int.from_bytes(data[:4], "big"), data[8:]
     with suppress(ValueError, struct.error):
-        if kind in _SIGNED or kind in _UNSIGNED:
-            return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED))
-        if kind in _FLOATS:
-            return struct.unpack(_FLOATS[kind], value)[0]
-        return float(value) if kind == _TEXT else None
+        if kind in _SIGNED_TYPES or kind in _UNSIGNED_TYPES:
+            return float(int.from_bytes(value[:8], "big", signed=kind in _SIGNED_TYPES))
+        if kind in _FLOAT_TYPES:
+            return struct.unpack(_FLOAT_TYPES[kind], value)[0]
+        return float(value) if kind == _TEXT_TYPE else None
     return None

@@ -27,11 +27,11 @@ from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import read_array
 from gva_mi.subject.folder import array_or_picture
-from gva_mi.subject.pictures import VOID, read_image
+from gva_mi.subject.pictures import VOID_LABEL, read_image
 
-BARELY = 127  # 8-bit masks above this are inside
-_MOST = 64  # labels; more values are those of a soft and dim mask
-_NEARLY = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
+INSIDE_ABOVE = 127  # 8-bit masks above this are inside
+_LABEL_COUNT = 64  # labels; more values are those of a soft and dim mask
+_FULL_SHARE = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
@@ -106,12 +106,12 @@ def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
         if most > 1:
             full = max(full, 65535 if mask.dtype == np.uint16 and most > 255 else 255)
         counts = None if found is None else _whole_numbers(mask)
-        if full > 1 and most >= _NEARLY * full and not (counts and _drop_border(counts)):
+        if full > 1 and most >= _FULL_SHARE * full and not (counts and _drop_border(counts)):
             if mask.dtype == np.uint8 or full > 255:
                 return MaskMeaning(full)  # no later mask says more
             counts = None
         found = None if counts is None else found | set(counts)
-        found = None if found is None or len(found) > _MOST else found
+        found = None if found is None or len(found) > _LABEL_COUNT else found
     if full == 1 or found is None:
         return MaskMeaning(full)
     labels = tuple(sorted(found))
@@ -122,10 +122,10 @@ def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
 
 def _drop_border(counts: dict[int, int]) -> bool:
     """Remove the border's value from the counts of a drawing of labels; False if it is none."""
-    labels = [count for value, count in counts.items() if 0 < value <= BARELY]
-    if max(counts) != VOID or any(BARELY < value < VOID for value in counts):
+    labels = [count for value, count in counts.items() if 0 < value <= INSIDE_ABOVE]
+    if max(counts) != VOID_LABEL or any(INSIDE_ABOVE < value < VOID_LABEL for value in counts):
         return False
-    return sum(labels) > counts[VOID] and bool(counts.pop(VOID))
+    return sum(labels) > counts[VOID_LABEL] and bool(counts.pop(VOID_LABEL))
 
 
 def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
@@ -142,9 +142,9 @@ def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
 def require_person(where: str, counts: np.ndarray) -> None:
     """Refuse a video's masks if no pixel or every pixel is inside; ``counts`` (256,) per value."""
     values = np.flatnonzero(counts).tolist()
-    if not values or values[0] <= BARELY < values[-1]:
+    if not values or values[0] <= INSIDE_ABOVE < values[-1]:
         return
     what = f"no pixel of any mask is above half, the greatest value is {values[-1]}"
-    if values[0] > BARELY:
+    if values[0] > INSIDE_ABOVE:
         what = "all masks are full: opaque pictures, or masks of another video"
     raise InputError(f"{where}: {what}; expected 255 inside the person, and 0 outside")

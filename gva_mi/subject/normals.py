@@ -44,7 +44,10 @@ from gva_mi.subject.pictures import read_image
 Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
-SHORTEST, LONGEST = 0.2, 1.5  # lengths taken for a direction; black and white are 1.73 long
+SHORTEST_NORMAL, LONGEST_NORMAL = (
+    0.2,
+    1.5,
+)  # lengths taken for a direction; black and white are 1.73 long
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ class NormalMaps:
             seen = camera.cropped(columns.start, rows.start, len(columns), len(rows))
             normals = _turned(normals, seen, 1)
         square = _square_lengths(normals)
-        long = square > SHORTEST**2
+        long = square > SHORTEST_NORMAL**2
         return (normals * (long / np.sqrt(np.maximum(square, 1e-12)))).astype(np.float32)
 
     def check(self, index: int, camera: Camera) -> None:
@@ -137,7 +140,7 @@ def _directions(stored: np.ndarray) -> np.ndarray:
     else:
         normals = np.nan_to_num(stored.astype(np.float32))
     square = _square_lengths(normals)
-    return normals * ((square > SHORTEST**2) & (square < LONGEST**2))
+    return normals * ((square > SHORTEST_NORMAL**2) & (square < LONGEST_NORMAL**2))
 
 
 def _square_lengths(normals: np.ndarray) -> np.ndarray:

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
-FORMAT_OF = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
-FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
-VOID = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
-GREY = 32  # largest difference of a grey pixel's channels, after JPEG
+WRITTEN_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
+READ_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
+VOID_LABEL = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
+GREY_TOLERANCE = 32  # largest difference of a grey pixel's channels, after JPEG
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
@@ -77,7 +77,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked
-            with Image.open(path, formats=FORMATS) as image:
+            with Image.open(path, formats=READ_FORMATS) as image:
                 require_size(str(path), *image.size)
                 yield image
     except InputError:
@@ -105,7 +105,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
     from PIL import Image
 
     with atomic_write(path) as unfinished:
-        kind = FORMAT_OF[Path(path).suffix.lower()]
+        kind = WRITTEN_FORMATS[Path(path).suffix.lower()]
         # For a PNG a quarter of the usual level's time, for a tenth more bytes.
         Image.fromarray(in_8_bits(image)).save(unfinished, kind, compress_level=2)
 
@@ -168,7 +168,7 @@ def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
     if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
         return np.ascontiguousarray(pixels[..., 3])
     rgb = np.ascontiguousarray(pixels[..., :3])
-    if (np.ptp(rgb, axis=2) > GREY).any():
+    if (np.ptp(rgb, axis=2) > GREY_TOLERANCE).any():
         raise InputError(
             f"{where}: a mask in colours, such as a photograph or a drawing of labels, does not "
             "say what is inside; expected white before black, or alpha"
@@ -182,6 +182,6 @@ def _of_palette(image: Image.Image) -> np.ndarray:
     if (colors == colors[..., :1]).all():
         return np.ascontiguousarray(colors[..., 0])
     labels = np.array(image if image.mode == "P" else image.getchannel(0))
-    if (labels == VOID).any() and ((labels > 0) & (labels < VOID)).any():
-        labels[labels == VOID] = 0
+    if (labels == VOID_LABEL).any() and ((labels > 0) & (labels < VOID_LABEL)).any():
+        labels[labels == VOID_LABEL] = 0
     return labels

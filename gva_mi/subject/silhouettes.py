@@ -20,18 +20,24 @@ from gva_mi.splat import Camera
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
-SMALL = 192  # px, longer side of pictures that are rendered: a person of 1.8 m has 1 px a cm
-COARSE = 48  # px, likewise without rendering: vertices of a body are as dense
-FULL = 0.995  # of a mask: what is missing is noise of a file's compression
+RENDERED_SIDE = (
+    192  # px, longer side of pictures that are rendered: a person of 1.8 m has 1 px a cm
+)
+VERTEX_SIDE = 48  # px, likewise without rendering: vertices of a body are as dense
+FULL_MASK = 0.995  # of a mask: what is missing is noise of a file's compression
 # A person touches one side of the border, or two if head and feet are cut off; what is around the
 # person touches all four.
-AROUND = 0.5  # of the border
-COMPARED = 8  # frames of the sanity check
-FEWEST_INSIDE = 0.5  # of the joints in the picture; noise and loose clothes leave most in the masks
-LEAST_OVERLAP = 0.25  # IoU; wide clothes and occlusion leave more
-FEWEST_SEEN = 0.2  # of all joints are in the picture; head and shoulders are a third of them
-SHOWN, HEIGHT = 6, 360  # frames of the sheet, and their height in px
-GREEN = (0.1, 0.75, 0.35)  # of the masks, beside the body's orange
+INVERTED_BORDER = 0.5  # of the border
+COMPARED_FRAMES = 8  # frames of the sanity check
+LEAST_JOINTS_IN_MASKS = (
+    0.5  # of the joints in the picture; noise and loose clothes leave most in the masks
+)
+LEAST_IOU = 0.25  # IoU; wide clothes and occlusion leave more
+LEAST_JOINTS_IN_PICTURE = (
+    0.2  # of all joints are in the picture; head and shoulders are a third of them
+)
+SHEET_FRAMES, SHEET_HEIGHT = 6, 360  # frames of the sheet, and their height in px
+MASK_COLOR = (0.1, 0.75, 0.35)  # of the masks, beside the body's orange
 
 
 @dataclass(frozen=True)
@@ -59,14 +65,14 @@ def compare(
     from PIL import Image
 
     pose, camera, mask = frame
-    longer = COARSE if scene is None else SMALL
+    longer = VERTEX_SIDE if scene is None else RENDERED_SIDE
     scale = min(1.0, longer / max(camera.width, camera.height))
     size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     small = Image.fromarray(mask.astype(np.float32)).resize(size, Image.Resampling.BOX)
     inside, camera = np.asarray(small) > 0.5, camera.resized(*size)
-    full = bool(inside.mean() >= FULL)
+    full = bool(inside.mean() >= FULL_MASK)
     border = np.concatenate([inside[0], inside[-1], inside[:, 0], inside[:, -1]])
-    inverted = bool(border.mean() > AROUND) and not full
+    inverted = bool(border.mean() > INVERTED_BORDER) and not full
     inside, border = inside ^ inverted, border ^ inverted
     posed = body(pose, shape)
     joints = joints_seen(camera, posed.joints[0, : BODY.stop].double().numpy())
@@ -118,7 +124,7 @@ def count_in_mask(pixels: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
 def sanity_check(video: Video, body: BodyModel) -> str | None:
     """Return a warning if the video's body does not stand where its masks are, else None."""
     frames = [k for k in range(len(video)) if k not in video.absent]
-    outlines = video.outlines(spread(frames, COMPARED))
+    outlines = video.outlines(spread(frames, COMPARED_FRAMES))
     doubt = doubt_of(((x.pose, x.camera, x.mask) for x in outlines), video.shape, body)
     check = f"gva-mi check {video.folder} looks for the cause"
     return None if doubt is None else f"{video.folder}: {doubt}; {check}"
@@ -139,11 +145,11 @@ def doubt_of(
     both = np.mean([one.overlap for one in found])
     if inverted > 0.5:
         return f"doubtful: {inverted:.0%} of the masks show the background, expected the person"
-    if seen < FEWEST_SEEN * of:
+    if seen < LEAST_JOINTS_IN_PICTURE * of:
         figure = f"{seen / of:.0%} of the body's joints lie in the picture"
-    elif inside < FEWEST_INSIDE * seen:
+    elif inside < LEAST_JOINTS_IN_MASKS * seen:
         figure = f"{inside / seen:.0%} of the body's joints lie in the masks"
-    elif both < LEAST_OVERLAP:
+    elif both < LEAST_IOU:
         return f"doubtful: {both:.0%} of the body and of the masks is in both, expected half"
     else:
         return None
@@ -156,15 +162,15 @@ def draw_sheet(video: Video, body: BodyModel) -> np.ndarray:
     from PIL import Image
 
     scene, pictures = MeshScene(body.faces, body.v_template.float()), []
-    size = max(1, round(HEIGHT * video.size[0] / video.size[1])), HEIGHT
+    size = max(1, round(SHEET_HEIGHT * video.size[0] / video.size[1])), SHEET_HEIGHT
     there = [k for k in range(len(video)) if k not in video.absent]
-    for frame in video.frames(spread(there, SHOWN)):
+    for frame in video.frames(spread(there, SHEET_FRAMES)):
         image, mask = (
             np.asarray(Image.fromarray(x).resize(size, Image.Resampling.BILINEAR))
             for x in (np.round(frame.image * 255).astype(np.uint8), frame.mask)
         )
         vertices = body(frame.pose, video.shape).vertices[0].float()
         shown = scene.render(vertices, frame.camera.resized(*size)).numpy()[..., 3] > 0.5
-        marked = outlined(image.astype(np.float32) / 255, mask > 0.5, GREEN)
+        marked = outlined(image.astype(np.float32) / 255, mask > 0.5, MASK_COLOR)
         pictures.append(outlined(marked, shown, OUTLINE))
     return strip([pictures])

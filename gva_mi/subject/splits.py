@@ -23,7 +23,9 @@ from gva_mi.core.files import read_json
 from gva_mi.subject.folder import SPLITS
 
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
-ENOUGH = 16  # test frames of a video, and as many in its range: more tell little, and cost time
+TEST_FRAMES_LIMIT = (
+    16  # test frames of a video, and as many in its range: more tell little, and cost time
+)
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,10 @@ class Splits:
         The range lies in the middle of the second half, where a person who turns once shows a side
         that the first half has shown.
         """
-        count = min(max(1, frames // 10), ENOUGH)
+        count = min(max(1, frames // 10), TEST_FRAMES_LIMIT)
         first = min(frames - count, 3 * frames // 4 - count // 2)
         held_out = range(first, first + count)
-        step = max(TEST_EVERY, math.ceil(frames / ENOUGH))
+        step = max(TEST_EVERY, math.ceil(frames / TEST_FRAMES_LIMIT))
         return Splits._of(frames, {*range(step // 2, frames, step), *held_out}, held_out)
 
     @staticmethod

@@ -38,27 +38,27 @@ if TYPE_CHECKING:
 
 PQ, HLG, BT2020, UNTAGGED = 16, 18, 9, (0, 2)  # ITU-T H.273: transfers; primaries and matrix
 HDR = {PQ: "PQ", HLG: "HLG"}
-REFERENCE_WHITE, PEAK = 203.0, 1000.0  # cd/m²; the peak of a display that HLG is meant for
-KNEE = 0.7  # of eq. 1
-WIDE, TALL = 1280, 720  # pixels: an untagged video of this size is BT.709
+REFERENCE_WHITE, HLG_PEAK = 203.0, 1000.0  # cd/m²; the peak of a display that HLG is meant for
+HIGHLIGHT_KNEE = 0.7  # of eq. 1
+HD_WIDTH, HD_HEIGHT = 1280, 720  # pixels: an untagged video of this size is BT.709
 # Linear BT.2020 to linear BT.709, ITU-R BT.2087.
-FROM_2020 = np.array(
+BT2020_TO_BT709 = np.array(
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
 )
-LUMA_2020 = np.array([0.2627, 0.6780, 0.0593], np.float32)
-_WAYS = {  # of a video: codec, its pixels and options
+BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
+_ENCODINGS = {  # of a video: codec, its pixels and options
     # x264 writes its settings into the file, the number of threads among them: always use one.
     "lossless": ("libx264rgb", "rgb24", {"crf": "0", "preset": "veryfast", "threads": "1"}),
     # mbtree reads uninitialised memory: other bits in every run.
     "playable": ("libx264", "yuv420p", {"crf": "18", "threads": "1", "mbtree": "0"}),
 }
-KEPT = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
+KEPT_BYTES = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
 
 
 class VideoFile(Sequence[np.ndarray]):
     """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
-    def __init__(self, path: Path, kept: int = KEPT) -> None:
+    def __init__(self, path: Path, kept: int = KEPT_BYTES) -> None:
         """Decode the whole video once; ``kept`` bytes of decoded pictures may stay in memory."""
         self.path = Path(path)
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
@@ -257,7 +257,7 @@ def write_video(
     """
     import av
 
-    codec, pixels, options = _WAYS[way]
+    codec, pixels, options = _ENCODINGS[way]
     with (
         atomic_write(path) as unfinished,
         av.open(str(unfinished), "w", format="mp4") as container,
@@ -287,7 +287,10 @@ def rgb_of(
     wide_gamut = frame.color_primaries == BT2020
     matrix = None
     if frame.colorspace in UNTAGGED and not frame.format.is_rgb:
-        large = max(frame.width, frame.height) >= WIDE or min(frame.width, frame.height) >= TALL
+        large = (
+            max(frame.width, frame.height) >= HD_WIDTH
+            or min(frame.width, frame.height) >= HD_HEIGHT
+        )
         matrix = Colorspace.BT2020 if wide_gamut else Colorspace.ITU709 if large else None
     # More than 8 bits go by 16: the converter would cut them off, up to 2 levels too dark.
     deep = any(component.bits > 8 for component in frame.format.components)
@@ -301,12 +304,18 @@ def rgb_of(
     table, gamma = _light_of(frame.color_trc)
     light = table[pixels]
     if gamma != 1:  # HLG: a display's contrast depends on the luminance of the scene
-        light *= np.maximum(light @ LUMA_2020, 1e-6)[..., None] ** (gamma - 1)
-        light *= PEAK / REFERENCE_WHITE
-    light = np.maximum(light @ FROM_2020.T, 0)
+        light *= np.maximum(light @ BT2020_LUMA, 1e-6)[..., None] ** (gamma - 1)
+        light *= HLG_PEAK / REFERENCE_WHITE
+    light = np.maximum(light @ BT2020_TO_BT709.T, 0)
     if frame.color_trc in HDR:
-        most = np.maximum(light.max(axis=2), KNEE)
-        light *= ((KNEE + (KNEE - 1) * np.expm1((KNEE - most) / (1 - KNEE))) / most)[..., None]
+        most = np.maximum(light.max(axis=2), HIGHLIGHT_KNEE)
+        light *= (
+            (
+                HIGHLIGHT_KNEE
+                + (HIGHLIGHT_KNEE - 1) * np.expm1((HIGHLIGHT_KNEE - most) / (1 - HIGHLIGHT_KNEE))
+            )
+            / most
+        )[..., None]
     return _in_8_bits(True)[np.round(np.minimum(light, 1) * 65535).astype(np.uint16)]
 
 

@@ -48,7 +48,7 @@ from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.splat import Camera
 from gva_mi.subject.fingerprint import SYNTH, fingerprint, require_same_body
 from gva_mi.subject.folder import FRAMES, SPLITS, TRUTH, VIDEO, SubjectWriter
-from gva_mi.subject.ground_truth import BODY, load_ground_truth
+from gva_mi.subject.ground_truth import TRUE_BODY, load_ground_truth
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video_file import write_video
 from gva_mi.synthetic import motion
@@ -346,7 +346,7 @@ class _Recording:
         truth.cameras(cameras)
         truth.poses(pose, staging.subject.shape, stage=0)
         if staging.body is not self.fitted:
-            write_arrays(truth.folder / BODY, **staging.body.arrays())
+            write_arrays(truth.folder / TRUE_BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
         jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
         colors = list(self.render(jobs))

@@ -5,7 +5,14 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from gva_mi.matting.masks import video_masks
-from gva_mi.matting.odds import BRIGHTEST, CONTACT, DARKEST, MEAN, Shadows, log_odds
+from gva_mi.matting.odds import (
+    BRIGHTEST_SHADE,
+    DARKEST_SHADOW,
+    SHADOW_MEAN,
+    SHADOW_MEAN_AT_FEET,
+    Shadows,
+    log_odds,
+)
 from gva_mi.matting.plate import Plate
 from gva_mi.subject.pictures import read_image
 
@@ -72,12 +79,14 @@ def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_backgro
 
 @pytest.mark.parametrize("deep", [0.0, 0.7])
 def test_the_density_of_shadows_integrates_to_one(deep):
-    s = np.linspace(DARKEST, BRIGHTEST, 20_001)[None]
-    for height, mean in ((0.5, MEAN), (0.95, CONTACT)):
+    s = np.linspace(DARKEST_SHADOW, BRIGHTEST_SHADE, 20_001)[None]
+    for height, mean in ((0.5, SHADOW_MEAN), (0.95, SHADOW_MEAN_AT_FEET)):
         k = Shadows(deep, deep).density(s, np.array([height]))[0]
         darker = s[0] <= 1
         whole = np.trapezoid(k[darker], s[0][darker])
-        missing = (1 - deep) * np.exp((DARKEST - 1) / mean)  # the exponential's part below DARKEST
+        missing = (1 - deep) * np.exp(
+            (DARKEST_SHADOW - 1) / mean
+        )  # the exponential's part below DARKEST_SHADOW
         assert whole == pytest.approx(1 - missing, abs=1e-3)
 
 

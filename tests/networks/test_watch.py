@@ -6,14 +6,17 @@ from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.networks.body_landmarks import SeenBody, mean_of_passes
-from gva_mi.networks.watch import NAMES, watch_video
-from gva_mi.subject.landmarks import BODY, FACE
+from gva_mi.networks.watch import LANDMARK_NAMES, watch_video
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS
 
 pytest.importorskip("ai_edge_litert")
 JOINTS = ("shoulder", "elbow", "wrist", "knee", "ankle")
 SWAP = {"left": "right", "right": "left"}
-OTHER = [NAMES.index("_".join(SWAP.get(word, word) for word in name.split("_"))) for name in NAMES]
-_FACE = NAMES.index(FACE[0])
+OTHER = [
+    LANDMARK_NAMES.index("_".join(SWAP.get(word, word) for word in name.split("_")))
+    for name in LANDMARK_NAMES
+]
+_FACE = LANDMARK_NAMES.index(FACE_LANDMARKS[0])
 for one, other in (  # iBUG's numbers of points on the right and on the left
     *((17 + k, 26 - k) for k in range(5)), (31, 35), (32, 34), (36, 45), (37, 44), (38, 43),
     (39, 42), (40, 47), (41, 46), (48, 54), (49, 53), (50, 52), (59, 55), (58, 56), (60, 64),
@@ -21,8 +24,8 @@ for one, other in (  # iBUG's numbers of points on the right and on the left
 ):  # fmt: skip
     OTHER[_FACE + one - 17], OTHER[_FACE + other - 17] = _FACE + other - 17, _FACE + one - 17
 _LEG = ("knee", "ankle", "heel", "foot_index")
-TRUNK = [BODY.index(f"{side}_{part}") for part in ("shoulder", "hip") for side in SWAP]
-LEGS = [BODY.index(f"{side}_{part}") for part in _LEG for side in SWAP]
+TRUNK = [BODY_LANDMARKS.index(f"{side}_{part}") for part in ("shoulder", "hip") for side in SWAP]
+LEGS = [BODY_LANDMARKS.index(f"{side}_{part}") for part in _LEG for side in SWAP]
 GREY = np.full((600, 1000, 3), 180, np.uint8)
 
 
@@ -35,7 +38,7 @@ def watched(rendered_person):
 
 
 def at(watched, name, frame=1):
-    return watched.landmarks.pixels[frame, NAMES.index(name)]
+    return watched.landmarks.pixels[frame, LANDMARK_NAMES.index(name)]
 
 
 def test_landmarks_are_near_the_joints_and_hands_hang_on_their_wrists(watched, rendered_person):
@@ -124,7 +127,7 @@ def test_the_person_is_kept_while_another_one_walks_past_in_front(rendered_perso
         rendered_person.on(rendered_person.on(GREY, 260), left, (2, 0, 1)) for left in lefts
     ]
     found = watch_video(recording)
-    hips = found.landmarks.pixels[:, [NAMES.index(f"{s}_hip") for s in SWAP], 0].mean(1)
+    hips = found.landmarks.pixels[:, [LANDMARK_NAMES.index(f"{s}_hip") for s in SWAP], 0].mean(1)
     off = np.abs(hips - 260 - rendered_person.joints["pelvis"][0])
     assert np.nanmax(off) < 50 and np.isfinite(off).sum() >= 12
     assert np.isfinite(off[[0, 1, 2, -3, -2, -1]]).all()
@@ -143,7 +146,7 @@ def test_a_small_person_in_a_wide_picture_is_found(left, rendered_person):
     for side in ("left", "right"):
         for part in JOINTS:
             true = 0.3 * rendered_person.joints[f"{side}_{part}"] + (left, 500)
-            error = found.pixels[1, NAMES.index(f"{side}_{part}")] - true
+            error = found.pixels[1, LANDMARK_NAMES.index(f"{side}_{part}")] - true
             assert np.linalg.norm(error) < 0.05 * 150, (side, part)
 
 

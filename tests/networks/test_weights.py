@@ -25,7 +25,7 @@ def small_wheel(tmp_path, monkeypatch):
     files = {name: name.encode() for name in NAMES}
     folder = tmp_path / "wheels"
     folder.mkdir()
-    version = mediapipe.VERSION
+    version = mediapipe.MEDIAPIPE_VERSION
     path = folder / f"mediapipe-{version}-cp311-cp311-manylinux_2_28_x86_64.whl"
     about = f"mediapipe-{version}.dist-info"
     with zipfile.ZipFile(path, "w") as wheel:
@@ -49,9 +49,9 @@ def small_wheel(tmp_path, monkeypatch):
 def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
     small_wheel, tmp_path, monkeypatch
 ):
-    monkeypatch.delenv(mediapipe.FOLDER, raising=False)
+    monkeypatch.delenv(mediapipe.WEIGHTS_VARIABLE, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.VERSION}"
+    folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.MEDIAPIPE_VERSION}"
     assert weights_file(NAMES[0]) == folder / NAMES[0]
     assert {path.name for path in folder.iterdir()} == {*NAMES, "LICENSE", "NOTICE"}
     assert "Apache License" in (folder / "LICENSE").read_text()

@@ -7,10 +7,10 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.readers.keypoints import LAYOUTS, with_keypoints
-from gva_mi.subject.landmarks import BODY, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
 FRAMES = 6
-NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_points_lie_where_the_file_says(tmp_path, person, write, layout, hands):
     points, network = person
     write(tmp_path / "k", points)
     found, notes = with_keypoints(network, tmp_path / "k", range(FRAMES), 1.0)
-    body = [NAMES.index(name) for name in LAYOUTS[layout] if name in BODY]
+    body = [NAMES.index(name) for name in LAYOUTS[layout] if name in BODY_LANDMARKS]
     assert np.abs(found.pixels[:, body] - points[:, body]).max() < 1e-9
     assert (found.confidence[:, body] == 0.8).all() and not found.spread[:, body].any()
     wrists = [NAMES.index(name) for name in hand_names("right")]

@@ -20,7 +20,7 @@ from gva_mi.study.cases import (
     held_out,
     variants_named,
 )
-from gva_mi.subject.fingerprint import RECORDING
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.synthetic.error_models import ERROR_MODELS
 from gva_mi.synthetic.people import NAMED
 
@@ -43,7 +43,7 @@ def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
 @BOTH
 def test_cases_are_distinct(some):
     assert len({case.name for case in some}) == len({case.draw for case in some}) == len(some)
-    known = {*ERROR_MODELS, RECORDING}
+    known = {*ERROR_MODELS, VIDEO_KIND}
     assert all(case.take.subject in (None, *NAMED) and case.noise in known for case in some)
 
 
@@ -59,14 +59,14 @@ def test_limits_change_one_thing_of_one_video_at_a_time():
 
 def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
     families = Counter(case.kind_of_errors for case in HELD_OUT)
-    assert set(families) == {*ERROR_MODELS, NO_NORMALS, RECORDING}
+    assert set(families) == {*ERROR_MODELS, NO_NORMALS, VIDEO_KIND}
     assert set(families) - {case.kind_of_errors for case in TUNING} == {"shape", "focal", "normals"}
     takes = {case.take for case in HELD_OUT}
     assert {take.figure for take in takes} == {"own", "stretched", "anny"}
     assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}
     assert {take.outfit for take in takes} == {"own", "foreign"}
     assert any(take.bare for take in takes)
-    assert all(case.take.scene == "room" for case in HELD_OUT if case.noise == RECORDING)
+    assert all(case.take.scene == "room" for case in HELD_OUT if case.noise == VIDEO_KIND)
 
 
 @BOTH

@@ -41,7 +41,7 @@ from gva_mi.study.engine import (
 )
 from gva_mi.study.filmed import Filming, VideoOptions, height_of
 from gva_mi.subject.cameras import save_cameras
-from gva_mi.subject.fingerprint import RECORDING
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.ground_truth import load_ground_truth
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video import load_video
@@ -106,7 +106,7 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
     changed = [one != two for one, two in zip(filmed, recordings(), strict=True)]
-    assert changed == [case.noise == RECORDING for case in TUNING]
+    assert changed == [case.noise == VIDEO_KIND for case in TUNING]
 
 
 def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):

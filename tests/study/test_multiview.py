@@ -18,7 +18,7 @@ from gva_mi.study.multiview import (
     read_calibration,
     triangulate,
 )
-from gva_mi.subject.landmarks import BODY, Landmarks
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
 NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED]
@@ -110,14 +110,16 @@ def solved(cameras, built_in_body):
     pose, shape = Pose.rest(3), Shape(torch.zeros(10))
     pose.rotations[:, JOINTS.index("left_elbow"), 1] = torch.tensor([0.0, 0.5, 1.0])
     joints = built_in_body(pose, shape).joints.double().numpy()
-    X = np.full((3, len(BODY), 3), np.nan)
-    X[:, [BODY.index(name) for name in NAMES]] = joints[:, [JOINTS.index(name) for name in NAMES]]
+    X = np.full((3, len(BODY_LANDMARKS), 3), np.nan)
+    X[:, [BODY_LANDMARKS.index(name) for name in NAMES]] = joints[
+        :, [JOINTS.index(name) for name in NAMES]
+    ]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cameras[0].R, cameras[0].t
     camera = Camera.from_matrices(cameras[0].K, T, 320, 480)
-    local, one = cameras[0].place(X), np.ones((3, len(BODY)))
+    local, one = cameras[0].place(X), np.ones((3, len(BODY_LANDMARKS)))
     pixels = local[..., :2] / local[..., 2:] * 500 + [160, 240]
-    landmarks = Landmarks(BODY, pixels, one, one, 1.3 * local)
+    landmarks = Landmarks(BODY_LANDMARKS, pixels, one, one, 1.3 * local)
     return Stage1Solution(pose, shape, camera, 0.0), landmarks, X
 
 

@@ -108,11 +108,11 @@ def test_hdr_is_mapped_to_srgb(curve, transfer, name, tmp_path):
 
 def test_primaries_of_bt2020_become_those_of_srgb(tmp_path):
     """A red of sRGB, stored in BT.2020's primaries, comes back as itself; so does an SDR grey."""
-    from gva_mi.subject.video_file import FROM_2020
+    from gva_mi.subject.video_file import BT2020_TO_BT709
 
     decode = lambda v: np.where(v < 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
     encode = lambda v: np.where(v < 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
-    stored = encode(np.maximum(decode(COLORS / 255) @ np.linalg.inv(FROM_2020).T, 0))
+    stored = encode(np.maximum(decode(COLORS / 255) @ np.linalg.inv(BT2020_TO_BT709).T, 0))
     path = write(tmp_path / "a.mov", "libx265", stored, 2020, bits=10, transfer=14)
     assert np.abs(seen(path, 3) - COLORS).max() <= 4
-    assert np.allclose(FROM_2020.sum(1), 1, atol=1e-3)  # white stays white
+    assert np.allclose(BT2020_TO_BT709.sum(1), 1, atol=1e-3)  # white stays white

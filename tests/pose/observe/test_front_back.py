@@ -10,9 +10,9 @@ from gva_mi.body.pose import mirrored_name
 from gva_mi.networks.watch import WatchedVideo
 from gva_mi.observe.swaps import PARTS, with_backs
 from gva_mi.stage1 import prepare
-from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
-NAMES = (*BODY, *hand_names("left"), *hand_names("right"), *FACE)
+NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"), *FACE_LANDMARKS)
 N, FPS = 60, 30.0
 PLACES = {  # half the distance between left and right, and height, of a person of 400 pixels
     "shoulder": (45, 330), "elbow": (70, 260), "wrist": (90, 200), "hip": (30, 200),
@@ -35,7 +35,7 @@ def turning(rounds=1.0):
             pixels[:, at, 1] = 500 - high
     pixels += rng.normal(0, 3, pixels.shape)
     metric = rng.normal(0, 0.3, (N, len(NAMES), 3))
-    face = [NAMES.index(name) for name in FACE]
+    face = [NAMES.index(name) for name in FACE_LANDMARKS]
     hidden = np.flatnonzero(np.cos(turn) < 0.3)
     pixels[np.ix_(hidden, face)] = metric[np.ix_(hidden, face)] = np.nan
     confidence = rng.uniform(0.5, 1, pixels.shape[:2])
@@ -85,7 +85,7 @@ def test_the_face_tells_where_no_limb_jumps(fps):
 
 def test_a_video_that_never_shows_a_face_says_nothing_by_its_absence():
     true = turning(0.0)
-    true.pixels[:, [NAMES.index(name) for name in FACE]] = np.nan
+    true.pixels[:, [NAMES.index(name) for name in FACE_LANDMARKS]] = np.nan
     assert with_backs(true, FPS)[1] == []
 
 

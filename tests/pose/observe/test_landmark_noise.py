@@ -14,13 +14,15 @@ from gva_mi.observe.landmark_noise import (
     person_sizes,
 )
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.subject.landmarks import BODY, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
 
 @pytest.fixture(scope="module")
 def standing(built_in_body):
     """The built-in body from the front, 200 pixels a metre, in three frames."""
-    rig = LandmarkRig.of(built_in_body, (*BODY, *hand_names("left"), *hand_names("right")))
+    rig = LandmarkRig.of(
+        built_in_body, (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
+    )
     metric = (rig.rest * torch.tensor([1.0, -1, -1])).numpy()[None].repeat(3, 0)
     ones = np.ones(metric.shape[:2])
     return Landmarks(rig.names, 200 * metric[..., :2] + 300, ones, 0 * ones, metric)

@@ -5,9 +5,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.subject.landmarks import BODY, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, hand_names
 
-EVERY = (*BODY, *hand_names("left"), *hand_names("right"))
+EVERY = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Shape
 from gva_mi.observe.rig import HEAD_SPREAD, MEMORY, LandmarkRig, SeenLandmarks
-from gva_mi.subject.landmarks import BODY, FACE, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
-NAMES = (*BODY, *hand_names("left"), *hand_names("right"))
+NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
 FPS = 30.0
 SHAPE = Shape(torch.zeros(10))
 
@@ -72,11 +72,14 @@ def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
         rotations[:, 0] = torch.tensor(root)
         pose = replace(true_pose, rotations=rotations)
         plain = seen_of(body, pose, camera)
-        pixels, ones = np.zeros((len(pose), len(FACE), 2)), np.ones((len(pose), len(FACE)))
+        pixels, ones = (
+            np.zeros((len(pose), len(FACE_LANDMARKS), 2)),
+            np.ones((len(pose), len(FACE_LANDMARKS))),
+        )
         unknown = np.full((*ones.shape, 3), np.nan)
-        face = Landmarks(FACE, pixels, ones, 0 * ones, unknown)
+        face = Landmarks(FACE_LANDMARKS, pixels, ones, 0 * ones, unknown)
         both = Landmarks(
-            (*NAMES, *FACE),
+            (*NAMES, *FACE_LANDMARKS),
             *(
                 np.concatenate([getattr(x, name) for x in (plain, face)], 1)
                 for name in ("pixels", "confidence", "spread", "metric")

@@ -13,7 +13,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera, look_at
 from gva_mi.stage1.face import NO_FACE, FacePoints, with_face
 from gva_mi.stage1.solver import Stage1Solution
-from gva_mi.subject.landmarks import FACE, Landmarks
+from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 HEAD, JAW = JOINTS.index("head"), JOINTS.index("jaw")
 FRAMES, FPS, TALKS = 40, 20.0, 30  # the face is seen in the first frames only
@@ -52,7 +52,7 @@ def talk(built_in_body):
     places += np.random.default_rng(0).normal(0, 0.2, places.shape)
     places[TALKS:] = np.nan
     seen = np.isfinite(places[..., 0]).astype(float)
-    landmarks = Landmarks(FACE, places, seen, 0 * seen, np.full((*seen.shape, 3), np.nan))
+    landmarks = Landmarks(FACE_LANDMARKS, places, seen, 0 * seen, np.full((*seen.shape, 3), np.nan))
     given = Pose(true.rotations.clone(), true.transl, 0 * true.expression)
     given.rotations[:, JAW] = 0
     given.rotations[:, HEAD] += torch.tensor([0.12, -0.07, 0.02])
@@ -70,7 +70,9 @@ def mouth(pose, body):
     rotations = torch.zeros_like(pose.rotations)
     rotations[:, JAW] = pose.rotations[:, JAW]
     alone = Pose(rotations, 0 * pose.transl, pose.expression)
-    upper, lower = nearest_vertices(body)[[FACE.index("face_62"), FACE.index("face_66")]]
+    upper, lower = nearest_vertices(body)[
+        [FACE_LANDMARKS.index("face_62"), FACE_LANDMARKS.index("face_66")]
+    ]
     y = body(alone, Shape(torch.zeros(10))).vertices[..., 1]
     return y[:, upper] - y[:, lower] - (body.v_template[upper, 1] - body.v_template[lower, 1])
 
@@ -102,7 +104,7 @@ def test_without_a_face_the_body_s_solution_returns_and_nothing_jumps(talk, buil
 def test_a_video_without_a_face_and_a_body_without_one_stay_as_they_are(talk, built_in_body):
     nobody = replace(talk.landmarks, confidence=0 * talk.landmarks.confidence)
     assert with_face(talk.solved, nobody, built_in_body, FPS) == (talk.solved, [])
-    others = replace(talk.landmarks, names=tuple(f"x{name}" for name in FACE))
+    others = replace(talk.landmarks, names=tuple(f"x{name}" for name in FACE_LANDMARKS))
     assert with_face(talk.solved, others, built_in_body, FPS) == (talk.solved, [])
     plain = BodyModel(read_body(BUILT_IN_BODY) | {"num_expressions": np.array(0)})
     assert with_face(talk.solved, talk.landmarks, plain, FPS) == (talk.solved, [NO_FACE])

@@ -17,7 +17,7 @@ from gva_mi.prior.stature import Stature
 from gva_mi.splat import Camera, look_at
 from gva_mi.stage1.solver import KnownOfVideo, solve_stage1
 from gva_mi.stage1.upright import Vertical
-from gva_mi.subject.landmarks import BODY, Landmarks, hand_names
+from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
 LIMBS = slice(1, 22)  # joints of the body without the root
 FINGERS = slice(25, 55)
@@ -93,7 +93,7 @@ def mirrored(landmarks):
 
 def video_of(body, pose, shape, camera):
     """Project every landmark of a posed body; depths are damped and biased as a network's are."""
-    rig = LandmarkRig.of(body, (*BODY, *hand_names("left"), *hand_names("right")))
+    rig = LandmarkRig.of(body, (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right")))
     T_world_rest = body(pose, shape).T_world_rest
     places = rig.places(T_world_rest, shape.betas, 0 * rig.rest).double().numpy()
     T = camera.T_camera_world

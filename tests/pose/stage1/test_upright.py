@@ -7,7 +7,7 @@ from gva_mi.body.pose import JOINTS
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.stage1.evidence import PosedPoints, landmark_points
 from gva_mi.stage1.upright import AXES, MASSES, Leaning
-from gva_mi.subject.landmarks import BODY
+from gva_mi.subject.landmarks import BODY_LANDMARKS
 
 
 def axes_of(body, betas, turns):
@@ -17,7 +17,7 @@ def axes_of(body, betas, turns):
 
 def joints_of(body, betas, turns):
     """Return the joints that have mass (15, 3), metres."""
-    points = landmark_points(body, LandmarkRig.of(body, BODY), True)
+    points = landmark_points(body, LandmarkRig.of(body, BODY_LANDMARKS), True)
     rotations = torch.zeros(1, len(JOINTS), 3, dtype=torch.float64)
     for joint, turn in turns.items():
         rotations[0, JOINTS.index(joint)] = torch.tensor(turn).double()

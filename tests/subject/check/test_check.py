@@ -12,7 +12,7 @@ from samples.faults import FAULTS, longer, masks
 from gva_mi import InputError
 from gva_mi.mesh.overlay import OUTLINE
 from gva_mi.subject.check import check_subject
-from gva_mi.subject.silhouettes import GREEN, draw_sheet, sanity_check
+from gva_mi.subject.silhouettes import MASK_COLOR, draw_sheet, sanity_check
 from gva_mi.subject.video import load_video
 
 QUICK = {  # one of each kind
@@ -90,7 +90,7 @@ def test_the_command_prints_writes_and_ends_with_its_code(subject, cli):
 
 def test_the_sheet_shows_both_outlines(whole, built_in_body):
     sheet = draw_sheet(load_video(whole), built_in_body)
-    for color in (GREEN, OUTLINE):
+    for color in (MASK_COLOR, OUTLINE):
         assert (np.abs(sheet - np.float32(color)).max(-1) < 1e-3).sum() > 200
 
 

@@ -15,6 +15,8 @@ Gloss, which moves with the camera, is left out; ``color="view"`` is as in 3D Ga
 
 An avatar file holds all that is needed to drive it: skeleton and surface of the rest body are
 copied from the body model. :mod:`gva_mi.avatar.without_body` writes one without them.
+
+Sources: eq. 1-3 are Sec. 4.1 of the paper (Eq. 5 and 6); what depends on the light is ours.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from gva_mi.avatar.canonical import (
 )
 from gva_mi.avatar.lbs_reference import lbs_transforms, lit
 from gva_mi.avatar.residual import PoseResidual, ResidualOptions
-from gva_mi.avatar.rig import RIG, Rig, Skin, SkinningOptions, moved_by
+from gva_mi.avatar.rig import RIG_TENSORS, Rig, Skin, SkinningOptions, moved_by
 from gva_mi.avatar.skin_gaussians import light_vector, skin_gaussians
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.polar import apply_lbs
@@ -52,12 +54,17 @@ from gva_mi.splat.gaussians import Gaussians
 FORMAT = "gva_mi avatar, version 5"
 AVATAR_FILE = "an avatar of this version, as `fit` saves it"  # for errors
 SKIN_ARRAYS = ("vertices", "weights", "beneath")  # of an outer skin; its directions are the rig's
-_LIGHT = (0.6, 0.6, 0.6)  # at the start: along no axis that a person turns about
+_FIRST_LIGHT = (0.6, 0.6, 0.6)  # before it is learned; chosen: no axis that a person turns about
 
 
 @dataclass(frozen=True)
 class AvatarOptions:
-    """Options of a new avatar."""
+    """Options of a new avatar.
+
+    Example:
+        >>> AvatarOptions(SeedOptions(count=5000), stretch=False).seed.count
+        5000
+    """
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
@@ -72,7 +79,7 @@ class AvatarOptions:
 
 @dataclass(frozen=True)
 class PosedSkeleton:
-    """Blend shapes and joints in one pose."""
+    """Blend shapes and joints in one pose, from :meth:`Avatar.posed_skeleton`."""
 
     coefficients: Tensor  # (P + E,) c of eq. 1
     joints: Tensor  # (55, 3) metres, at rest, moved by the expression
@@ -81,7 +88,7 @@ class PosedSkeleton:
 
 @dataclass(frozen=True)
 class Animated:
-    """An avatar in one pose."""
+    """An avatar in one pose, from :meth:`Avatar.animate`."""
 
     gaussians: Gaussians  # in the world
     residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small
@@ -97,6 +104,23 @@ class Avatar(nn.Module):
         options: those it was made with.
         rig: the rest body under it, constant.
         skin: the outer surface that Gaussians take their skinning weights from.
+
+    Example:
+        An avatar of 500 Gaussians in the T-pose, one metre up, and from a file.
+
+        >>> import tempfile
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> up = Pose(torch.zeros(1, 55, 3), torch.tensor([[0.0, 1, 0]]), torch.zeros(1, 10))
+        >>> moved = avatar(up).means - avatar(Pose.rest()).means
+        >>> moved.detach().mean(0).round(decimals=3).abs()
+        tensor([0., 1., 0.])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     avatar.save(Path(folder) / "avatar.npz")
+        ...     loaded = Avatar.load(Path(folder) / "avatar.npz")
+        >>> torch.equal(loaded(up).means, avatar(up).means)
+        True
     """
 
     def __init__(
@@ -110,18 +134,18 @@ class Avatar(nn.Module):
         super().__init__()
         self.canonical, self.residual, self.options = canonical, residual, options
         self._parents, self._body = rig.parents, rig.body
-        for name in RIG:
+        for name in RIG_TENSORS:
             self.register_buffer(f"rest_{name}", getattr(rig, name).detach().clone())
         self.set_skin_weights(skin)
         at_rest = torch.zeros(len(rig.parents), 1, dtype=torch.bool)
         at_rest[LEFT_HAND] = at_rest[RIGHT_HAND] = not options.hands
         self.register_buffer("_joints_at_rest", at_rest, persistent=False)
-        self.light = nn.Parameter(torch.tensor(_LIGHT, dtype=rig.joints.dtype))
+        self.light = nn.Parameter(torch.tensor(_FIRST_LIGHT, dtype=rig.joints.dtype))
 
     @property
     def rig(self) -> Rig:
         """The rest body, in the precision of the avatar."""
-        tensors = {name: getattr(self, f"rest_{name}") for name in RIG}
+        tensors = {name: getattr(self, f"rest_{name}") for name in RIG_TENSORS}
         return Rig(parents=self._parents, body=self._body, **tensors)
 
     @property
@@ -150,7 +174,7 @@ class Avatar(nn.Module):
 
         Args:
             pose: one frame. Expression coefficients that the body does not have are ignored.
-            sh: colours of the Gaussians, in the shape of ``canonical.sh``; None: those.
+            sh: colours of the Gaussians, in the shape of ``canonical.sh``, which None stands for.
 
         Returns:
             Differentiable in all parameters, in the pose, and in the colours.
@@ -164,8 +188,9 @@ class Avatar(nn.Module):
         means = G.means + G.moved_by(skeleton.coefficients) + residual
         T = skeleton.T_world_rest
         if self.options.stretch:
-            own = means, G.quats, G.scales, sh, self.light
-            means, covars, lit_sh = skin_gaussians(G.sparse_weights, T, *own)
+            means, covars, lit_sh = skin_gaussians(
+                G.sparse_weights, T, means, G.quats, G.scales, sh, self.light
+            )
             quats = scales = None
         else:
             A, _ = lbs_transforms(G.sparse_weights, T[:, :3].flatten(1), means)
@@ -220,7 +245,7 @@ class Avatar(nn.Module):
         options = from_json(AvatarOptions, described["options"])
         state = {k: v for k, v in record.items() if k not in ("format", "description")}
         require_valid(state, described["parents"])
-        tensors = {name: state[f"rest_{name}"] for name in RIG}
+        tensors = {name: state[f"rest_{name}"] for name in RIG_TENSORS}
         rig = Rig(parents=tuple(described["parents"]), body=described["body"], **tensors)
         arrays = (state[f"skin_{name}"] for name in SKIN_ARRAYS)
         skin = Skin(*arrays, rig.directions, options.skinning)
@@ -267,6 +292,14 @@ def seed_avatar(
         options: of the avatar.
         generator: draws the first weights of the residual.
         colors: (V, 3) linear, of the vertices; None: grey.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> gaussians = avatar(Pose.rest())  # in the T-pose, ready for gva_mi.splat.render
+        >>> len(gaussians), avatar.rig.vertices.shape
+        (500, torch.Size([10989, 3]))
     """
     with torch.no_grad():
         rig = Rig.of(body, shape, offsets)
@@ -279,25 +312,40 @@ def seed_avatar(
     return Avatar(canonical, residual, rig, skin, options)
 
 
-TEXTS = {"format", "description"}  # arrays of an avatar's file
-WHOLE = {"rest_faces", "rest_pose_features", "skin_beneath", "beneath"}
-LARGEST, LARGEST_LOG = 1e6, 20  # of any number; of the logarithm of metres
-SUM = 0.01  # tolerance of a vertex's sum of skinning weights, and of a negative one
+TEXT_ARRAYS = {"format", "description"}  # of an avatar's file
+WHOLE_NUMBER_ARRAYS = {"rest_faces", "rest_pose_features", "skin_beneath", "beneath"}
+LARGEST_NUMBER = 1e6  # in a file; chosen: far beyond metres, angles and logits of any avatar
+LARGEST_LOG_SCALE = 20  # logarithm of metres; chosen: its exponential is finite in float32
+WEIGHT_TOLERANCE = (
+    0.01  # of a vertex's sum of skinning weights, and below zero; chosen as in bodies
+)
 
 
 def tensors_of(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
-    """Return the arrays of a file as float32, or as whole numbers, without its texts."""
+    """Return the arrays of a file as float32, or as whole numbers, without its texts.
+
+    Example:
+        >>> arrays = {"light": np.zeros(3), "format": np.array(FORMAT)}
+        >>> tensors_of(Path("avatar.npz"), arrays)
+        {'light': tensor([0., 0., 0.])}
+    """
     tensors = {}
     for name, array in arrays.items():
-        if name not in TEXTS:
-            kind, dtype = ("iu", np.int64) if name in WHOLE else ("f", np.float32)
+        if name not in TEXT_ARRAYS:
+            kind, dtype = ("iu", np.int64) if name in WHOLE_NUMBER_ARRAYS else ("f", np.float32)
             array = require_array(path, name, array, kind=kind).astype(dtype, copy=False)
             tensors[name] = torch.from_numpy(array)
     return tensors
 
 
 def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
-    """Raise a ValueError unless a state has the names and shapes of an avatar's ``own``."""
+    """Raise a ValueError unless a state has the names and shapes of an avatar's ``own``.
+
+    Example:
+        >>> require_same_form({}, {"light": torch.zeros(3)})
+        Traceback (most recent call last):
+        ValueError: 'light' is missing
+    """
     for name in sorted(state.keys() ^ own.keys()):
         raise ValueError(f"'{name}' is {'missing' if name in own else 'unknown'}")
     for name, x in own.items():
@@ -306,13 +354,18 @@ def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) ->
 
 
 def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
-    """Refuse tensors of an avatar's record with numbers that would fail later, or draw nothing.
+    """Refuse tensors of an avatar's record whose numbers would fail later, or draw nothing.
 
     Raises:
         ValueError: names the first thing that is wrong.
+
+    Example:
+        >>> require_valid({"light": torch.tensor([0, 0, torch.inf])}, parents=[-1])
+        Traceback (most recent call last):
+        ValueError: 'light' must hold finite numbers of at most 1,000,000.0
     """
     for name, x in state.items():
-        largest = LARGEST_LOG if name == "canonical.log_scales" else LARGEST
+        largest = LARGEST_LOG_SCALE if name == "canonical.log_scales" else LARGEST_NUMBER
         if x.is_complex() or x.is_floating_point() and not (x.abs() <= largest).all():
             raise ValueError(f"'{name}' must hold finite numbers of at most {largest:,}")
     J, V, N = len(JOINTS), len(state["rest_vertices"]), len(state["canonical.means"])
@@ -336,7 +389,7 @@ def require_valid(state: Mapping[str, Tensor], parents: Sequence[int]) -> None:
         if numbers.is_floating_point() or outside:
             raise ValueError(f"'{name}' must be whole numbers from 0 to {end - 1}")
     weights = state["rest_weights"]
-    if weights.min() < -SUM or ((weights.sum(1) - 1).abs() > SUM).any():
+    if weights.min() < -WEIGHT_TOLERANCE or ((weights.sum(1) - 1).abs() > WEIGHT_TOLERANCE).any():
         raise ValueError("'rest_weights' must be shares that sum to 1 for each vertex")
     before = all(type(p) is int and 0 <= p < k for k, p in enumerate(parents[1:], 1))
     if len(parents) != J or parents[0] != -1 or not before:

@@ -1,4 +1,4 @@
-"""Adaptive density control: clone, split and prune Gaussians, as 3DGS does, in the rest pose.
+"""Adaptive density control: clone, split and prune Gaussians in the rest pose, as 3DGS does.
 
 1. g_i     mean, over the views that show Gaussian i, of |dL/d(u, v)|; the unit is half the side of
            a square as large as the person's box, whatever the size of the picture
@@ -8,6 +8,9 @@
 
 New Gaussians inherit the skinning weights of their parent, since they lie within its extent and the
 fit binds them again from time to time. Adam's moments follow their rows; new rows start at zero.
+
+Source: 3D Gaussian splatting (Kerbl et al., 2023, Sec. 5.2), with thresholds as in GART (Lei et
+al., "GART: Gaussian Articulated Template Models", 2024).
 """
 
 from __future__ import annotations
@@ -23,14 +26,19 @@ from gva_mi.avatar.canonical import BINDING, PARAMETERS, CanonicalGaussians, rot
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.splat import Screen
 
-SPLIT_SHRINK = 1.6  # the two halves of a split are so much smaller: that of 3DGS
-MIN_OPACITY = 0.05  # below it a Gaussian is removed
-MAX_SCALE = 0.1  # metres; above it a Gaussian is removed
+SPLIT_SHRINK = 1.6  # the two halves of a split are so much smaller, as in 3DGS
+MIN_OPACITY = 0.05  # below it a Gaussian is removed; chosen; 3DGS has 0.005
+MAX_SCALE = 0.1  # metres; above it a Gaussian is removed; chosen: larger than any part of a person
 
 
 @options_of("fit")
 class DensifyOptions:
-    """Thresholds of density control. Defaults are those of 3DGS and GART."""
+    """Thresholds of density control. Defaults follow 3DGS and GART.
+
+    Example:
+        >>> DensifyOptions().grad_threshold
+        0.0002
+    """
 
     # Of g: loss per half person, mean over the views that saw it.
     grad_threshold: PythonOnly[Annotated[float, Within(0, 1e6)]] = 2e-4
@@ -43,7 +51,19 @@ class DensifyOptions:
 class ScreenGradients:
     """Sum over views of the length of the loss's gradient by each Gaussian's screen position.
 
-    ``total`` (N,) is that sum, per half person, ``views`` (N,) how many views showed a Gaussian.
+    ``total`` (N,) is the sum, per half person, and ``views`` (N,) counts the views that showed a
+    Gaussian.
+
+    Example:
+        Two Gaussians in a box of 100 × 100 pixels; the view shows only the first.
+
+        >>> from types import SimpleNamespace
+        >>> grad, visible = torch.tensor([[3e-4, 4e-4], [0, 0]]), torch.tensor([True, False])
+        >>> screen = SimpleNamespace(grad=grad, visible=visible)  # as render fills a Screen
+        >>> gradients = ScreenGradients(count=2)
+        >>> gradients.add(screen, area=100 * 100)
+        >>> gradients.mean()
+        tensor([0.0250, 0.0000])
     """
 
     def __init__(self, count: int) -> None:
@@ -52,7 +72,7 @@ class ScreenGradients:
 
     @torch.no_grad()
     def add(self, screen: Screen, area: float) -> None:
-        """Add one view after its backward pass, in which the person's box has so many pixels."""
+        """Add one view after its backward pass; ``area`` is the person's box in it, pixels."""
         self.total += (area**0.5 / 2 * screen.grad.norm(dim=1)).to(self.total.dtype)
         self.views += screen.visible
 
@@ -70,8 +90,23 @@ def densify(
 ) -> None:
     """Run one round of density control; replaces ``avatar.canonical`` and the optimiser's state.
 
-    The gradients are those of all views since the last round; start new ones afterwards. The
-    generator draws the places of the halves of a split.
+    The gradients have all views since the last round; start new ones afterwards. The generator
+    draws the places of the halves of a split.
+
+    Example:
+        Ten of 500 Gaussians have a large gradient, and are cloned or split.
+
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> optimizer = torch.optim.Adam(avatar.canonical.parameters())
+        >>> gradients = ScreenGradients(count=500)
+        >>> gradients.total[:10], gradients.views[:] = 1, 1
+        >>> densify(avatar, optimizer, gradients, generator=torch.manual_seed(0))
+        >>> len(avatar.canonical)
+        510
     """
     G = avatar.canonical
     with torch.no_grad():
@@ -107,10 +142,11 @@ def replace_gaussians(
     parents: Tensor | None = None,
     inherited: int = 0,
 ) -> None:
-    """Put other Gaussians into an avatar, and into its optimiser in the place of the old ones.
+    """Replace the Gaussians of an avatar and of its optimiser.
 
     ``parents`` (N,) are the old rows of the new ones; None: Adam starts afresh. The first
     ``inherited`` rows keep the moments of their parents; the others start with zero moments.
+    :func:`densify` has an example.
     """
     old = avatar.canonical
     for name in PARAMETERS:

@@ -36,7 +36,7 @@ from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import (
-    FEWEST,
+    FEWEST_GAUSSIANS,
     CanonicalGaussians,
     Count,
     disc_log_scales,
@@ -120,7 +120,7 @@ def reinitialise(
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
     solid = torch.nonzero(G.opacities.detach() > OPAQUE).flatten()
-    if len(solid) <= max(FLOATER_NEIGHBOURS, FEWEST):
+    if len(solid) <= max(FLOATER_NEIGHBOURS, FEWEST_GAUSSIANS):
         return None
     means = G.means.detach()[solid].double().numpy()
     rig = avatar.rig

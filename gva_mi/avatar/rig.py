@@ -235,7 +235,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr
     return np.maximum(share, 1e-12), (diags_array(edges.sum(1)) - edges).tocsr()
 
 
-RIG = (  # the tensors of a Rig
+RIG_TENSORS = (  # the tensors of a Rig
     "joints", "vertices", "faces", "weights", "looseness", "directions", "pose_features",
     "expression_joints", "betas",
 )  # fmt: skip

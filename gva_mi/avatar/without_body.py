@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import FORMAT, SKIN_ARRAYS, Avatar, AvatarOptions, tensors_of
-from gva_mi.avatar.rig import RIG, Rig, digest, mean_directions
+from gva_mi.avatar.rig import RIG_TENSORS, Rig, digest, mean_directions
 from gva_mi.body.pose import Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
@@ -102,7 +102,7 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         shares, beneath = record.pop("shares"), record.pop("beneath")
         rig = Rig.of(body, Shape(record.pop("betas")), record.pop("offsets"))
         record[DIRECTIONS] = mean_directions(shares, beneath, rig.directions)
-        record |= {f"rest_{key}": getattr(rig, key) for key in RIG}
+        record |= {f"rest_{key}": getattr(rig, key) for key in RIG_TENSORS}
         skin = rig.outer_skin(from_json(AvatarOptions, described["options"]).skinning)
         record |= {f"skin_{key}": getattr(skin, key) for key in SKIN_ARRAYS}
         described["body"] = rig.body

@@ -3,12 +3,16 @@
     phenotypes → rest surfaces of 64 people → T-pose → PCA → 10 betas
     52 facial actions → PCA → 10 expressions;    163 bones → 55 joints
 
-Only Anny's own topology is used, because those named after SMPL and SMPL-X would download data
-under a non-commercial licence. There are no pose correctives. Anny's z axis is up; here y is up.
+Only Anny's own topology is used, because the topologies named after SMPL and SMPL-X would download
+data under a non-commercial licence. There are no pose correctives. Anny's z axis is up; here y is
+up.
 
 Anny's rest pose has the arms obliquely down. :func:`_t_pose` rotates the bones of arms and hands
 until the arms point sideways, palms down, fingers straight and nearly parallel, and skins the
 surface, so that the zero pose means the same as in SMPL-X.
+
+Source: Brégier et al., "Human Mesh Modeling for Anny Body", 2026, and its package ``anny``. The
+shape space, the regressor and the T-pose are made here.
 """
 
 from __future__ import annotations
@@ -30,20 +34,22 @@ if TYPE_CHECKING:
     from anny import Anny
 
 FILE = "anny_0.6_v1.npz"  # change the name when the result changes
-_PEOPLE, _SEED = 64, 0  # number of people in the shape space, and their seed
-_COUNT = 10  # betas, and expressions
-_NEAREST = 120  # vertices that regress a joint
-_RIDGE = 1e-3  # ridge weight of this regression
+# People in the shape space, and their seed. Chosen: several times as many as there are betas.
+_SAMPLED_PEOPLE, _SEED = 64, 0
+_COEFFICIENTS = 10  # betas, and expressions: as in SMPL-X's files of version 1.0
+_REGRESSING_VERTICES = 120  # the nearest to a joint, which regress it; chosen: all around a limb
+_RIDGE = 1e-3  # m², ridge weight of this regression; chosen: weights stay small
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 _DIGITS = {"thumb": 1, "index": 2, "middle": 3, "ring": 4, "pinky": 5}
-_SPREAD = 0.35  # fraction of the fingers' spread that is kept in the T-pose
+# Fraction of the fingers' spread that is kept in the T-pose. Chosen: nearly parallel, as in SMPL-X.
+_KEPT_SPREAD = 0.35
 
 
 def anny_body(cache: Path | None = None) -> Path:
     """Return the body's file in a cache folder; the first call builds it, in about a minute.
 
     Raises:
-        InputError: it is not built yet and the package is missing.
+        InputError: the file is not built yet, and the package is not installed.
     """
     if cache is None:
         cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "gva_mi"
@@ -57,7 +63,7 @@ def anny_body(cache: Path | None = None) -> Path:
 
 
 def build_anny() -> dict[str, np.ndarray]:
-    """Build Anny as the arrays of an SMPL-X file."""
+    """Build Anny as the arrays of an SMPL-X file; :func:`anny_body` keeps them in a file."""
     try:
         import anny
     except ImportError as error:
@@ -106,7 +112,7 @@ class _Source:
         """Draw the phenotypes of the adults of the shape space."""
         rng = np.random.default_rng(_SEED)
         found = []
-        for _ in range(_PEOPLE):
+        for _ in range(_SAMPLED_PEOPLE):
             person = {k: float(rng.uniform(0.15, 0.85)) for k in self._model.phenotype_labels}
             person["age"], person["gender"] = float(rng.uniform(0.6, 0.8)), float(rng.uniform(0, 1))
             found.append(person)
@@ -195,7 +201,7 @@ class _Source:
             last = self._weights[:, self._bones[f"finger{digit}-3.{letter}"]] > 0.9
             chain.append(vertices[last].mean(0))  # approximates the tip
             fan = palm @ (chain[0] - at("wrist"))
-            straight, above = np.array([fan[0], 0, _SPREAD * fan[2]]), palm
+            straight, above = np.array([fan[0], 0, _KEPT_SPREAD * fan[2]]), palm
             for k in range(3):
                 above = _between(above @ (chain[k + 1] - chain[k]), straight) @ above
                 turned[f"finger{digit}-{k + 1}"] = above
@@ -223,8 +229,8 @@ def _components(samples: np.ndarray, *, centred: bool = False) -> np.ndarray:
     """Return principal directions (V, 3, 10) of samples (N, V, 3), as standard deviations."""
     flat = samples.reshape(len(samples), -1)
     _, s, rows = np.linalg.svd(flat if centred else flat - flat.mean(0), full_matrices=False)
-    rows = rows[:_COUNT] * (s[:_COUNT, None] / np.sqrt(len(flat)))
-    directions = rows.reshape(_COUNT, -1, 3).transpose(1, 2, 0)
+    rows = rows[:_COEFFICIENTS] * (s[:_COEFFICIENTS, None] / np.sqrt(len(flat)))
+    directions = rows.reshape(_COEFFICIENTS, -1, 3).transpose(1, 2, 0)
     # The sign is arbitrary: positive is taller.
     return directions * np.where(directions[:, 1].sum(0) < 0, -1, 1)
 
@@ -234,13 +240,13 @@ def _regressor(surfaces: np.ndarray, joints: np.ndarray) -> np.ndarray:
     regressor = np.zeros((len(JOINTS), surfaces.shape[1]))
     for j in range(len(JOINTS)):
         distance = ((surfaces[0] - joints[0, j]) ** 2).sum(1)
-        near = np.argsort(distance, kind="stable")[:_NEAREST]
-        A = surfaces[:, near].transpose(0, 2, 1).reshape(-1, _NEAREST)
+        near = np.argsort(distance, kind="stable")[:_REGRESSING_VERTICES]
+        A = surfaces[:, near].transpose(0, 2, 1).reshape(-1, _REGRESSING_VERTICES)
         mean = A.mean(1, keepdims=True)
         A = A - mean  # solve for differences from equal weights, so that rows sum to 1
-        normal = A.T @ A + _RIDGE * np.eye(_NEAREST)
+        normal = A.T @ A + _RIDGE * np.eye(_REGRESSING_VERTICES)
         change = np.linalg.solve(normal, A.T @ (joints[:, j].reshape(-1) - mean[:, 0]))
-        regressor[j, near] = 1 / _NEAREST + change - change.mean()
+        regressor[j, near] = 1 / _REGRESSING_VERTICES + change - change.mean()
     return regressor
 
 

@@ -15,8 +15,8 @@ lmk_faces_idx       (51,)                                triangles with landmark
 lmk_bary_coords     (51, 3)                              where on them; optional
 ==================  ===================================  ======================================
 
-J is 55, 52 or 24; SMPL has no hands. Only importers use mean hands
-(data/importers/track.py), because poses here are relative to the flat hand.
+J is 55, 52 or 24; SMPL has no hands. Only the readers of other programs' files use mean hands
+(:mod:`gva_mi.readers.track`), because poses here are relative to the flat hand.
 
 SMPL-X files with 400 directions or more hold 300 betas, then expressions (version 1.1); with fewer,
 10 betas and up to 10 expressions (1.0). In the older formats all directions are betas.
@@ -42,6 +42,9 @@ scratch, as a smooth union of simple solids, by ``python -m tools.body_generator
 * 11,000 vertices, watertight, connected, symmetric; denser at hands, face and toes.
 * 1.77 m tall; the pelvis at the origin, y up, facing +z, the left hand toward +x.
 * Separate fingers, a mouth that opens with the jaw, eyes that turn, pose correctives.
+
+Sources of the formats: SMPL (Loper et al., 2015), SMPL+H (Romero, Tzionas and Black, "Embodied
+Hands", 2017), SMPL-X (Pavlakos et al., 2019), as the package ``smplx`` reads them.
 """
 
 from __future__ import annotations
@@ -59,7 +62,7 @@ from gva_mi.core.options import Within
 from gva_mi.core.pickles import read_objects
 
 BUILT_IN_BODY = Path(__file__).with_name("built_in.npz")
-# Its coefficients; one unit is a clear but common deviation (height: 4 %).
+# Coefficients of the built-in body; one unit is a clear but common deviation (height: 4 %).
 SHAPES = (
     "height", "weight", "leg length", "arm length", "shoulder width", "hip width", "chest", "belly",
     "muscles", "size of the head",
@@ -68,11 +71,15 @@ EXPRESSIONS = (
     "mouth open", "smile", "corners of the mouth down", "lips pushed out", "brows up", "brows down",
     "blink", "cheeks blown", "upper lip up", "mouth to the left",
 )  # fmt: skip
-LICENSED = "https://smpl-x.is.tue.mpg.de"
-LARGEST = 1e9  # absolute value of any number in a body file
-LONGEST_SIDES = Within(0.01, 100)  # metres, longest side of the box around the mean person
-FEWEST_SHARED = 0.8  # fraction of edges that belong to two triangles
-_ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned integer
+SMPLX_SITE = "https://smpl-x.is.tue.mpg.de"
+# Largest absolute value in a body file. Chosen: far beyond any body, and its square is finite.
+LARGEST_NUMBER = 1e9
+# Metres, longest side of the box around the mean person. Chosen: it refuses files in millimetres.
+PERSON_SIZES = Within(0.01, 100)
+# Fraction of edges that belong to two triangles. Chosen: a body's borders, as at eyes, are few.
+LEAST_SHARED_EDGES = 0.8
+WEIGHTS_SUM_TOLERANCE = 1e-2  # of a vertex's skinning weights; chosen: files may be rounded
+_ROOT = 4294967295  # the root's parent in the files: -1 as an unsigned 32-bit integer
 _SKIN = (
     "v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table",
 )  # fmt: skip
@@ -85,7 +92,12 @@ _MITTENS = (JOINTS.index("left_middle1"), JOINTS.index("right_middle1"))
 
 @dataclass(frozen=True)
 class BodyFormat:
-    """A body format, defined by its joints."""
+    """A body format, defined by its joints.
+
+    Example:
+        >>> SMPL.parents[:4], len(SMPLH.joints), len(SMPLX.joints)
+        ((-1, 0, 0, 0), 52, 55)
+    """
 
     name: str
     joints: tuple[int, ...]  # their indices among SMPL-X's 55
@@ -105,13 +117,22 @@ FORMATS = {len(f.joints): f for f in (SMPL, SMPLH, SMPLX)}
 
 
 def read_body(path: Path) -> dict[str, np.ndarray]:
-    """Read the arrays of a body file, on SMPL-X's 55 joints, with the numbers of shape directions
-    that are betas and expressions, ``num_betas`` and ``num_expressions``.
+    """Read the arrays of a body file, on SMPL-X's 55 joints.
+
+    ``num_betas`` and ``num_expressions`` are added: how many shape directions are betas, and how
+    many are expressions.
 
     The built-in body is read and checked once a process. Its arrays are shared: do not change them.
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.
+
+    Example:
+        >>> arrays = read_body(BUILT_IN_BODY)
+        >>> arrays["v_template"].shape, arrays["f"].shape, arrays["weights"].shape
+        ((10989, 3), (21974, 3), (10989, 55))
+        >>> int(arrays["num_betas"]), int(arrays["num_expressions"])
+        (10, 10)
     """
     return dict(_built_in() if path == BUILT_IN_BODY else _read_and_check(path))
 
@@ -125,7 +146,7 @@ def _read_and_check(path: Path) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise InputError(
             f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "
-            f"licensed at {LICENSED}; without a body file the built-in body is used"
+            f"licensed at {SMPLX_SITE}; without a body file the built-in body is used"
         )
     arrays = _read(path)
     form = _check(path, arrays)
@@ -137,7 +158,13 @@ def _read_and_check(path: Path) -> dict[str, np.ndarray]:
 
 
 def kintree_table() -> np.ndarray:
-    """Return the tree of the 55 joints as in files, (2, 55) int64."""
+    """Return the tree of the 55 joints as in files, (2, 55) int64: parents, and joints.
+
+    Example:
+        >>> kintree_table()[:, :4]
+        array([[4294967295,          0,          0,          0],
+               [         0,          1,          2,          3]])
+    """
     return np.stack([np.array([_ROOT, *PARENTS[1:]], dtype=np.int64), np.arange(len(JOINTS))])
 
 
@@ -150,14 +177,14 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         return arrays
     found = read_objects(path, expected)
     if not isinstance(found, dict):
-        raise InputError(f"{path}: holds no dictionary; expected one with {', '.join(_SKIN)}")
+        raise InputError(f"{path}: expected a dictionary with {', '.join(_SKIN)}")
     found = {str(key): value for key, value in found.items()}
     require_keys(path, found, _SKIN)
     return {key: np.asarray(found[key]) for key in keys if key in found}
 
 
 def _has_marks(arrays: dict[str, np.ndarray]) -> bool:
-    """Whether a file marks the 51 landmarks of the face; other marks are ignored."""
+    """Return whether a file marks the 51 landmarks of the face; other marks are ignored."""
     where, shares = (np.asarray(arrays.get(key, ())) for key in _MARKS)
     usual = where.shape == (51,) and shares.shape == (51, 3) and where.dtype.kind in "iu"
     return usual and bool((where < len(arrays["f"])).all() and np.isfinite(shares).all())
@@ -167,7 +194,9 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
     require_keys(path, arrays, () if form is SMPL else _HANDS)
-    template = require_array(path, "v_template", arrays["v_template"], (None, 3), largest=LARGEST)
+    template = require_array(
+        path, "v_template", arrays["v_template"], (None, 3), largest=LARGEST_NUMBER
+    )
     vertices, joints = len(template), len(form.joints)
     shapes = {
         "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),
@@ -177,18 +206,18 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     }  # fmt: skip
     for key, shape in shapes.items():
         if key in arrays:
-            numbers = {"kind": "iu"} if key in _WHOLE else {"largest": LARGEST}
+            numbers = {"kind": "iu"} if key in _WHOLE else {"largest": LARGEST_NUMBER}
             arrays[key] = require_array(path, key, arrays[key], shape, **numbers)
             if arrays[key].size == 0:
                 raise InputError(f"{path}: '{key}' is empty")
     sides = np.ptp(arrays["v_template"], axis=0)
-    if max(sides) not in LONGEST_SIDES:
+    if max(sides) not in PERSON_SIZES:
         found = " x ".join(f"{side:.3g}" for side in sides)
         raise InputError(f"{path}: 'v_template' is {found} metres in size; expected a person")
     if arrays["f"].max() >= vertices or arrays["f"].min() < 0:
         raise InputError(f"{path}: 'f' names vertex {arrays['f'].max()}, but there are {vertices}")
     _check_surface(path, arrays["f"])
-    if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=1e-2):
+    if not np.allclose(arrays["weights"].sum(1, dtype=np.float64), 1, atol=WEIGHTS_SUM_TOLERANCE):
         raise InputError(f"{path}: 'weights' must have rows that sum to 1")
     return form
 
@@ -198,10 +227,10 @@ def _check_surface(path: Path, faces: np.ndarray) -> None:
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, count = np.unique(sides, axis=0, return_counts=True)
     shared = float(((count == 2) & (edges[:, 0] != edges[:, 1])).mean())
-    if shared < FEWEST_SHARED:
+    if shared < LEAST_SHARED_EDGES:
         raise InputError(
             f"{path}: 'f' is no surface, {shared:.0%} of its edges belong to two triangles; "
-            f"expected {FEWEST_SHARED:.0%} or more"
+            f"expected {LEAST_SHARED_EDGES:.0%} or more"
         )
 
 
@@ -231,7 +260,7 @@ def _split(directions: int, form: BodyFormat) -> tuple[int, int]:
     """Return how many shape directions are betas and how many are expressions."""
     if form is not SMPLX:
         return directions, 0
-    betas = 300 if directions >= 400 else min(10, directions)
+    betas = 300 if directions >= 400 else min(10, directions)  # versions 1.1 and 1.0 of SMPL-X
     return betas, directions - betas if directions >= 400 else min(10, directions - betas)
 
 
@@ -240,6 +269,17 @@ def lift(arrays: dict[str, np.ndarray], form: BodyFormat) -> dict[str, np.ndarra
 
     Missing joints are regressed at their nearest relative: jaw and eyes at the head, all fingers of
     a mitten at its knuckle.
+
+    Example:
+        A body of 100 vertices on SMPL's 24 joints.
+
+        >>> arrays = {
+        ...     "v_template": np.zeros((100, 3)), "weights": np.full((100, 24), 1 / 24),
+        ...     "posedirs": np.zeros((100, 3, 207)), "J_regressor": np.zeros((24, 100)),
+        ... }
+        >>> lifted = lift(arrays, SMPL)
+        >>> lifted["weights"].shape, lifted["posedirs"].shape, lifted["J_regressor"].shape
+        ((100, 55), (100, 3, 486), (55, 100))
     """
     if form is SMPLX:
         return arrays

@@ -3,6 +3,15 @@
 A finger has one curl c; its joints bend by 1.35 c, 1.75 c and 1.15 c about the hand's z axis, so
 that c = 1 brings the tip to the palm. Fingers spread about the y axis. The thumb has no hinge and
 is given joint by joint.
+
+All angles are chosen here, by looking at the built-in body.
+
+Example:
+    >>> from gva_mi.body.pose import Pose
+    >>> rotations = Pose.rest().rotations.numpy()
+    >>> put_hand(rotations, "left", GESTURES["fist"].values)
+    >>> rotations[0, JOINTS.index("left_index1")].round(2) + 0
+    array([ 0.  ,  0.  , -1.35], dtype=float32)
 """
 
 from __future__ import annotations
@@ -16,9 +25,10 @@ from gva_mi.body.pose import JOINTS
 
 AxisAngle = tuple[float, float, float]  # axis-angle, radians
 
-FINGERS = ("index", "middle", "ring", "pinky")
-CURL = (1.35, 1.75, 1.15)  # rad at each joint for curl 1
-SPREAD = (1.0, 0.25, -0.45, -1.0)  # share of each finger in a spread
+HINGED_FINGERS = ("index", "middle", "ring", "pinky")
+CURL_ANGLES = (1.35, 1.75, 1.15)  # radians at each joint for curl 1; chosen: the tip is at the palm
+# Share of each finger in a spread. Chosen: the middle finger hardly moves.
+SPREAD_SHARES = (1.0, 0.25, -0.45, -1.0)
 
 _STRAIGHT: tuple[AxisAngle, ...] = ((0, 0, 0), (0, 0, 0), (0, 0, 0))
 _RELAXED: tuple[AxisAngle, ...] = ((0.1, 0.2, -0.1), (0, 0.1, 0), (0, 0.1, 0))
@@ -29,10 +39,15 @@ _UP: tuple[AxisAngle, ...] = ((-0.16, -0.37, 0.12), (-0.10, -0.36, 0.06), (-0.06
 
 @dataclass(frozen=True)
 class Gesture:
-    """A gesture of the left hand, which the right one mirrors."""
+    """A gesture of the left hand, which the right one mirrors.
+
+    Example:
+        >>> Gesture((0.5, 0.5, 0.5, 0.5), 0.0, ((0, 0, 0),) * 3).values.shape
+        (14,)
+    """
 
     curl: tuple[float, float, float, float]  # of each finger; 0 straight, 1 in the palm
-    spread: float  # rad, of index and little finger from the middle finger
+    spread: float  # radians, of index and little finger from the middle finger
     thumb: tuple[AxisAngle, ...]  # of its three joints
 
     @property
@@ -55,15 +70,25 @@ GESTURES: Mapping[str, Gesture] = {
 
 
 def put_hand(rotations: np.ndarray, side: str, values: np.ndarray) -> None:
-    """Write values (T, 14) or (14,) of a "left" or "right" hand into rotations (T, 55, 3)."""
+    """Write values (T, 14) or (14,) of a "left" or "right" hand into rotations (T, 55, 3).
+
+    Example:
+        Half way from an open hand to a fist.
+
+        >>> rotations = np.zeros((1, 55, 3))
+        >>> halfway = (GESTURES["open"].values + GESTURES["fist"].values) / 2
+        >>> put_hand(rotations, "right", halfway)
+        >>> rotations[0, JOINTS.index("right_index1"), 2].round(3)
+        np.float64(0.702)
+    """
     mirror = np.array([1, 1, 1] if side == "left" else [1, -1, -1])
     values = np.atleast_2d(values)
     curls, spread, thumb = values[:, :4], values[:, 4], values[:, 5:].reshape(-1, 3, 3)
-    for k, finger in enumerate(FINGERS):
-        for knuckle, angle in enumerate(CURL, start=1):
+    for k, finger in enumerate(HINGED_FINGERS):
+        for knuckle, angle in enumerate(CURL_ANGLES, start=1):
             joint = JOINTS.index(f"{side}_{finger}{knuckle}")
             rotations[:, joint, 2] = -mirror[2] * angle * curls[:, k]
         first = JOINTS.index(f"{side}_{finger}1")
-        rotations[:, first, 1] = -mirror[1] * SPREAD[k] * spread
+        rotations[:, first, 1] = -mirror[1] * SPREAD_SHARES[k] * spread
     for k in range(3):
         rotations[:, JOINTS.index(f"{side}_thumb{k + 1}")] = mirror * thumb[:, k]

@@ -1,4 +1,8 @@
-"""``Pose`` and ``Shape`` of a body on SMPL-X's joints, and their files under SMPL-X's names."""
+"""``Pose`` and ``Shape`` of a body on SMPL-X's joints, and their files under SMPL-X's names.
+
+Source of the joints' names, their order and the tree: SMPL-X (Pavlakos et al., "Expressive Body
+Capture", 2019), as its package ``smplx`` writes them (``joint_names.py``, ``kintree_table``).
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,8 @@ from torch import Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import Form, read_arrays, require_array, require_keys, write_arrays
 
-_FINGERS = ("index", "middle", "pinky", "ring", "thumb")
-_HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS for k in (1, 2, 3)]
+_FINGERS_OF_SMPLX = ("index", "middle", "pinky", "ring", "thumb")
+_HAND = lambda side: [f"{side}_{finger}{k}" for finger in _FINGERS_OF_SMPLX for k in (1, 2, 3)]
 
 JOINTS: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2",
@@ -40,14 +44,20 @@ SMPLX_FIELDS: Mapping[str, slice] = {
     "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": slice(23, 24),
     "reye_pose": slice(24, 25), "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
 }  # fmt: skip
-# Generous bounds of valid files: metres, standard deviations, radians.
-LARGEST = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
-LARGEST_ANGLE = 1e3
+# Largest absolute values of valid files: metres, and standard deviations of coefficients. Chosen:
+# far beyond any person, and small enough that nothing overflows in float32.
+LARGEST_IN_FILES = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
+LARGEST_ANGLE = 1e3  # radians; chosen: estimators add up whole turns, but not hundreds of them
 _WIDTHS = {name: 3 * (part.stop - part.start) for name, part in SMPLX_FIELDS.items()}
 
 
 def mirrored_name(name: str) -> str:
-    """Exchange left and right in a name such as ``left_wrist``."""
+    """Exchange left and right in a name.
+
+    Example:
+        >>> mirrored_name("left_wrist"), mirrored_name("pelvis")
+        ('right_wrist', 'pelvis')
+    """
     other = {"left": "right", "right": "left"}
     return "_".join(other.get(word, word) for word in name.split("_"))
 
@@ -58,6 +68,12 @@ class Pose:
 
     Rotations are relative to the parent joint, those of the root to the world; hands are relative
     to the flat hand. One group of joints is a slice, such as ``pose.rotations[:, LEFT_HAND]``.
+
+    Example:
+        >>> pose = Pose.rest(frames=3)
+        >>> pose.rotations[:, JOINTS.index("left_elbow"), 1] = -1  # bend the elbow by a radian
+        >>> len(pose), pose[1].rotations.shape, pose.rotations[:, LEFT_HAND].shape
+        (3, torch.Size([1, 55, 3]), torch.Size([3, 15, 3]))
     """
 
     rotations: Tensor  # (T, 55, 3) axis-angle in radians, in the order of JOINTS
@@ -72,13 +88,24 @@ class Pose:
 
     @staticmethod
     def rest(frames: int = 1, expressions: int = 10, dtype: torch.dtype = torch.float32) -> Pose:
-        """Return the T-pose."""
+        """Return the T-pose at the world's origin.
+
+        Example:
+            >>> Pose.rest(frames=2, expressions=5).expression.shape
+            torch.Size([2, 5])
+        """
         zero = lambda *shape: torch.zeros(frames, *shape, dtype=dtype)
         return Pose(zero(len(JOINTS), 3), zero(3), zero(expressions))
 
     @staticmethod
     def of_arrays(rotations: np.ndarray, transl: np.ndarray, expression: np.ndarray) -> Pose:
-        """Build a float32 pose from arrays of these fields."""
+        """Build a float32 pose from arrays of its fields.
+
+        Example:
+            >>> Pose.of_arrays(np.zeros((2, 55, 3)), np.zeros((2, 3)), np.zeros((2, 10))).transl
+            tensor([[0., 0., 0.],
+                    [0., 0., 0.]])
+        """
         tensor = lambda x: torch.from_numpy(np.ascontiguousarray(x, np.float32))
         return Pose(tensor(rotations), tensor(transl), tensor(expression))
 
@@ -89,18 +116,34 @@ class Pose:
         They are ``global_orient`` (T, 3), ``body_pose`` (T, 63), ``jaw_pose``, ``leye_pose``,
         ``reye_pose`` (T, 3), ``left_hand_pose``, ``right_hand_pose`` (T, 45), ``transl`` (T, 3)
         and ``expression`` (T, E).
+
+        Example:
+            >>> Pose.from_smplx(Pose.rest(frames=2).to_smplx()).rotations.shape
+            torch.Size([2, 55, 3])
         """
         columns = torch.cat([named[name] for name in SMPLX_FIELDS], dim=1)
         return Pose(columns.unflatten(1, (-1, 3)), named["transl"], named["expression"])
 
     def to_smplx(self) -> dict[str, Tensor]:
-        """Return the pose under SMPL-X's names, in the order of files."""
+        """Return the pose under SMPL-X's names, in the order of files.
+
+        Example:
+            >>> {name: tuple(x.shape) for name, x in Pose.rest().to_smplx().items()}
+            {'global_orient': (1, 3), 'body_pose': (1, 63), 'jaw_pose': (1, 3),
+             'leye_pose': (1, 3), 'reye_pose': (1, 3), 'left_hand_pose': (1, 45),
+             'right_hand_pose': (1, 45), 'transl': (1, 3), 'expression': (1, 10)}
+        """
         joints = {name: self.rotations[:, part].flatten(1) for name, part in SMPLX_FIELDS.items()}
         return joints | {"transl": self.transl, "expression": self.expression}
 
     @staticmethod
     def cat(poses: Sequence[Pose]) -> Pose:
-        """Join poses one after the other in time."""
+        """Join poses one after the other in time.
+
+        Example:
+            >>> len(Pose.cat([Pose.rest(2), Pose.rest(3)]))
+            5
+        """
         fields = ((pose.rotations, pose.transl, pose.expression) for pose in poses)
         return Pose(*map(torch.cat, zip(*fields, strict=True)))
 
@@ -114,7 +157,13 @@ class Pose:
         return self.map(lambda x: x[frames])
 
     def with_frames(self, frames: Sequence[int], found: Pose) -> Pose:
-        """Replace n of the T frames, by their numbers, by those found."""
+        """Replace the frames with these n numbers by the n frames of ``found``.
+
+        Example:
+            >>> raised = Pose.rest().map(lambda x: x + 1)
+            >>> Pose.rest(3).with_frames([2], raised).transl[:, 0]
+            tensor([0., 0., 1.])
+        """
         frames, taken = list(frames), self.map(torch.clone)
         taken.rotations[frames], taken.transl[frames] = found.rotations, found.transl
         taken.expression[frames] = found.expression
@@ -131,14 +180,18 @@ class Pose:
 
 @dataclass(frozen=True)
 class Shape:
-    """Shape coefficients of one person, the same for a whole video."""
+    """Shape coefficients of one person, the same for a whole video.
+
+    Example:
+        >>> average = Shape(torch.zeros(10))
+    """
 
     betas: Tensor  # (B,)
 
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Content of a file of poses."""
+    """Content of a file of poses, from :func:`read_pose_file`."""
 
     pose: Pose
     shape: Shape
@@ -157,11 +210,20 @@ def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
     ``offsets``. Other keys are ignored.
 
     Args:
-        path: of the file.
-        count: frames of the video that the poses are of; None: any number.
+        path: the file.
+        count: number of frames of the video that the poses belong to; None: any number.
 
     Raises:
         InputError: a missing key, a wrong shape or dtype, or a number that is not finite.
+
+    Example:
+        >>> import tempfile
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> path = Path(folder.name) / "poses.npz"
+        >>> save_poses(path, Pose.rest(frames=4), Shape(torch.zeros(10)), stage=1)
+        >>> found = read_pose_file(path)
+        >>> len(found.pose), found.stage, found.offsets
+        (4, 1, None)
     """
     data = read_arrays(path, _EXPECTED)
     require_keys(path, data, _REQUIRED)
@@ -195,6 +257,10 @@ def is_pose_file(path: Path) -> bool:
     """Return whether a file holds poses for :func:`read_pose_file`, not another program's motion.
 
     A missing file counts too, because that reader reports it.
+
+    Example:
+        >>> is_pose_file(Path("no_such_file.npz"))
+        True
     """
     if not path.exists():
         return True
@@ -212,7 +278,7 @@ def is_pose_file(path: Path) -> bool:
 
 
 def load_poses(path: Path, count: int | None = None) -> tuple[Pose, Shape]:
-    """Read the poses and the shape of a file: :func:`read_pose_file`."""
+    """Read only the poses and the shape of a file; see :func:`read_pose_file`."""
     found = read_pose_file(path, count)
     return found.pose, found.shape
 
@@ -225,7 +291,10 @@ def save_poses(
     stage: int,
     offsets: Tensor | None = None,
 ) -> None:
-    """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`."""
+    """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`.
+
+    :func:`read_pose_file` has an example.
+    """
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:
         data["offsets"] = offsets.detach().numpy()
@@ -234,5 +303,7 @@ def save_poses(
 
 def _numbers(path: Path, name: str, value: np.ndarray, *forms: Form) -> Tensor:
     """Check an array of a file and convert it to float32."""
-    value = require_array(path, name, value, *forms, largest=LARGEST.get(name, LARGEST_ANGLE))
+    value = require_array(
+        path, name, value, *forms, largest=LARGEST_IN_FILES.get(name, LARGEST_ANGLE)
+    )
     return torch.from_numpy(np.ascontiguousarray(value, dtype=np.float32))

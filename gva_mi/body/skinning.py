@@ -3,6 +3,9 @@
 1. T_world_rest[j]                    one rigid map per joint: see gva_mi.body.kinematics
 2. A = Σ_j w_j T_world_rest[j]        one affine map per point; a row of weights sums to 1
 3. x' = A_rot x + A_trans                                                         (Eq. 5)
+
+Source: linear blend skinning as in SMPL (Loper et al., "SMPL: A Skinned Multi-Person Linear Model",
+2015, eq. 2).
 """
 
 from __future__ import annotations
@@ -13,7 +16,9 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND
 
-_FRAMES = 4  # frames per block of skin_points; 10k blended transforms take 0.5 MB
+# Frames per block of skin_points. Chosen: 4 × 10,000 blended transforms are 2 MB, which fit into a
+# core's cache.
+_FRAMES_PER_BLOCK = 4
 
 
 def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor:
@@ -23,6 +28,17 @@ def skin_points(points: Tensor, weights: Tensor, T_world_rest: Tensor) -> Tensor
         points: (N, 3), or (T, N, 3) if they differ between poses.
         weights: (N, J), rows sum to 1.
         T_world_rest: (J, 4, 4) for a result (N, 3), or (T, J, 4, 4) for (T, N, 3).
+
+    Returns:
+        The moved points, metres, differentiable once in all arguments.
+
+    Example:
+        A point that follows two joints alike moves by the mean of their transforms.
+
+        >>> still, raised = torch.eye(4), torch.eye(4)
+        >>> raised[1, 3] = 1  # one metre up
+        >>> skin_points(torch.zeros(1, 3), torch.tensor([[0.5, 0.5]]), torch.stack([still, raised]))
+        tensor([[0.0000, 0.5000, 0.0000]])
     """
     many = T_world_rest.ndim == 4
     T = T_world_rest if many else T_world_rest.unsqueeze(0)
@@ -88,7 +104,8 @@ class _SkinPoints(torch.autograd.Function):
 
 
 def _parts(frames: int) -> list[slice]:
-    return [slice(start, start + _FRAMES) for start in range(0, frames, _FRAMES)]
+    starts = range(0, frames, _FRAMES_PER_BLOCK)
+    return [slice(start, start + _FRAMES_PER_BLOCK) for start in starts]
 
 
 def _of(x: Tensor, part: slice) -> Tensor:
@@ -97,12 +114,24 @@ def _of(x: Tensor, part: slice) -> Tensor:
 
 
 def finger_weights(weights: Tensor) -> Tensor:
-    """Return the share of each row of skinning weights (N, 55) that belongs to fingers, (N,)."""
+    """Return the share of each row of skinning weights (N, 55) that belongs to fingers, (N,).
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> share = finger_weights(load_body().weights)
+        >>> print(f"{(share > 0.5).float().mean():.0%} of the vertices are on fingers")
+        20% of the vertices are on fingers
+    """
     return weights[:, LEFT_HAND].sum(1) + weights[:, RIGHT_HAND].sum(1)
 
 
 def strongest(weights: Tensor, joints: int = 4) -> Tensor:
-    """Keep the largest weights of each row (N, J), the first of equal ones, scaled to sum 1."""
+    """Keep the largest weights of each row (N, J), the first of equal ones, scaled to sum 1.
+
+    Example:
+        >>> strongest(torch.tensor([[0.5, 0.3, 0.2]]), joints=2)
+        tensor([[0.6250, 0.3750, 0.0000]])
+    """
     order = torch.sort(weights, dim=1, descending=True, stable=True).indices[:, :joints]
     kept = torch.zeros_like(weights).scatter(1, order, weights.gather(1, order))
     return kept / kept.sum(1, keepdim=True)

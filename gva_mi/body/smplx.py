@@ -17,6 +17,10 @@ w           ``weights``                         (V, 55)              rows sum to
 
 Offsets represent clothes: they move vertices but not joints.
 
+Sources: eq. 1-4 are SMPL-X (Pavlakos et al., "Expressive Body Capture", 2019), after SMPL (Loper et
+al., 2015); offsets are those of Alldieck et al., "Video Based Reconstruction of 3D People Models",
+2018.
+
 Blend shapes are a surface plus a weighted sum of directions:
 
     5. x = x₀ + Σ_k c_k D_k
@@ -25,6 +29,12 @@ Blend shapes are a surface plus a weighted sum of directions:
 A body of 10,000 vertices has 58 MB of pose directions, so reading them takes most of a frame's
 time. Torch multiplies a vector by a matrix on one core. Halves of the surface as a batch of two
 products use two cores, take half the time, and give the same bits on any number of cores.
+
+Example:
+    >>> body = load_body()  # the built-in body, without a licence
+    >>> posed = body(Pose.rest(frames=2), Shape(torch.zeros(10)))
+    >>> posed.vertices.shape, posed.joints.shape
+    (torch.Size([2, 10989, 3]), torch.Size([2, 55, 3]))
 """
 
 from __future__ import annotations
@@ -48,7 +58,7 @@ from gva_mi.core.errors import InputError, expecting
 
 @dataclass(frozen=True)
 class Rest:
-    """A person in the T-pose."""
+    """A person in the T-pose, from :meth:`BodyModel.rest`."""
 
     vertices: Tensor  # (V, 3) metres
     joints: Tensor  # (55, 3) metres
@@ -56,7 +66,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class Posed:
-    """A person in T poses, in the world."""
+    """A person in T poses, in the world, from calling a :class:`BodyModel`."""
 
     vertices: Tensor  # (T, V, 3) metres
     joints: Tensor  # (T, 55, 3) metres
@@ -77,6 +87,18 @@ class BodyModel(nn.Module):
         num_betas, num_expressions: of the file; missing coefficients count as zero.
         mark_corners, mark_shares: (51, 3) vertices, and their shares, of the landmarks of the face
             that a file of SMPL-X marks; None in others.
+
+    Example:
+        A taller person, one metre to the side.
+
+        >>> body = load_body()
+        >>> moved = Pose(torch.zeros(1, 55, 3), torch.tensor([[1.0, 0, 0]]), torch.zeros(1, 10))
+        >>> posed = body(moved, Shape(torch.tensor([2.0])))  # the first coefficient: height
+        >>> height = lambda x: float(x[:, 1].max() - x[:, 1].min())
+        >>> print(f"{height(body.v_template):.2f} m, {height(posed.vertices[0]):.2f} m")
+        1.77 m, 1.92 m
+        >>> posed.joints[0, 0].round(decimals=2) + 0  # the pelvis
+        tensor([1., 0., 0.])
     """
 
     parents: tuple[int, ...] = PARENTS
@@ -135,6 +157,11 @@ class BodyModel(nn.Module):
         """Return the body restricted to some vertices (n,), with the same joints.
 
         ``faces`` (F, 3) are triangles of these, numbered from 0 to n - 1.
+
+        Example:
+            >>> part = load_body().on(torch.arange(100), torch.tensor([[0, 1, 2]]))
+            >>> part(Pose.rest(), Shape(torch.zeros(10))).vertices.shape
+            torch.Size([1, 100, 3])
         """
         some = copy.copy(self)
         some._buffers = dict(self._buffers)  # the others are shared
@@ -146,7 +173,12 @@ class BodyModel(nn.Module):
         return some
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions."""
+        """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions.
+
+        Example:
+            >>> load_body().arrays()["shapedirs"].shape
+            (10989, 3, 20)
+        """
         if self.regressor is None:
             raise ValueError("BodyModel.arrays(): this is a part of a body, from BodyModel.on()")
         count = len(self.v_template)
@@ -169,7 +201,13 @@ class BodyModel(nn.Module):
         }
 
     def rest(self, shape: Shape, expression: Tensor | None = None) -> Rest:
-        """Return the person in the T-pose (eq. 1, 2), with an expression (E,) or a neutral face."""
+        """Return the person in the T-pose (eq. 1, 2), with an expression (E,) or a neutral face.
+
+        Example:
+            >>> rest = load_body().rest(Shape(torch.zeros(10)))
+            >>> rest.vertices.shape, rest.joints.shape
+            (torch.Size([10989, 3]), torch.Size([55, 3]))
+        """
         psi = shape.betas.new_zeros(1, 0) if expression is None else expression[None]
         psi = _coefficients("expression", psi, self.num_expressions)
         flat, joints = self._shaped(shape, psi, self.v_template)
@@ -222,6 +260,11 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
     Raises:
         InputError: naming the file, the key, and the shape that was found.
+
+    Example:
+        >>> body = load_body(dtype=torch.float64)
+        >>> body.num_betas, body.num_expressions, body.v_template.dtype
+        (10, 10, torch.float64)
     """
     path = resolve_body(path)
     with expecting(path, "a body in SMPL-X's format"):
@@ -229,12 +272,22 @@ def load_body(path: Path | None = None, dtype: torch.dtype = torch.float32) -> B
 
 
 def resolve_body(path: Path | None) -> Path:
-    """Return the file that :func:`load_body` reads."""
+    """Return the file that :func:`load_body` reads.
+
+    Example:
+        >>> resolve_body(None).name, resolve_body(Path("SMPLX_NEUTRAL.npz")).name
+        ('built_in.npz', 'SMPLX_NEUTRAL.npz')
+    """
     return BUILT_IN_BODY if path is None or str(path) == BUILT_IN_NAME else Path(path)
 
 
 def body_name(path: Path | None) -> str:
-    """Return a short name of what :func:`load_body` reads."""
+    """Return a short name of the body that :func:`load_body` reads.
+
+    Example:
+        >>> body_name(None), body_name(Path("models/SMPLX_NEUTRAL.npz"))
+        ('built-in', 'SMPLX_NEUTRAL')
+    """
     return BUILT_IN_NAME if path is None else Path(path).stem
 
 
@@ -251,6 +304,10 @@ def as_rows(directions: np.ndarray) -> np.ndarray:
     """Convert directions (V, 3, K) to rows (K, W): all x, then all y, then all z.
 
     W is 3 V, padded to be even.
+
+    Example:
+        >>> as_rows(np.ones((5, 3, 2))).shape
+        (2, 16)
     """
     vertices, _, count = directions.shape
     rows = np.zeros((count, 3 * vertices + vertices % 2), directions.dtype)
@@ -259,12 +316,23 @@ def as_rows(directions: np.ndarray) -> np.ndarray:
 
 
 def as_directions(rows: np.ndarray, vertices: int) -> np.ndarray:
-    """Convert rows (K, W) of :func:`as_rows` back to directions (V, 3, K)."""
+    """Convert rows (K, W) of :func:`as_rows` back to directions (V, 3, K).
+
+    Example:
+        >>> directions = np.arange(30).reshape(5, 3, 2)
+        >>> bool((as_directions(as_rows(directions), 5) == directions).all())
+        True
+    """
     return rows[:, : 3 * vertices].reshape(len(rows), 3, vertices).transpose(2, 1, 0)
 
 
 def columns_of(rows: Tensor, vertices: Tensor, count: int) -> Tensor:
-    """Select ``vertices`` (n,) from rows (K, W) of ``count`` vertices."""
+    """Select ``vertices`` (n,) from rows (K, W) of ``count`` vertices.
+
+    Example:
+        >>> columns_of(torch.ones(2, 16), torch.tensor([0, 4]), count=5).shape
+        torch.Size([2, 6])
+    """
     some = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)
     return pad(some, (0, some.shape[1] % 2))
 
@@ -279,6 +347,14 @@ def add_directions(surface: Tensor, coefficients: Tensor, directions: Tensor) ->
 
     Returns:
         (T, 3 V), differentiable once in surface and coefficients.
+
+    Example:
+        One vertex and one direction, along y.
+
+        >>> direction = torch.from_numpy(as_rows(np.array([[[0], [1], [0]]], np.float32)))
+        >>> add_directions(torch.zeros(1, 3), torch.tensor([[0.5], [2.0]]), direction)
+        tensor([[0.0000, 0.5000, 0.0000],
+                [0.0000, 2.0000, 0.0000]])
     """
     return _AddDirections.apply(surface, coefficients, directions[: coefficients.shape[1]])
 

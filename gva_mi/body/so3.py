@@ -18,8 +18,9 @@ and the adjoint, for a gradient g of c:
 Eq. 1 uses quaternions. Its derivative is written out because autograd's graph of some forty
 operations takes three times as long, in every step of a fit and of a refinement.
 
-The package roma has these functions too, but importing it imports torch's compiler, which takes
-longer than importing torch.
+Source: Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018,
+appendix B (exp, log, right Jacobian and its inverse). The package roma has these functions too, but
+importing it imports torch's compiler, which takes longer than importing torch.
 """
 
 from __future__ import annotations
@@ -30,13 +31,24 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.core.cpu import sqrt
 
-SMALL = 1e-6  # θ² below which C and D take their limits; θ below which exp(x) ≈ I + [x]
+# Below this θ², C and D take their limits, and below this θ, exp(x) ≈ I + [x]. Chosen: the terms
+# that are left out, θ⁴/120 and θ²/2, are below 1e-12 there.
+NEAR_IDENTITY = 1e-6
 
 
 def to_matrix(x: Tensor) -> Tensor:
-    """Return the rotation matrices exp(x), (..., 3, 3), of axis-angle vectors (..., 3), radians."""
+    """Return the rotation matrices exp(x), (..., 3, 3), of axis-angle vectors (..., 3), radians.
+
+    Source: Rodrigues' formula, as in :mod:`gva_mi.body.kinematics`, eq. 1.
+
+    Example:
+        >>> to_matrix(torch.tensor([0, 0, torch.pi / 2])).round(decimals=3).abs()
+        tensor([[0., 1., 0.],
+                [1., 0., 0.],
+                [0., 0., 1.]])
+    """
     theta = torch.norm(x, dim=-1, keepdim=True)
-    axis = x / theta.clamp_min(SMALL)
+    axis = x / theta.clamp_min(NEAR_IDENTITY)
     u, v, w = (axis * theta.sin()).unbind(-1)
     versine = (1 - theta.cos())[..., 0]
     a, b, c = axis.unbind(-1)
@@ -45,7 +57,7 @@ def to_matrix(x: Tensor) -> Tensor:
     R = [1 - bb - cc, ab - w, ac + v, ab + w, 1 - aa - cc, bc - u, ac - v, bc + u, 1 - aa - bb]
     (u, v, w), one = x.unbind(-1), torch.ones_like(x[..., 0])
     first_order = torch.stack([one, -w, v, w, one, -u, -v, u, one], dim=-1)
-    R = torch.where(theta < SMALL, first_order, torch.stack(R, dim=-1))
+    R = torch.where(theta < NEAR_IDENTITY, first_order, torch.stack(R, dim=-1))
     return R.unflatten(-1, (3, 3))
 
 
@@ -54,6 +66,10 @@ def to_rotvec(R: Tensor) -> Tensor:
 
     Each column of 4 q qᵀ is a multiple of the quaternion q; the longest has the most digits.
     Source: Markley, *Unit Quaternion from Rotation Matrix*, 2008.
+
+    Example:
+        >>> to_rotvec(to_matrix(torch.tensor([0.1, -0.2, 0.3])))
+        tensor([ 0.1000, -0.2000,  0.3000])
     """
     (a, d, g), (b, e, h), (c, f, i) = (column.unbind(-1) for column in R.unbind(-1))
     columns = torch.stack(
@@ -71,7 +87,14 @@ def to_rotvec(R: Tensor) -> Tensor:
 
 
 def compose(a: Tensor, b: Tensor) -> Tensor:
-    """Rotate by ``b``, then ``a`` (eq. 1), both (..., 3) radians; has adjoint and tangent."""
+    """Rotate by ``b``, then ``a`` (eq. 1), both (..., 3) radians; has adjoint and tangent.
+
+    Example:
+        Two turns about one axis add up.
+
+        >>> compose(torch.tensor([0.5, 0, 0]), torch.tensor([0.25, 0, 0]))
+        tensor([0.7500, 0.0000, 0.0000])
+    """
     return _Compose.apply(*torch.broadcast_tensors(a, b))
 
 
@@ -111,7 +134,13 @@ def _composed(a: Tensor, b: Tensor) -> Tensor:
 
 
 def to_quaternion(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the quaternion of an axis-angle as real part (..., 1) and vector (..., 3)."""
+    """Return the quaternion of an axis-angle as real part (..., 1) and vector (..., 3).
+
+    Example:
+        >>> real, vector = to_quaternion(torch.tensor([torch.pi / 2, 0, 0]))
+        >>> real, vector
+        (tensor([0.7071]), tensor([0.7071, 0.0000, 0.0000]))
+    """
     theta = sqrt(x.square().sum(-1, keepdim=True))
     return (theta / 2).cos(), x * (torch.sinc(theta / (2 * torch.pi)) / 2)
 
@@ -121,7 +150,7 @@ def _jacobian(x: Tensor, v: Tensor) -> Tensor:
     square = x.square().sum(-1, keepdim=True)
     theta = sqrt(square)
     B = torch.sinc(theta / (2 * torch.pi)).square() / 2
-    C = torch.where(square > SMALL, (1 - torch.sinc(theta / torch.pi)) / square, 1 / 6)
+    C = torch.where(square > NEAR_IDENTITY, (1 - torch.sinc(theta / torch.pi)) / square, 1 / 6)
     across = torch.linalg.cross(x, v)
     return v - B * across + C * torch.linalg.cross(x, across)
 
@@ -130,7 +159,7 @@ def _inverse(x: Tensor, v: Tensor) -> Tensor:
     """Return J⁻¹(x) v; for -x it is J⁻ᵀ(x) v."""
     square = x.square().sum(-1, keepdim=True)
     half = sqrt(square) / 2
-    D = torch.where(square > SMALL, (1 - half / half.tan()) / square, 1 / 12)
+    D = torch.where(square > NEAR_IDENTITY, (1 - half / half.tan()) / square, 1 / 12)
     across = torch.linalg.cross(x, v)
     return v + across / 2 + D * torch.linalg.cross(x, across)
 

@@ -37,7 +37,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LARGEST, PARENTS, SIDES
+from gva_mi.body.pose import JOINTS, LARGEST_IN_FILES, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.readers.retarget import Places, leg_length, on_body
@@ -122,7 +122,7 @@ def _is_person(places: np.ndarray) -> bool:
     Rotations of somebody who stands still keep theirs, too, so a thigh, a shin and the way from
     pelvis to head are also compared.
     """
-    places = places[(np.abs(places) < LARGEST["transl"]).all((1, 2))]  # finite, too
+    places = places[(np.abs(places) < LARGEST_IN_FILES["transl"]).all((1, 2))]  # finite, too
     length = lambda a, b: np.linalg.norm(places[:, a] - places[:, b], axis=1)
     legs = [length(a, b) for a, b in ((1, 4), (2, 5), (4, 7), (5, 8))]
     if not len(places) or not all(leg.std() < _LEG_VARIATION * leg.mean() for leg in legs):
@@ -143,7 +143,7 @@ def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
         fps: frames a second.
         body: (55, 3) joints at rest, metres.
     """
-    known = np.flatnonzero((np.abs(places) < LARGEST["transl"]).all((1, 2)))
+    known = np.flatnonzero((np.abs(places) < LARGEST_IN_FILES["transl"]).all((1, 2)))
     places = places[known]
     at = {name: places[:, k] for k, name in enumerate(JOINTS[:JOINT_COUNT])}
     own = dict(zip(JOINTS, body, strict=True))

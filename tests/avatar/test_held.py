@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from gva_mi.avatar.held import (
-    ARMPIT,
-    BEYOND,
-    FINGER,
-    HAIR,
-    THICK,
+    ARMPIT_REACH,
+    BODY_REACH,
+    FINGER_REACH,
+    HAIR_REACH,
+    MAX_THICKNESS,
     Held,
     head_weights,
     shared_weights,
@@ -39,10 +39,10 @@ def test_gaussians_of_fingers_come_back(moved):
     avatar, before = moved
     G, body = avatar.canonical, avatar.rig.vertices[finger_weights(avatar.rig.weights) > 0.5]
     finger = finger_weights(G.weights) > 0.5
-    far = _off(before[finger], body)[0] > FINGER
+    far = _off(before[finger], body)[0] > FINGER_REACH
     assert far.any() and (~far).any()
     Held(avatar.rig).hold(avatar, body=False)
-    assert _off(G.means.detach()[finger], body)[0].max() < FINGER + 1e-6
+    assert _off(G.means.detach()[finger], body)[0].max() < FINGER_REACH + 1e-6
     torch.testing.assert_close(G.means[finger][~far], before[finger][~far])
 
 
@@ -60,7 +60,7 @@ def test_gaussians_in_armpits_come_back_unless_clothes_are_loose(known):
     assert off() == pytest.approx(0.03, abs=1e-6)
     rig.looseness[:] = 0.0
     Held(rig).hold(avatar, body=False)
-    assert off() == pytest.approx(ARMPIT, abs=1e-6)
+    assert off() == pytest.approx(ARMPIT_REACH, abs=1e-6)
 
 
 def test_all_other_gaussians_keep_their_bits(moved):
@@ -84,7 +84,7 @@ def test_all_gaussians_come_back_to_clothes_that_are_known(known, looseness):
     free = (finger_weights(G.weights) <= 0.5) & (shared_weights(G.weights) == 0)
     was, now = (_off(means[free], rig.vertices)[0] for means in (before, G.means.detach()))
     head = head_weights(rig.weights)[_off(before[free], rig.vertices)[1]] > 0.5
-    reach = looseness + torch.where(head, HAIR, BEYOND)
+    reach = looseness + torch.where(head, HAIR_REACH, BODY_REACH)
     far = was > reach
     assert far.any() and (~far).any()
     assert torch.equal(G.means[free][~far], before[free][~far])
@@ -109,9 +109,9 @@ def test_gaussians_lie_flat_on_the_body(known):
     assert torch.equal(G.log_scales, before)
     for _ in range(60):
         held.hold(avatar, body=True)
-    assert (was > THICK).any() and (was < THICK).any()
-    assert _along(G, normals).max() < 1.01 * THICK
-    assert torch.equal(G.log_scales[was < THICK], before[was < THICK])
+    assert (was > MAX_THICKNESS).any() and (was < MAX_THICKNESS).any()
+    assert _along(G, normals).max() < 1.01 * MAX_THICKNESS
+    assert torch.equal(G.log_scales[was < MAX_THICKNESS], before[was < MAX_THICKNESS])
 
 
 def _along(G, normals):

@@ -1,4 +1,7 @@
-"""README and docs name commands, options, files and links that exist; README's programs run."""
+"""README and docs name commands, options, files and links that exist; their programs run.
+
+README's other command, ``avatar``, needs a video of a person: tests/cli/test_avatar.py makes one.
+"""
 
 import io
 import re
@@ -18,7 +21,7 @@ site_pages = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/site_pages.py")))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BLOCKS = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 LINE = re.compile(r"^gva-mi .*?(?=\s*(?:#[ ].*)?$)", re.MULTILINE)
-QUICK = {  # options that make README's commands quick
+QUICK = {  # options that make the commands of docs/steps.md quick
     "synth": "--size 48 --frames 4",
     "refine": "--passes 1 --size 32",
     "fit": "--steps 20",
@@ -114,12 +117,10 @@ def test_tables_list_every_source_error_model_and_extra():
     assert not [extra for extra in extras if f"\n| `{extra}` | " not in installation]
 
 
-def test_readmes_commands_run_one_after_the_other(tmp_path, cli, monkeypatch):
+def test_the_steps_run_one_after_the_other(tmp_path, cli, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for command in in_blocks(ROOT / "README.md"):
+    for command in in_blocks(ROOT / "docs/steps.md"):
         verb, *words = shlex.split(command)[1:]
-        if verb == "avatar":
-            continue  # needs a video of a person, and minutes: tests/cli/test_avatar.py makes one
         small = ["--size", "32", "48"] if "--path" in words else shlex.split(QUICK.get(verb, ""))
         cli.works(verb, *words, *small)
     assert (tmp_path / "renders/video.mp4").exists() and (tmp_path / "run/report.html").exists()

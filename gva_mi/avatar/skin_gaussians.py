@@ -55,6 +55,7 @@ from gva_mi.avatar.lbs_transforms import AXES, LARGEST, PairLists, SparseWeights
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.splat.kernels.ellipse import Rotation
+from gva_mi.splat.kernels.vectors import Mat3, Quat
 
 WIDTHS = (3, 4, 3, 12)  # widths of rows of means, quats, scales and colours
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]  # of a covariance's six numbers
@@ -125,7 +126,7 @@ def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
 
 def stretch(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
     """Evaluate eq. 2 to 4: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
-    JM = _times(_jacobian(A, E, _bound(E)), Rotation.of(quat).M)
+    JM = _times(_jacobian(A, E, _bound(E)), Rotation.of(Quat(*quat)).M.flat())
     F = _scaled(JM, scale)
     moved = [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
     return moved, [sum(F[3 * i + k] * F[3 * j + k] for k in AXES) for i, j in PAIRS]
@@ -135,8 +136,8 @@ def stretch_adjoint(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
 ) -> tuple[Lane, Lane, Lane, Lane, Lane]:
     """Evaluate eq. 7 to 9."""
-    rotation, beta = Rotation.of(quat), _bound(E)
-    J, M = _jacobian(A, E, beta), rotation.M
+    rotation, beta = Rotation.of(Quat(*quat)), _bound(E)
+    J, M = _jacobian(A, E, beta), rotation.M.flat()
     JM = _times(J, M)
     xx, xy, xz, yy, yz, zz = G  # a number beside the diagonal stands for two of a matrix
     twice = [2 * xx, xy, xz, xy, 2 * yy, yz, xz, yz, 2 * zz]
@@ -150,7 +151,7 @@ def stretch_adjoint(
     for i in AXES:
         grad_A += [grad_J[3 * i + k] + g[i] * mean[k] for k in AXES] + [g[i]]
     grad_mean = [sum(A[4 * i + k] * g[i] for i in AXES) for k in AXES]
-    return grad_A, grad_E, grad_mean, rotation.adjoint(grad_M), grad_scale
+    return grad_A, grad_E, grad_mean, list(rotation.adjoint(Mat3.of(grad_M))), grad_scale
 
 
 def light_vector(light: Tensor) -> Tensor:

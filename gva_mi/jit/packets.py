@@ -9,6 +9,7 @@ The precision is that of the arrays given: ``drjit.llvm.Float`` or ``Float64``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import drjit as dr
@@ -84,7 +85,7 @@ def load_rows(source: Array, width: int, index: Array) -> list[Array]:
     return [row[k] for k in range(width)]
 
 
-def store_rows(target: Array, numbers: list[Array], index: Array, active: Array = True) -> None:
+def store_rows(target: Array, numbers: Sequence[Array], index: Array, active: Array = True) -> None:
     """Store to the rows ``index`` of one flat array of any row width."""
     value = numbers[0] if len(numbers) == 1 else packet_type(type(target))(numbers)
     dr.scatter(target, value, index, active=active, mode=dr.ReduceMode.NoConflicts)

@@ -33,6 +33,13 @@ RECORDS = {
 }
 
 
+def leaves(value):
+    """The numbers of a field: itself, or the entries of a list, a vector or a matrix."""
+    if isinstance(value, list | tuple):
+        return [leaf for part in value for leaf in leaves(part)]
+    return [value]
+
+
 @pytest.mark.parametrize("F", [Float, Float64])
 @pytest.mark.parametrize("name", RECORDS)
 def test_load_undoes_store(F, name):
@@ -46,7 +53,6 @@ def test_load_undoes_store(F, name):
     packets.store(memory, written, index)
     read = packets.load(memory, kind, format, index)
     for field in fields(kind):
-        values = (getattr(record, field.name) for record in (written, read))
-        before, after = (x if isinstance(x, list) else [x] for x in values)
+        before, after = (leaves(getattr(record, field.name)) for record in (written, read))
         for a, b in zip(before, after, strict=True):
             assert (a is None and b is None) or (dr.all(a == b) and type(b) is F), field.name

@@ -43,6 +43,7 @@ from gva_mi.splat.kernels.tile_memory import (
     store_pixels,
 )
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH, Grid, Lists
+from gva_mi.splat.kernels.vectors import Sym2, Vec2, plus
 from gva_mi.splat.options import SplatOptions
 
 # Gaussians per turn of the loops. Each turn loads and stores the state of its tile's pixels, which
@@ -244,7 +245,7 @@ def blend_tangent(
         for i, pixel in enumerate(tile):
             j, column = divmod(i, WIDTH)
             alpha = Alpha.at(rows[j], PLACES[column], options)
-            dx, dy = window.x - g.u[0] + (column + 0.5), window.y - g.u[1] + (j + 0.5)
+            dx, dy = window.x - g.u.x + (column + 0.5), window.y - g.u.y + (j + 0.5)
             dalpha = alpha.tangent(d.lo, w_tangent(g, d, dx, dy), options)
             tile[i] = pixel.step_tangent(alpha.value, dalpha, g.features, d.features, k < ends[i])
         return (k + 1, *PixelTangent.state(tile))
@@ -290,9 +291,9 @@ class PairGradientSums:
 
     def __init__(self, format: RecordFormat) -> None:
         self.m0: Array | None = None
-        self.m1: list[Array | None] = [None] * (2 * format.moments)
-        self.m2: list[Array | None] = [None] * (3 * format.moments)
-        self.absolute: list[Array | None] = [None] * (2 * format.absolute)
+        self.m1 = Vec2(None, None) if format.moments else None
+        self.m2 = Sym2(None, None, None) if format.moments else None
+        self.absolute = Vec2(None, None) if format.absolute else None
         self.grad_f: list[Array | None] = [None] * (format.channels + format.depth)
         self.format = format
 
@@ -301,10 +302,9 @@ class PairGradientSums:
         channels, depth = self.format.channels, self.format.depth
         for c, by_feature in enumerate([*by_y[:channels], *by_y[len(by_y) - depth :]]):
             self.grad_f[c] = _fma(weight, by_feature, self.grad_f[c])
-        if self.absolute:
-            ax, ay = self.absolute
-            by_v = g.q * alpha.wx + g.r * alpha.wy
-            self.absolute = [_add(ax, dr.abs(v * alpha.wx)), _add(ay, dr.abs(v * by_v))]
+        if self.absolute is not None:
+            by_u_y = g.q * alpha.wx + g.r * alpha.wy
+            self.absolute = self.absolute + Vec2(dr.abs(v * alpha.wx), dr.abs(v * by_u_y))
 
     def add_row(self, row: PixelRow, v: list[Array]) -> None:
         """Add the moments of a row of pixels, from s_n = sum v e^n about the row's middle.
@@ -315,16 +315,16 @@ class PairGradientSums:
         for left in range(WIDTH // 2):
             e = -PLACES[left]
             both, difference = v[left] + v[WIDTH - 1 - left], v[WIDTH - 1 - left] - v[left]
-            s0, s1, s2 = _add(s0, both), _fma(difference, e, s1), _fma(both, e * e, s2)
-        ps1, vy = row.p * s1, s0 * row.wy
-        sx = dr.fma(row.middle, s0, ps1)  # sum v w_x
-        self.m0 = _add(self.m0, s0)
-        self.m1 = [_add(self.m1[0], sx), _add(self.m1[1], vy)]
-        self.m2 = [
-            _add(self.m2[0], dr.fma(row.middle, sx + ps1, row.p * row.p * s2)),
-            _fma(sx, row.wy, self.m2[1]),
-            _fma(vy, row.wy, self.m2[2]),
-        ]
+            s0, s1, s2 = plus(s0, both), _fma(difference, e, s1), _fma(both, e * e, s2)
+        ps1 = row.p * s1
+        sx, sy = dr.fma(row.middle, s0, ps1), s0 * row.wy  # sums of v w_x and v w_y
+        self.m0 = plus(self.m0, s0)
+        self.m1 = self.m1 + Vec2(sx, sy)
+        self.m2 = Sym2(
+            plus(self.m2.xx, dr.fma(row.middle, sx + ps1, row.p * row.p * s2)),
+            _fma(sx, row.wy, self.m2.xy),
+            _fma(sy, row.wy, self.m2.yy),
+        )
 
     def slot(self) -> PairGradient:
         """Return the sums as a record."""
@@ -356,10 +356,6 @@ def sum_slots(
     state = (type(lists.first)(lists.first), *zeros)
     state = dr.while_loop(state, lambda k, *_: k < last, body, mode="symbolic", compress=False)
     packets.store(sums, PairGradient.unpack(state[1:], format), lists.order)
-
-
-def _add(a: Array | None, b: Array) -> Array:
-    return b if a is None else a + b
 
 
 def _fma(a: Array, b: Array, c: Array | None) -> Array:

@@ -113,5 +113,5 @@ def add_slots(parts: list[PairGradient], channels: int) -> PairGradient:
     color = [channel for part in parts for channel in part.color][:channels]
     rows = zip(*(replace(part, color=[], depth=None).pack() for part in parts), strict=True)
     sums = [sum(row[1:], row[0]) for row in rows]
-    format = RecordFormat(0, False, bool(first.absolute), first.m0 is not None)
+    format = RecordFormat(0, False, first.absolute is not None, first.m0 is not None)
     return replace(PairGradient.unpack(sums, format), color=color, depth=first.depth)

@@ -10,7 +10,7 @@ With J of lens.py, the camera's R, and M the rotation of the Gaussian's quaterni
 
 Compositing evaluates the factor of eq. 6: it has one square less to cancel than the polynomial in
 d, so a needle of 100 pixels keeps its float32 digits. Base 2 saves a product. For the same reason
-determinants come from n = V_0 x V_1, the cross product of V's rows: det(V V^T) = |n|^2, and
+determinants come from n = V_x x V_y, the cross product of V's rows: det(V V^T) = |n|^2, and
 det C = |n|^2 + blur (tr V V^T + blur).
 
 Where a covariance Sigma is given, and not its quaternion and scales,
@@ -30,130 +30,128 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.kernels.inputs import Covariance, Geometry, QuatScale
-from gva_mi.splat.kernels.lens import Matrix
+from gva_mi.splat.kernels.vectors import (
+    Mat3,
+    Mat23,
+    Quat,
+    Sym2,
+    Sym3,
+    Vec3,
+    cross,
+    diagonal_product,
+    dot,
+    each,
+    product,
+    symmetric_product,
+    transposed_product,
+)
 from gva_mi.splat.options import SplatOptions
 
 LN2 = math.log(2.0)
-
-
-def dot(a: list[Array | None], b: list[Array | None]) -> Array | None:
-    """Sum of products, where None is zero."""
-    terms = [x * y for x, y in zip(a, b, strict=True) if x is not None and y is not None]
-    return sum(terms[1:], terms[0]) if terms else None
-
-
-def cross(a: list[Array], b: list[Array]) -> list[Array]:
-    """Cross product of two vectors."""
-    return [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
-
-
-def product(A: Matrix, B: Matrix) -> Matrix:
-    """Product of A (2, 3) and B (3, 3)."""
-    return [dot(A[3 * k : 3 * k + 3], B[n::3]) for k in range(2) for n in range(3)]
-
-
-def plus(a: Array | None, b: Array | None) -> Array | None:
-    """Sum, where None is zero."""
-    if a is None or b is None:
-        return a if b is None else b
-    return a + b
 
 
 @dataclass(frozen=True)
 class Factor:
     """Eq. 6: the factor L of an inverse covariance, with its adjoint and tangent."""
 
-    C: list[Array]  # c_xx, c_xy, c_yy
+    C: Sym2
     det: Array  # of C
     p: Array
     q: Array
     r: Array
 
     @staticmethod
-    def of(C: list[Array], det: Array) -> Factor:
+    def of(C: Sym2, det: Array) -> Factor:
         half = 0.5 / LN2
-        p = dr.sqrt(half * C[2] / det)
-        return Factor(C, det, p, -p * C[1] / C[2], dr.sqrt(half / C[2]))
+        p = dr.sqrt(half * C.yy / det)
+        return Factor(C, det, p, -p * C.xy / C.yy, dr.sqrt(half / C.yy))
 
-    def adjoint(self, mxx: Array, mxy: Array, myy: Array) -> list[Array]:
-        """dL/dC = 2 (ln 2)^2 L^T m2 L, its three entries."""
+    def adjoint(self, m2: Sym2) -> Sym2:
+        """dL/dC = 2 (ln 2)^2 L^T m2 L."""
         p, q, r = self.p, self.q, self.r
         k2 = 2 * LN2 * LN2
-        N = [mxx * p, mxx * q + mxy * r, mxy * p, mxy * q + myy * r]  # m2 L
-        return [k2 * p * N[0], k2 * p * N[1], k2 * (q * N[1] + r * N[3])]
+        m2L_xx, m2L_xy, m2L_yy = m2.xx * p, m2.xx * q + m2.xy * r, m2.xy * q + m2.yy * r
+        return Sym2(k2 * p * m2L_xx, k2 * p * m2L_xy, k2 * (q * m2L_xy + r * m2L_yy))
 
     def tangent(self, dxy: Array, dyy: Array, rdet: Array) -> tuple[Array, Array, Array]:
         """Tangents of p, q, r; ``rdet`` is the relative tangent of the determinant."""
-        ryy = dyy / self.C[2]
+        ryy = dyy / self.C.yy
         dp = 0.5 * self.p * (ryy - rdet)
-        dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C[2]
+        dq = 0.5 * self.q * (-ryy - rdet) - self.p * dxy / self.C.yy
         return dp, dq, -0.5 * self.r * ryy
 
 
-def product_adjoint(gB: list[Array], J: Matrix, R: list[Array]) -> tuple[list[Array], list[Array]]:
-    """From dL/dB, B = J R, to dL/dJ and dL/dR."""
-    gJ = [dot(gB[3 * k : 3 * k + 3], R[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
-    gR = [dot([J[j], J[3 + j]], [gB[n], gB[3 + n]]) for j in range(3) for n in range(3)]
-    return gJ, gR
+def product_adjoint(gB: Mat23, J: Mat23, R: Mat3) -> tuple[Mat23, Mat3]:
+    """From dL/dB, B = J R, to dL/dJ = dL/dB R^T and dL/dR = J^T dL/dB."""
+    return product(gB, R.T), transposed_product(J, gB)
 
 
-def rotation_entries(q: list[Array]) -> list[Array]:
-    """Rotation matrix of a unit quaternion wxyz, row by row."""
-    w, i, j, k = q
-    M = [1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j)]
-    M += [2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i)]
-    M += [2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j)]
-    return M
+def add_log_det_adjoint(gC: Sym2, C: Sym2, by_det: Array) -> Sym2:
+    """Add to dL/dC what reaches it through det C, given dL/d(det C)."""
+    return Sym2(gC.xx + by_det * C.yy, gC.xy - by_det * C.xy, gC.yy + by_det * C.xx)
+
+
+def rotation_matrix(q: Quat) -> Mat3:
+    """Rotation matrix of a unit quaternion."""
+    w, x, y, z = q
+    return Mat3(
+        Vec3(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        Vec3(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        Vec3(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
 
 
 @dataclass(frozen=True)
 class Rotation:
     """Rotation matrix of a quaternion of any length; the zero quaternion gives the identity."""
 
-    q: list[Array]  # wxyz, unit
+    q: Quat  # unit
     rq: Array  # 1/|quaternion|
-    M: list[Array]  # 3 x 3, row by row
+    M: Mat3
 
     @staticmethod
-    def of(quat: list[Array]) -> Rotation:
-        squared = quat[0] * quat[0] + quat[1] * quat[1] + quat[2] * quat[2] + quat[3] * quat[3]
+    def of(quat: Quat) -> Rotation:
+        squared = dot(quat, quat)
         rq = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
-        q = [v * rq for v in quat]
-        return Rotation(q, rq, rotation_entries(q))
+        q = quat * rq
+        return Rotation(q, rq, rotation_matrix(q))
 
-    def adjoint(self, gM: list[Array]) -> list[Array]:
+    def adjoint(self, gM: Mat3) -> Quat:
         """From dL/dM to dL/dquaternion: the matrix, then the normalisation."""
-        w, i, j, k = self.q
-        a, b, c = gM[7] - gM[5], gM[2] - gM[6], gM[3] - gM[1]  # the antisymmetric part
-        d, h, l = gM[7] + gM[5], gM[2] + gM[6], gM[3] + gM[1]  # the symmetric part
-        gq = [
-            2 * (i * a + j * b + k * c),
-            2 * (w * a + j * l + k * h - 2 * i * (gM[4] + gM[8])),
-            2 * (w * b + i * l + k * d - 2 * j * (gM[0] + gM[8])),
-            2 * (w * c + i * h + j * d - 2 * k * (gM[0] + gM[4])),
-        ]
-        radial = w * gq[0] + i * gq[1] + j * gq[2] + k * gq[3]
-        return [self.rq * (gq[n] - self.q[n] * radial) for n in range(4)]
+        w, x, y, z = self.q
+        # entries of gM - gM^T and gM + gM^T
+        odd_x, odd_y, odd_z = gM.z.y - gM.y.z, gM.x.z - gM.z.x, gM.y.x - gM.x.y
+        even_x, even_y, even_z = gM.z.y + gM.y.z, gM.x.z + gM.z.x, gM.y.x + gM.x.y
+        gq = Quat(
+            2 * (x * odd_x + y * odd_y + z * odd_z),
+            2 * (w * odd_x + y * even_z + z * even_y - 2 * x * (gM.y.y + gM.z.z)),
+            2 * (w * odd_y + x * even_z + z * even_x - 2 * y * (gM.x.x + gM.z.z)),
+            2 * (w * odd_z + x * even_y + y * even_x - 2 * z * (gM.x.x + gM.y.y)),
+        )
+        radial = dot(self.q, gq)
+        return each(lambda g, q: self.rq * (g - q * radial), gq, self.q)
 
-    def tangent(self, dquat: list[Array]) -> list[Array]:
+    def tangent(self, dquat: Quat) -> Mat3:
         """From the quaternion's tangent to the matrix's."""
-        w, i, j, k = self.q
-        radial = w * dquat[0] + i * dquat[1] + j * dquat[2] + k * dquat[3]
-        dw, di, dj, dk = (self.rq * (dquat[n] - self.q[n] * radial) for n in range(4))
-        ij, ik, jk = di * j + i * dj, di * k + i * dk, dj * k + j * dk
-        wi, wj, wk = dw * i + w * di, dw * j + w * dj, dw * k + w * dk
-        ii, jj, kk = 2 * i * di, 2 * j * dj, 2 * k * dk
-        dM = [-2 * (jj + kk), 2 * (ij - wk), 2 * (ik + wj)]
-        dM += [2 * (ij + wk), -2 * (ii + kk), 2 * (jk - wi)]
-        return dM + [2 * (ik - wj), 2 * (jk + wi), -2 * (ii + jj)]
+        w, x, y, z = self.q
+        radial = dot(self.q, dquat)
+        dw, dx, dy, dz = each(lambda d, q: self.rq * (d - q * radial), dquat, self.q)
+        xy, xz, yz = dx * y + x * dy, dx * z + x * dz, dy * z + y * dz
+        wx, wy, wz = dw * x + w * dx, dw * y + w * dy, dw * z + w * dz
+        xx, yy, zz = 2 * x * dx, 2 * y * dy, 2 * z * dz
+        return Mat3(
+            Vec3(-2 * (yy + zz), 2 * (xy - wz), 2 * (xz + wy)),
+            Vec3(2 * (xy + wz), -2 * (xx + zz), 2 * (yz - wx)),
+            Vec3(2 * (xz - wy), 2 * (yz + wx), -2 * (xx + yy)),
+        )
 
 
 @dataclass(frozen=True)
 class EllipseGradient:
     """Gradients by the inputs of an ellipse."""
 
-    J: Matrix
-    R: list[Array]
+    J: Mat23
+    R: Mat3
     geometry: Geometry
     o: Array
 
@@ -162,18 +160,18 @@ class EllipseGradient:
 class Ellipse:
     """Eq. 4-7 of one Gaussian, with the intermediate values for its adjoint and tangent."""
 
-    J: Matrix
-    R: list[Array]
-    s: list[Array]
+    J: Mat23
+    R: Mat3
+    s: Vec3
     o: Array
     blur: Array  # px^2
     rotation: Rotation
-    B: list[Array]  # 2 x 3
-    BM: list[Array]  # 2 x 3
-    V: list[Array]  # 2 x 3
-    C: list[Array]  # c_xx, c_xy, c_yy
-    n: list[Array]  # V_0 x V_1
-    sharp: Array  # det(V V^T)
+    B: Mat23
+    BM: Mat23
+    V: Mat23
+    C: Sym2
+    n: Vec3  # V_x x V_y
+    sharp_det: Array  # det(V V^T)
     det: Array  # of C
     L: Factor
     lo: Array
@@ -181,97 +179,77 @@ class Ellipse:
 
     @staticmethod
     def of(
-        J: Matrix,
-        R: list[Array],
-        geometry: QuatScale,
-        o: Array,
-        blur: Array,
-        options: SplatOptions,
+        J: Mat23, R: Mat3, geometry: QuatScale, o: Array, blur: Array, options: SplatOptions
     ) -> Ellipse:
         rotation, s = Rotation.of(geometry.quats), geometry.scales
         B = product(J, R)
         BM = product(B, rotation.M)
-        V = [BM[k] * s[k % 3] for k in range(6)]
-        V0, V1 = V[:3], V[3:]
-        xx, xy, yy = dot(V0, V0), dot(V0, V1), dot(V1, V1)
-        C = [xx + blur, xy, yy + blur]
-        n = cross(V0, V1)
-        sharp = dot(n, n)
-        det = sharp + blur * (xx + yy + blur)
+        V = diagonal_product(BM, s)
+        xx, xy, yy = dot(V.x, V.x), dot(V.x, V.y), dot(V.y, V.y)
+        C = Sym2(xx + blur, xy, yy + blur)
+        n = cross(V.x, V.y)
+        sharp_det = dot(n, n)
+        det = sharp_det + blur * (xx + yy + blur)
         L = Factor.of(C, det)
         lo = dr.log2(o)
         if options.antialiased:
-            lo += 0.5 * dr.log2(sharp / det)
-        return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp, det, L, lo, options)
+            lo += 0.5 * dr.log2(sharp_det / det)
+        return Ellipse(J, R, s, o, blur, rotation, B, BM, V, C, n, sharp_det, det, L, lo, options)
 
-    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> EllipseGradient:
+    def adjoint(self, m0: Array, m2: Sym2) -> EllipseGradient:
         """From the moments m0 = dL/dln o and m2 of eq. 16 (pixel.py).
 
         dL/dV = 2 dL/dC V. Antialiasing adds (ln det(V V^T) - ln det C) / 2 to ln o, where
-        d det(V V^T)/dV_0 = 2 V_1 x n.
+        d det(V V^T) / dV_x = 2 V_y x n and d det(V V^T) / dV_y = 2 n x V_x.
         """
-        V, M = self.V, self.rotation.M
-        gC = self.L.adjoint(mxx, mxy, myy)
+        V, BM = self.V, self.BM
+        gC = self.L.adjoint(m2)
         if self.options.antialiased:
-            half, (xx, xy, yy) = -0.5 * m0 / self.det, self.C
-            gC = [gC[0] + half * yy, gC[1] - half * xy, gC[2] + half * xx]
-        gV = [2 * (gC[0] * V[n] + gC[1] * V[3 + n]) for n in range(3)]
-        gV += [2 * (gC[1] * V[n] + gC[2] * V[3 + n]) for n in range(3)]
+            gC = add_log_det_adjoint(gC, self.C, -0.5 * m0 / self.det)
+        gV = 2 * symmetric_product(gC, V)
         if self.options.antialiased:
-            by_sharp = [*cross(V[3:], self.n), *cross(self.n, V[:3])]
-            scale = m0 / self.sharp
-            gV = [a + scale * b for a, b in zip(gV, by_sharp, strict=True)]
-        grad_s = [gV[n] * self.BM[n] + gV[3 + n] * self.BM[3 + n] for n in range(3)]
-        gBM = [gV[n] * self.s[n % 3] for n in range(6)]
-        B = self.B
-        gM = [B[j] * gBM[n] + B[3 + j] * gBM[3 + n] for j in range(3) for n in range(3)]
-        rows = [gBM[:3], gBM[3:]]
-        gB = [dot(rows[k], M[3 * j : 3 * j + 3]) for k in range(2) for j in range(3)]
+            scale = m0 / self.sharp_det
+            by_sharp_det = Mat23(cross(V.y, self.n), cross(self.n, V.x))
+            gV = each(lambda a, b: a + scale * b, gV, by_sharp_det)
+        gs = Vec3(*(dot(a, b) for a, b in zip(gV.columns, BM.columns, strict=True)))
+        gBM = diagonal_product(gV, self.s)
+        gM = transposed_product(self.B, gBM)
+        gB = product(gBM, self.rotation.M.T)
         gJ, gR = product_adjoint(gB, self.J, self.R)
-        geometry = QuatScale(self.rotation.adjoint(gM), grad_s)
-        return EllipseGradient(gJ, gR, geometry, m0 / self.o)
+        return EllipseGradient(gJ, gR, QuatScale(self.rotation.adjoint(gM), gs), m0 / self.o)
 
     def tangent(
-        self, dJ: Matrix, dR: list[Array], dgeometry: QuatScale, do: Array
+        self, dJ: Mat23, dR: Mat3, dgeometry: QuatScale, do: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Tangents of p, q, r, lo."""
-        dM, ds = self.rotation.tangent(dgeometry.quats), dgeometry.scales
-        dB = [plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
-        dBM = [
-            a + b for a, b in zip(product(dB, self.rotation.M), product(self.B, dM), strict=True)
-        ]
-        dV = [dBM[k] * self.s[k % 3] + self.BM[k] * ds[k % 3] for k in range(6)]
-        V0, V1, dV0, dV1 = self.V[:3], self.V[3:], dV[:3], dV[3:]
-        dxx, dyy = 2 * dot(V0, dV0), 2 * dot(V1, dV1)
-        dxy = dot(V0, dV1) + dot(V1, dV0)
-        dn = [a + b for a, b in zip(cross(dV0, V1), cross(V0, dV1), strict=True)]
-        dsharp = 2 * dot(self.n, dn)
-        rdet = (dsharp + self.blur * (dxx + dyy)) / self.det  # relative
+        V, dM = self.V, self.rotation.tangent(dgeometry.quats)
+        dB = product(dJ, self.R) + product(self.J, dR)
+        dBM = product(dB, self.rotation.M) + product(self.B, dM)
+        dV = diagonal_product(dBM, self.s) + diagonal_product(self.BM, dgeometry.scales)
+        dxx, dyy = 2 * dot(V.x, dV.x), 2 * dot(V.y, dV.y)
+        dxy = dot(V.x, dV.y) + dot(V.y, dV.x)
+        dn = cross(dV.x, V.y) + cross(V.x, dV.y)
+        dsharp_det = 2 * dot(self.n, dn)
+        rdet = (dsharp_det + self.blur * (dxx + dyy)) / self.det  # relative
         dlo = do / self.o
         if self.options.antialiased:
-            dlo += 0.5 * (dsharp / self.sharp - rdet)
+            dlo += 0.5 * (dsharp_det / self.sharp_det - rdet)
         return *self.L.tangent(dxy, dyy, rdet), dlo / LN2
-
-
-def _matrix(geometry: Covariance) -> list[Array]:
-    """Sigma, row by row."""
-    xx, xy, xz, yy, yz, zz = geometry.covars
-    return [xx, xy, xz, xy, yy, yz, xz, yz, zz]
 
 
 @dataclass(frozen=True)
 class CovarianceEllipse:
-    """Eq. 6-7 of one Gaussian, with the interface of ``ellipse.Ellipse``."""
+    """Eq. 6-7 of one Gaussian given by its covariance, with the interface of ``Ellipse``."""
 
-    J: Matrix
-    R: list[Array]
+    J: Mat23
+    R: Mat3
     o: Array
     blur: Array  # px^2
-    B: list[Array]  # 2 x 3
-    BS: list[Array]  # B Sigma, 2 x 3
-    sharp: list[Array]  # B Sigma B^T: xx, xy, yy
+    B: Mat23
+    BS: Mat23  # B Sigma
+    sharp: Sym2  # B Sigma B^T
     sharp_det: Array
-    C: list[Array]  # c_xx, c_xy, c_yy
+    C: Sym2
     det: Array  # of C
     L: Factor
     lo: Array
@@ -279,65 +257,52 @@ class CovarianceEllipse:
 
     @staticmethod
     def of(
-        J: Matrix,
-        R: list[Array],
-        geometry: Covariance,
-        o: Array,
-        blur: Array,
-        options: SplatOptions,
+        J: Mat23, R: Mat3, geometry: Covariance, o: Array, blur: Array, options: SplatOptions
     ) -> CovarianceEllipse:
         B = product(J, R)
-        BS = product(B, _matrix(geometry))
-        xx, xy, yy = dot(BS[:3], B[:3]), dot(BS[:3], B[3:]), dot(BS[3:], B[3:])
-        xx, yy = (
-            dr.select(v > 0, v, 0) for v in (xx, yy)
-        )  # finite even where Sigma is no covariance
+        BS = product(B, geometry.covars.matrix())
+        xx, xy, yy = dot(BS.x, B.x), dot(BS.x, B.y), dot(BS.y, B.y)
+        # finite even where Sigma is no covariance
+        xx, yy = (dr.select(v > 0, v, 0) for v in (xx, yy))
         sharp_det = xx * yy - xy * xy
         sharp_det = dr.select(sharp_det > 0, sharp_det, 0)
-        C, det = [xx + blur, xy, yy + blur], sharp_det + blur * (xx + yy + blur)
+        C, det = Sym2(xx + blur, xy, yy + blur), sharp_det + blur * (xx + yy + blur)
         lo = dr.log2(o)
         if options.antialiased:
             lo += 0.5 * dr.log2(sharp_det / det)
-        L, sharp = Factor.of(C, det), [xx, xy, yy]
+        L, sharp = Factor.of(C, det), Sym2(xx, xy, yy)
         return CovarianceEllipse(J, R, o, blur, B, BS, sharp, sharp_det, C, det, L, lo, options)
 
-    def adjoint(self, m0: Array, mxx: Array, mxy: Array, myy: Array) -> EllipseGradient:
+    def adjoint(self, m0: Array, m2: Sym2) -> EllipseGradient:
         """From the moments: dL/dSigma = B^T dL/dC B and dL/dB = 2 dL/dC B Sigma.
 
         An off-diagonal number stands for two entries of Sigma and receives both gradients.
         """
-        B, BS = self.B, self.BS
-        gC = self.L.adjoint(mxx, mxy, myy)
+        gC = self.L.adjoint(m2)
         if self.options.antialiased:
-            for (xx, xy, yy), det, sign in (
-                (self.C, self.det, -1),
-                (self.sharp, self.sharp_det, 1),
-            ):
-                half = 0.5 * sign * m0 / det
-                gC = [gC[0] + half * yy, gC[1] - half * xy, gC[2] + half * xx]
-        H = [gC[0] * B[n] + gC[1] * B[3 + n] for n in range(3)]
-        H += [gC[1] * B[n] + gC[2] * B[3 + n] for n in range(3)]
-        G = lambda j, n: B[j] * H[n] + B[3 + j] * H[3 + n]
-        gB = [2 * (gC[0] * BS[n] + gC[1] * BS[3 + n]) for n in range(3)]
-        gB += [2 * (gC[1] * BS[n] + gC[2] * BS[3 + n]) for n in range(3)]
+            gC = add_log_det_adjoint(gC, self.C, -0.5 * m0 / self.det)
+            gC = add_log_det_adjoint(gC, self.sharp, 0.5 * m0 / self.sharp_det)
+        gSigma = transposed_product(self.B, symmetric_product(gC, self.B))
+        gB = 2 * symmetric_product(gC, self.BS)
         gJ, gR = product_adjoint(gB, self.J, self.R)
-        by_sigma = [G(0, 0), 2 * G(0, 1), 2 * G(0, 2), G(1, 1), 2 * G(1, 2), G(2, 2)]
-        return EllipseGradient(gJ, gR, Covariance(by_sigma), m0 / self.o)
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = gSigma
+        by_covars = Covariance(Sym3(xx, 2 * xy, 2 * xz, yy, 2 * yz, zz))
+        return EllipseGradient(gJ, gR, by_covars, m0 / self.o)
 
     def tangent(
-        self, dJ: Matrix, dR: list[Array], dgeometry: Covariance, do: Array
+        self, dJ: Mat23, dR: Mat3, dgeometry: Covariance, do: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Tangents of p, q, r, lo."""
         B, BS = self.B, self.BS
-        dB = [plus(a, b) for a, b in zip(product(dJ, self.R), product(self.J, dR), strict=True)]
-        BdS = product(B, _matrix(dgeometry))
-        dxx = 2 * dot(dB[:3], BS[:3]) + dot(BdS[:3], B[:3])
-        dxy = dot(dB[:3], BS[3:]) + dot(BS[:3], dB[3:]) + dot(BdS[:3], B[3:])
-        dyy = 2 * dot(dB[3:], BS[3:]) + dot(BdS[3:], B[3:])
+        dB = product(dJ, self.R) + product(self.J, dR)
+        BdS = product(B, dgeometry.covars.matrix())
+        dxx = 2 * dot(dB.x, BS.x) + dot(BdS.x, B.x)
+        dxy = dot(dB.x, BS.y) + dot(BS.x, dB.y) + dot(BdS.x, B.y)
+        dyy = 2 * dot(dB.y, BS.y) + dot(BdS.y, B.y)
         xx, xy, yy = self.sharp
-        dsharp = dxx * yy + xx * dyy - 2 * xy * dxy
-        rdet = (dsharp + self.blur * (dxx + dyy)) / self.det  # relative
+        dsharp_det = dxx * yy + xx * dyy - 2 * xy * dxy
+        rdet = (dsharp_det + self.blur * (dxx + dyy)) / self.det  # relative
         dlo = do / self.o
         if self.options.antialiased:
-            dlo += 0.5 * (dsharp / self.sharp_det - rdet)
+            dlo += 0.5 * (dsharp_det / self.sharp_det - rdet)
         return *self.L.tangent(dxy, dyy, rdet), dlo / LN2

@@ -2,8 +2,8 @@
 
 Both front ends (torch's torch_passes.py, Dr.Jit's drjit_render.py) hand their flat arrays over in
 this form, without copies. A covariance has two forms, ``QuatScale`` and ``Covariance``. Each exists
-twice: in memory its fields are flat arrays of all Gaussians, and in a kernel they are lists of
-columns, one Gaussian per SIMD lane. Gradients and tangents have the same form as the Gaussians. The
+twice: in memory its fields are flat arrays of all Gaussians, and in a kernel they are vectors, one
+Gaussian per SIMD lane. Gradients and tangents have the same form as the Gaussians. The
 camera is a few arrays of size one, with a tangent and an adjoint of its own on the host.
 """
 
@@ -21,17 +21,18 @@ from drjit.llvm import Float64
 from gva_mi.jit import packets
 from gva_mi.splat.camera import ArgumentError, Camera, CameraModel
 from gva_mi.splat.kernels.records import CameraGradient, RecordFormat
+from gva_mi.splat.kernels.vectors import Mat3, Quat, Sym3, Vec2, Vec3, each
 from gva_mi.splat.options import SplatOptions
 
-Columns = Callable[[list[Array]], list[Array]]
+Entrywise = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class QuatScale:
     """Sigma = M S S M^T, with the rotation M of a quaternion and S = diag(scales)."""
 
-    quats: Any  # 4 N numbers wxyz; in a kernel 4 columns
-    scales: Any  # 3 N numbers, metres; in a kernel 3 columns
+    quats: Any  # 4 N numbers wxyz; in a kernel a Quat
+    scales: Any  # 3 N numbers, metres; in a kernel a Vec3
 
     @staticmethod
     def empty(F: type, n: int) -> QuatScale:
@@ -39,32 +40,29 @@ class QuatScale:
         return QuatScale(dr.empty(F, 4 * n), dr.empty(F, 3 * n))
 
     def load(self, i: Array) -> QuatScale:
-        """Read the columns of the Gaussians ``i``."""
-        F = type(self.scales)
-        scales = [dr.gather(F, self.scales, 3 * i + k) for k in range(3)]
-        return QuatScale(packets.load_rows(self.quats, 4, i), scales)
+        """Read the Gaussians ``i``."""
+        scales = load_vector(self.scales, i)
+        return QuatScale(Quat(*packets.load_rows(self.quats, 4, i)), scales)
 
-    def store(self, columns: QuatScale, i: Array) -> None:
-        """Write columns to the Gaussians ``i``."""
-        for k in range(3):
-            mode = dr.ReduceMode.NoConflicts
-            dr.scatter(self.scales, columns.scales[k], 3 * i + k, mode=mode)
-        packets.store_rows(self.quats, columns.quats, i)
+    def store(self, values: QuatScale, i: Array) -> None:
+        """Write the Gaussians ``i``."""
+        store_vector(self.scales, values.scales, i)
+        packets.store_rows(self.quats, values.quats, i)
 
-    def columns(self) -> list[Array]:
-        """All columns, in a kernel."""
+    def numbers(self) -> list[Array]:
+        """All numbers of a Gaussian, in a kernel."""
         return [*self.quats, *self.scales]
 
-    def map(self, function: Columns) -> QuatScale:
-        """Apply a function to each list of columns."""
-        return QuatScale(function(self.quats), function(self.scales))
+    def map(self, function: Entrywise) -> QuatScale:
+        """Apply a function to each number, in a kernel."""
+        return QuatScale(each(function, self.quats), each(function, self.scales))
 
 
 @dataclass(frozen=True)
 class Covariance:
     """Sigma by its upper triangle: xx, xy, xz, yy, yz, zz."""
 
-    covars: Any  # 6 N numbers, square metres; in a kernel 6 columns
+    covars: Any  # 6 N numbers, square metres; in a kernel a Sym3
 
     @staticmethod
     def empty(F: type, n: int) -> Covariance:
@@ -72,23 +70,34 @@ class Covariance:
         return Covariance(dr.empty(F, 6 * n))
 
     def load(self, i: Array) -> Covariance:
-        """Read the columns of the Gaussians ``i``."""
-        return Covariance(packets.load_rows(self.covars, 6, i))
+        """Read the Gaussians ``i``."""
+        return Covariance(Sym3(*packets.load_rows(self.covars, 6, i)))
 
-    def store(self, columns: Covariance, i: Array) -> None:
-        """Write columns to the Gaussians ``i``."""
-        packets.store_rows(self.covars, columns.covars, i)
+    def store(self, values: Covariance, i: Array) -> None:
+        """Write the Gaussians ``i``."""
+        packets.store_rows(self.covars, values.covars, i)
 
-    def columns(self) -> list[Array]:
-        """All columns, in a kernel."""
+    def numbers(self) -> list[Array]:
+        """All numbers of a Gaussian, in a kernel."""
         return list(self.covars)
 
-    def map(self, function: Columns) -> Covariance:
-        """Apply a function to the list of columns."""
-        return Covariance(function(self.covars))
+    def map(self, function: Entrywise) -> Covariance:
+        """Apply a function to each number, in a kernel."""
+        return Covariance(each(function, self.covars))
 
 
 Geometry = QuatScale | Covariance
+
+
+def load_vector(flat: Array, i: Array) -> Vec3:
+    """Read the rows ``i`` of an array of 3 N numbers."""
+    return Vec3(*(dr.gather(type(flat), flat, 3 * i + k) for k in range(3)))
+
+
+def store_vector(flat: Array, v: Vec3, i: Array) -> None:
+    """Write the rows ``i`` of an array of 3 N numbers."""
+    for k, number in enumerate(v):
+        dr.scatter(flat, number, 3 * i + k, mode=dr.ReduceMode.NoConflicts)
 
 
 @dataclass(frozen=True)
@@ -178,8 +187,8 @@ class Plan:
 class Gaussian3D:
     """One Gaussian per lane."""
 
-    m: list[Array]  # mean
-    geometry: Geometry  # columns
+    m: Vec3  # mean
+    geometry: Geometry  # of vectors
     o: Array  # opacity
     color: list[Array]  # channels, or coefficients
 
@@ -187,8 +196,7 @@ class Gaussian3D:
     def load(inputs: Inputs, color_width: int, i: Array) -> Gaussian3D:
         """Read the Gaussians ``i``."""
         F = inputs.float_type
-        m = [dr.gather(F, inputs.means, 3 * i + k) for k in range(3)]
-        geometry = inputs.geometry.load(i)
+        m, geometry = load_vector(inputs.means, i), inputs.geometry.load(i)
         o = dr.gather(F, inputs.opacities, i)
         return Gaussian3D(m, geometry, o, packets.load_rows(inputs.colors, color_width, i))
 
@@ -238,17 +246,17 @@ class GradientMemory:
             packets.empty(CameraGradient, None, n, F) if requested.camera else None,
         )
 
-    def store(self, grad: Gaussian3D, grad_u: list[Array], i: Array) -> None:
+    def store(self, grad: Gaussian3D, grad_u: Vec2, i: Array) -> None:
         """Write the gradients of the Gaussians ``i``, without the colours'."""
-        mode = dr.ReduceMode.NoConflicts
-        for k in range(3):
-            dr.scatter(self.means, grad.m[k], 3 * i + k, mode=mode)
+        store_vector(self.means, grad.m, i)
         self.geometry.store(grad.geometry, i)
         packets.store_rows(self.u, grad_u, i)
-        dr.scatter(self.opacities, grad.o, i, mode=mode)
+        dr.scatter(self.opacities, grad.o, i, mode=dr.ReduceMode.NoConflicts)
 
 
-MARGIN = 0.15  # of the picture's size, on each side, where a pinhole's J still follows the mean
+# Share of the picture's size, beyond each border, up to which a pinhole's J follows the mean:
+# gsplat's 0.3 tan(fov / 2), which is 0.15 of the size.
+HELD_MARGIN = 0.15
 
 
 @dataclass(frozen=True)
@@ -258,13 +266,13 @@ class CameraArrays:
     R, t, o are the rotation, the translation and the position: ``x = R m + t``, ``R o + t = 0``.
     """
 
-    R: list[Array]  # 9, row by row
-    t: list[Array]  # 3
-    f: list[Array]  # 2, px
-    c: list[Array]  # 2, px
-    o: list[Array]  # 3, world
-    low: list[Array]  # 2, least w of ``held``, px
-    high: list[Array]  # 2, greatest
+    R: Mat3
+    t: Vec3
+    f: Vec2  # px
+    c: Vec2  # px
+    o: Vec3  # world
+    low: Vec2  # least w of ``held``, px
+    high: Vec2  # greatest
     near: Array  # least depth of a Gaussian that is drawn, m
     far: Array  # greatest, m
     blur: Array  # added to the diagonal of the covariances in the picture, px^2
@@ -273,11 +281,9 @@ class CameraArrays:
 
     def to(self, F: type) -> CameraArrays:
         """Convert to another precision, inside a kernel."""
-        lists = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
+        vectors = (self.R, self.t, self.f, self.c, self.o, self.low, self.high)
         cut_offs = (self.near, self.far, self.blur, self.radius)
-        return CameraArrays(
-            *([F(x) for x in part] for part in lists), *map(F, cut_offs), self.model
-        )
+        return CameraArrays(*(each(F, v) for v in vectors), *map(F, cut_offs), self.model)
 
 
 def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
@@ -285,7 +291,7 @@ def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
     f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     T = camera.T_camera_world
-    low, high = -MARGIN * size - c, (1 + MARGIN) * size - c
+    low, high = -HELD_MARGIN * size - c, (1 + HELD_MARGIN) * size - c
     radius = options.radius_min if options.radius_min > 0 else -1
     reach = np.array([options.near, options.far, options.blur, radius])
     parts = [T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high, reach]
@@ -318,6 +324,15 @@ def _arrays(parts: list[np.ndarray], model: CameraModel) -> CameraArrays:
     array = Float64(numbers)
     x = [dr.gather(Float64, array, k) for k in range(numbers.size)]
     dr.eval(x)
+    t, f, c, o, low, high = x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23]
     return CameraArrays(
-        x[:9], x[9:12], x[12:14], x[14:16], x[16:19], x[19:21], x[21:23], *x[23:], model
+        Mat3.of(x[:9]),
+        Vec3(*t),
+        Vec2(*f),
+        Vec2(*c),
+        Vec3(*o),
+        Vec2(*low),
+        Vec2(*high),
+        *x[23:],
+        model,
     )

@@ -1,18 +1,21 @@
 """Projection of a point into the picture, and its derivative: three camera models (paper, Eq. 2).
 
-From a point x in camera space, with focal lengths f and principal point c, both px, and k = 0, 1:
+From a point (x, y, z) in camera space, with focal lengths f and principal point c, both px:
 
-(2)  u_k = w_k + c_k               mean in the picture
-(3)  J   = du/dx, (2, 3)           a pinhole's w is held within the picture and its margin
+(2)  u = w + c               mean in the picture
+(3)  J = du/d(x, y, z)       a pinhole's w is held within the picture and its margin
 
-| model | w_k | J |
+| model | w | J |
 |---|---|---|
-| pinhole | f_k x_k / z | J_kk = f_k / z,  J_k2 = -held(w_k) / z |
-| ortho | f_k x_k | J_kk = f_k |
-| fisheye | f_k x_k s,  s = atan2(r, z) / r | J_kl = f_k (s d_kl + e x_k x_l),  J_k2 = f_k x_k h |
+| pinhole | f_x x / z | f_x / z, 0, -held(w_x) / z |
+| | f_y y / z | 0, f_y / z, -held(w_y) / z |
+| ortho | f_x x | f_x, 0, 0 |
+| | f_y y | 0, f_y, 0 |
+| fisheye, s = atan2(r, z) / r | f_x x s | f_x (s + e x^2), f_x e x y, f_x x h |
+| | f_y y s | f_y e x y, f_y (s + e y^2), f_y y h |
 
 Fisheye is the equidistant lens: pixels from the centre grow with the angle from the axis. s, e, h
-are functions of t = r^2 = x_0^2 + x_1^2 and z. With rho^2 = t + z^2, and subscripts for partials:
+are functions of t = r^2 = x^2 + y^2 and z. With rho^2 = t + z^2, and subscripts for partials:
 
     s_t = e / 2    s_z = h = -1 / rho^2    e_t = k    e_z = 2 h_t = 2 / rho^4    h_z = 2 z / rho^4
 
@@ -20,7 +23,7 @@ are functions of t = r^2 = x_0^2 + x_1^2 and z. With rho^2 = t + z^2, and subscr
 a Gaussian far outside a pinhole's picture is unbounded and useless.
 
 Each model is one class: ``at`` is its forward, and it keeps what ``adjoint`` and ``tangent`` need.
-Entries of J that are zero for every x are None.
+Entries of J that are zero for every point are None.
 """
 
 from __future__ import annotations
@@ -32,152 +35,157 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
 from gva_mi.splat.kernels.inputs import CameraArrays
-
-Matrix = list[Array | None]  # row by row; None is a zero
+from gva_mi.splat.kernels.vectors import Mat23, Vec2, Vec3, dot, each
 
 
 @dataclass(frozen=True)
 class LensGradient:
     """Gradients by the point in camera space, the focal lengths and the principal point."""
 
-    x: list[Array]
-    f: list[Array]
-    c: list[Array]
+    point: Vec3
+    f: Vec2
+    c: Vec2
 
 
 @dataclass(frozen=True)
 class Pinhole:
     """Rays through one point."""
 
-    x: list[Array]
-    f: list[Array]
+    point: Vec3
+    f: Vec2
     rz: Array  # 1/z
-    held: list[Array]  # w, clamped
-    free: list[Array]  # where it is not
-    u: list[Array]
-    J: Matrix
+    held: Vec2  # w, clamped
+    free: Vec2  # where it is not
+    u: Vec2
+    J: Mat23
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: CameraArrays) -> Pinhole:
-        f, rz = view.f, 1 / z
-        w = [f[k] * (x[k] * rz) for k in range(2)]
-        held = [dr.select(w[k] < view.low[k], view.low[k], w[k]) for k in range(2)]
-        held = [dr.select(held[k] > view.high[k], view.high[k], held[k]) for k in range(2)]
-        free = [held[k] == w[k] for k in range(2)]
-        u = [w[k] + view.c[k] for k in range(2)]
-        J = [f[0] * rz, None, -held[0] * rz, None, f[1] * rz, -held[1] * rz]
-        return Pinhole(x, f, rz, held, free, u, J)
+    def at(point: Vec3, view: CameraArrays) -> Pinhole:
+        (x, y, z), (fx, fy) = point, view.f
+        rz = 1 / z
+        w = Vec2(fx * (x * rz), fy * (y * rz))
+        held = each(lambda w, low: dr.select(w < low, low, w), w, view.low)
+        held = each(lambda w, high: dr.select(w > high, high, w), held, view.high)
+        free = each(lambda a, b: a == b, held, w)
+        J = Mat23(Vec3(fx * rz, None, -held.x * rz), Vec3(None, fy * rz, -held.y * rz))
+        return Pinhole(point, view.f, rz, held, free, w + view.c, J)
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
-        x, f, rz = self.x, self.f, self.rz
-        by_axis, by_depth = [gJ[0], gJ[4]], [gJ[2], gJ[5]]
-        gheld = [-rz * by_depth[k] for k in range(2)]
-        gw = [gu[k] + dr.select(self.free[k], gheld[k], 0) for k in range(2)]
-        gc = [gu[k] - dr.select(self.free[k], 0, gheld[k]) for k in range(2)]  # bounds hold -c
-        gf = [rz * (x[k] * gw[k] + by_axis[k]) for k in range(2)]
-        gx = [f[k] * rz * gw[k] for k in range(2)]
-        grz = [f[k] * (x[k] * gw[k] + by_axis[k]) - self.held[k] * by_depth[k] for k in range(2)]
-        return LensGradient([*gx, -rz * rz * (grz[0] + grz[1])], gf, gc)
+    def adjoint(self, gu: Vec2, gJ: Mat23) -> LensGradient:
+        (x, y, _), (fx, fy), rz, free = self.point, self.f, self.rz, self.free
+        gheld = Vec2(-rz * gJ.x.z, -rz * gJ.y.z)
+        gw = each(lambda g, free, h: g + dr.select(free, h, 0), gu, free, gheld)
+        gc = each(lambda g, free, h: g - dr.select(free, 0, h), gu, free, gheld)  # bounds hold -c
+        by_x, by_y = x * gw.x + gJ.x.x, y * gw.y + gJ.y.y
+        grz = (fx * by_x - self.held.x * gJ.x.z) + (fy * by_y - self.held.y * gJ.y.z)
+        gpoint = Vec3(fx * rz * gw.x, fy * rz * gw.y, -rz * rz * grz)
+        return LensGradient(gpoint, Vec2(rz * by_x, rz * by_y), gc)
 
-    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
-        x, f, rz = self.x, self.f, self.rz
-        drz = -rz * rz * dx[2]
-        dw = [view.f[k] * x[k] * rz + f[k] * (dx[k] * rz + x[k] * drz) for k in range(2)]
-        dheld = [dr.select(self.free[k], dw[k], -view.c[k]) for k in range(2)]
-        dJ: Matrix = [None] * 6
-        for k in range(2):
-            dJ[4 * k] = view.f[k] * rz + f[k] * drz
-            dJ[3 * k + 2] = -(dheld[k] * rz + self.held[k] * drz)
-        return [dw[k] + view.c[k] for k in range(2)], dJ
+    def tangent(self, dpoint: Vec3, dview: CameraArrays) -> tuple[Vec2, Mat23]:
+        (x, y, _), (dx, dy, dz), (dfx, dfy) = self.point, dpoint, dview.f
+        (fx, fy), rz, held = self.f, self.rz, self.held
+        drz = -rz * rz * dz
+        dw = Vec2(
+            dfx * x * rz + fx * (dx * rz + x * drz),
+            dfy * y * rz + fy * (dy * rz + y * drz),
+        )
+        dheld = each(lambda free, dw, dc: dr.select(free, dw, -dc), self.free, dw, dview.c)
+        dJ = Mat23(
+            Vec3(dfx * rz + fx * drz, None, -(dheld.x * rz + held.x * drz)),
+            Vec3(None, dfy * rz + fy * drz, -(dheld.y * rz + held.y * drz)),
+        )
+        return dw + dview.c, dJ
 
 
 @dataclass(frozen=True)
 class Ortho:
     """Parallel rays: focal lengths are pixels per metre."""
 
-    x: list[Array]
-    f: list[Array]
-    u: list[Array]
-    J: Matrix
+    point: Vec3
+    f: Vec2
+    u: Vec2
+    J: Mat23
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: CameraArrays) -> Ortho:
-        f = view.f
-        u = [f[k] * x[k] + view.c[k] for k in range(2)]
-        return Ortho(x, f, u, [f[0] + 0 * z, None, None, None, f[1] + 0 * z, None])
+    def at(point: Vec3, view: CameraArrays) -> Ortho:
+        (x, y, z), (fx, fy) = point, view.f
+        u = Vec2(fx * x, fy * y) + view.c
+        return Ortho(
+            point, view.f, u, Mat23(Vec3(fx + 0 * z, None, None), Vec3(None, fy + 0 * z, None))
+        )
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
-        x, f = self.x, self.f
-        gf = [x[k] * gu[k] + gJ[4 * k] for k in range(2)]
-        return LensGradient([f[0] * gu[0], f[1] * gu[1], gu[0] * 0], gf, gu)
+    def adjoint(self, gu: Vec2, gJ: Mat23) -> LensGradient:
+        (x, y, _), (fx, fy) = self.point, self.f
+        gf = Vec2(x * gu.x + gJ.x.x, y * gu.y + gJ.y.y)
+        return LensGradient(Vec3(fx * gu.x, fy * gu.y, gu.x * 0), gf, gu)
 
-    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
-        x, f = self.x, self.f
-        du = [view.f[k] * x[k] + f[k] * dx[k] + view.c[k] for k in range(2)]
-        return du, [view.f[0] + 0 * dx[2], None, None, None, view.f[1] + 0 * dx[2], None]
+    def tangent(self, dpoint: Vec3, dview: CameraArrays) -> tuple[Vec2, Mat23]:
+        (x, y, _), (dx, dy, dz), (dfx, dfy) = self.point, dpoint, dview.f
+        fx, fy = self.f
+        du = Vec2(dfx * x + fx * dx, dfy * y + fy * dy) + dview.c
+        return du, Mat23(Vec3(dfx + 0 * dz, None, None), Vec3(None, dfy + 0 * dz, None))
 
 
 @dataclass(frozen=True)
 class Fisheye:
     """Equidistant rays: pixels from the centre grow with the angle from the axis."""
 
-    x: list[Array]
-    f: list[Array]
+    point: Vec3
+    f: Vec2
     s: Array
     e: Array
     h: Array
     k: Array
-    u: list[Array]
-    J: Matrix
+    u: Vec2
+    J: Mat23
 
     @staticmethod
-    def at(x: list[Array], z: Array, view: CameraArrays) -> Fisheye:
-        f = view.f
-        t = x[0] * x[0] + x[1] * x[1]
+    def at(point: Vec3, view: CameraArrays) -> Fisheye:
+        (x, y, z), (fx, fy) = point, view.f
+        t = x * x + y * y
         h = -1 / (t + z * z)
         s, e, k = _equidistant(t, z, h)
-        u = [f[i] * x[i] * s + view.c[i] for i in range(2)]
-        cross = e * x[0] * x[1]
-        J = [f[0] * (s + e * x[0] * x[0]), f[0] * cross, f[0] * x[0] * h]
-        J += [f[1] * cross, f[1] * (s + e * x[1] * x[1]), f[1] * x[1] * h]
-        return Fisheye([*x[:2], z], f, s, e, h, k, u, J)
+        exy = e * x * y
+        J = Mat23(
+            Vec3(fx * (s + e * x * x), fx * exy, fx * x * h),
+            Vec3(fy * exy, fy * (s + e * y * y), fy * y * h),
+        )
+        return Fisheye(point, view.f, s, e, h, k, Vec2(fx * x * s, fy * y * s) + view.c, J)
 
-    def adjoint(self, gu: list[Array], gJ: Matrix) -> LensGradient:
-        (x, y, z), (fx, fy), e, h = self.x, self.f, self.e, self.h
-        a, b = [fx * g for g in gJ[:3]], [fy * g for g in gJ[3:]]  # by J / f
-        v = [fx * gu[0], fy * gu[1]]
-        cross = a[1] + b[0]
-        gs = x * v[0] + y * v[1] + a[0] + b[1]
-        ge = x * x * a[0] + x * y * cross + y * y * b[1]
-        gh = x * a[2] + y * b[2]
+    def adjoint(self, gu: Vec2, gJ: Mat23) -> LensGradient:
+        (x, y, z), (fx, fy), s, e, h, J = self.point, self.f, self.s, self.e, self.h, self.J
+        gw = Vec2(fx * gu.x, fy * gu.y)  # by w / f
+        a, b = each(lambda g: fx * g, gJ.x), each(lambda g: fy * g, gJ.y)  # by the rows of J / f
+        gexy = a.y + b.x
+        gs = x * gw.x + y * gw.y + a.x + b.y
+        ge = x * x * a.x + x * y * gexy + y * y * b.y
+        gh = x * a.z + y * b.z
         gt = gs * e / 2 + ge * self.k + gh * h * h
-        gx = [
-            self.s * v[0] + e * (2 * x * a[0] + y * cross) + h * a[2] + 2 * x * gt,
-            self.s * v[1] + e * (2 * y * b[1] + x * cross) + h * b[2] + 2 * y * gt,
+        gpoint = Vec3(
+            s * gw.x + e * (2 * x * a.x + y * gexy) + h * a.z + 2 * x * gt,
+            s * gw.y + e * (2 * y * b.y + x * gexy) + h * b.z + 2 * y * gt,
             gs * h + 2 * h * h * (ge + z * gh),
-        ]
-        gf = [self.s * (x, y)[k] * gu[k] for k in range(2)]
-        gf = [
-            gf[k] + sum(self.J[3 * k + j] * gJ[3 * k + j] for j in range(3)) / self.f[k]
-            for k in range(2)
-        ]
-        return LensGradient(gx, gf, gu)
+        )
+        gf = Vec2(s * x * gu.x + dot(J.x, gJ.x) / fx, s * y * gu.y + dot(J.y, gJ.y) / fy)
+        return LensGradient(gpoint, gf, gu)
 
-    def tangent(self, dx: list[Array], view: CameraArrays) -> tuple[list[Array], Matrix]:
-        x, f, s, e, h = self.x, self.f, self.s, self.e, self.h
-        dt = 2 * (x[0] * dx[0] + x[1] * dx[1])
-        ds, de = e / 2 * dt + h * dx[2], self.k * dt + 2 * h * h * dx[2]
-        dh = h * h * (dt + 2 * x[2] * dx[2])
-        du, dJ = [], []
-        for k in range(2):
-            du.append(view.f[k] * x[k] * s + f[k] * (dx[k] * s + x[k] * ds) + view.c[k])
-            for l in range(2):
-                d = e * (dx[k] * x[l] + x[k] * dx[l]) + de * x[k] * x[l]
-                dJ.append(f[k] * (d + ds if k == l else d))
-            dJ.append(f[k] * (dx[k] * h + x[k] * dh))
-            for j in range(3 * k, 3 * k + 3):
-                dJ[j] = dJ[j] + view.f[k] / f[k] * self.J[j]
-        return du, dJ
+    def tangent(self, dpoint: Vec3, dview: CameraArrays) -> tuple[Vec2, Mat23]:
+        (x, y, z), (dx, dy, dz), (dfx, dfy) = self.point, dpoint, dview.f
+        (fx, fy), s, e, h, J = self.f, self.s, self.e, self.h, self.J
+        dt = 2 * (x * dx + y * dy)
+        ds, de = e / 2 * dt + h * dz, self.k * dt + 2 * h * h * dz
+        dh = h * h * (dt + 2 * z * dz)
+        dw = Vec2(dfx * x * s + fx * (dx * s + x * ds), dfy * y * s + fy * (dy * s + y * ds))
+        # tangents of e x^2, e x y and e y^2; e x y in both orders keeps its digits
+        dexx = e * (dx * x + x * dx) + de * x * x
+        dexy = e * (dx * y + x * dy) + de * x * y
+        deyx = e * (dy * x + y * dx) + de * y * x
+        deyy = e * (dy * y + y * dy) + de * y * y
+        dJ = Mat23(
+            Vec3(fx * (dexx + ds), fx * dexy, fx * (dx * h + x * dh)),
+            Vec3(fy * deyx, fy * (deyy + ds), fy * (dy * h + y * dh)),
+        )
+        by_f = Mat23(each(lambda J: dfx / fx * J, J.x), each(lambda J: dfy / fy * J, J.y))
+        return dw + dview.c, dJ + by_f
 
 
 TERMS = 12  # of the series of s, e and k in q = t / z^2

@@ -52,6 +52,7 @@ from drjit import ArrayBase as Array
 from gva_mi.jit import packets
 from gva_mi.splat.kernels.records import Splat
 from gva_mi.splat.kernels.tiles import HEIGHT, WIDTH
+from gva_mi.splat.kernels.vectors import Vec2
 from gva_mi.splat.options import SplatOptions
 
 PIXELS = WIDTH * HEIGHT  # of a tile, which is one lane
@@ -76,10 +77,10 @@ class PixelRow:
     @staticmethod
     def of(g: Splat, x: Array, y: Array, j: int) -> PixelRow:
         """Row ``j`` of the tile whose left upper corner is (x, y), px."""
-        u, v = g.u
-        dy = y - v + (j + 0.5)
+        dy = y - g.u.y + (j + 0.5)
         wy = g.r * dy
-        return PixelRow(g.p, g.p * (x - u + WIDTH / 2) + g.q * dy, wy, dr.fma(-wy, wy, g.lo))
+        middle = g.p * (x - g.u.x + WIDTH / 2) + g.q * dy
+        return PixelRow(g.p, middle, wy, dr.fma(-wy, wy, g.lo))
 
 
 @dataclass(frozen=True)
@@ -101,16 +102,15 @@ class Alpha:
         seen = seen if shown is None else seen & shown
         return Alpha(wx, row.wy, free, dr.select(seen, smaller(free, options.alpha_max), 0))
 
-    def tangent(self, dlo: Array, dw: tuple[Array, Array], options: SplatOptions) -> Array:
+    def tangent(self, dlo: Array, dw: Vec2, options: SplatOptions) -> Array:
         """Eq. 17, d_alpha."""
-        dalpha = LN2 * self.value * (dlo - 2 * (self.wx * dw[0] + self.wy * dw[1]))
+        dalpha = LN2 * self.value * (dlo - 2 * (self.wx * dw.x + self.wy * dw.y))
         return dr.select(self.free <= options.alpha_max, dalpha, 0)
 
 
-def w_tangent(g: Splat, d: Splat, dx: Array, dy: Array) -> tuple[Array, Array]:
+def w_tangent(g: Splat, d: Splat, dx: Array, dy: Array) -> Vec2:
     """Eq. 17, d_w at the offset (dx, dy) from a Gaussian ``g`` whose tangent is ``d``."""
-    (du, dv), dw_y = d.u, d.r * dy - g.r * d.u[1]
-    return d.p * dx + d.q * dy - g.p * du - g.q * dv, dw_y
+    return Vec2(d.p * dx + d.q * dy - g.p * d.u.x - g.q * d.u.y, d.r * dy - g.r * d.u.y)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """EWA projection of 3D Gaussians: forward, adjoint and tangent (paper, Eq. 1-2).
 
-(1)      x = R m + t            mean in camera space, depth z = x_2
-(2)-(3)  u, J                   position in the picture, and du/dx: lens.py
+(1)      (x, y, z) = R m + t    mean in camera space, depth z
+(2)-(3)  u, J                   position in the picture, and du/d(x, y, z): lens.py
 (4)-(7)  p, q, r, lo            ellipse and opacity there: ellipse.py
 (8)-(10) color                  colour from spherical harmonics, if it has some: sh.py
 
@@ -29,7 +29,7 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
 from gva_mi.splat.kernels import sh
-from gva_mi.splat.kernels.ellipse import LN2, CovarianceEllipse, Ellipse, dot
+from gva_mi.splat.kernels.ellipse import LN2, CovarianceEllipse, Ellipse
 from gva_mi.splat.kernels.inputs import (
     CameraArrays,
     Covariance,
@@ -45,6 +45,7 @@ from gva_mi.splat.kernels.records import (
     PairGradient,
     Splat,
 )
+from gva_mi.splat.kernels.vectors import Vec2, Vec3, apply, each, outer
 from gva_mi.splat.options import SplatOptions
 
 
@@ -74,13 +75,14 @@ class ProjectedMemory:
     finite: Array  # (N,)
 
 
-def _in_camera(m: list[Array], view: CameraArrays) -> tuple[list[Array], Array]:
-    """Eq. 1, and z; z = 1 keeps a Gaussian far before the near plane finite: it is not drawn.
+def _in_camera(m: Vec3, view: CameraArrays) -> tuple[Vec3, Array]:
+    """Eq. 1, with z = 1 for a Gaussian far before the near plane; and z itself.
 
-    Far before it, because a Gaussian on the plane is drawn, whatever the last digit of its z.
+    It is not drawn, and z = 1 keeps it finite. Far before the plane, because a Gaussian on it is
+    drawn, whatever the last digit of its z.
     """
-    x = [dot(view.R[3 * k : 3 * k + 3], m) + view.t[k] for k in range(3)]
-    return x, dr.select(x[2] > 0.5 * view.near, x[2], 1)
+    x, y, z = apply(view.R, m) + view.t
+    return Vec3(x, y, dr.select(z > 0.5 * view.near, z, 1)), z
 
 
 def _ellipse(
@@ -103,18 +105,18 @@ def project(inputs: Inputs, plan: Plan, exact: CameraArrays) -> ProjectedGaussia
     options, F = plan.options, inputs.float_type
     D = dr.float64_array_t(F)
     g = Gaussian3D.load(inputs, plan.color_width, inputs.index())
-    fine, fine_z = _in_camera([D(v) for v in g.m], exact)
-    x, z, view = [F(v) for v in fine], F(fine_z), exact.to(F)
-    u = [F(v) for v in LENSES[view.model].at(fine, fine_z, exact).u]
-    lens = LENSES[view.model].at(x, z, view)
+    fine, fine_z = _in_camera(each(D, g.m), exact)
+    point, z, view = each(F, fine), F(fine_z), exact.to(F)
+    u = each(F, LENSES[view.model].at(fine, exact).u)
+    lens = LENSES[view.model].at(point, view)
     e = _ellipse(lens, view, g, options)
     xx, xy, yy = e.C
     color = sh.color(g.color, g.m, view.o) if plan.harmonics else g.color
 
     # alpha >= alpha_min inside d^T C^-1 d <= tau: an ellipse with half extents sqrt(tau C_ii)
     tau = 2 * LN2 * (e.lo - math.log2(options.alpha_min))
-    visible = (x[2] >= view.near) & (x[2] <= view.far) & (tau > 0)
-    visible &= dr.isfinite(e.det) & dr.isfinite(u[0]) & dr.isfinite(u[1])
+    visible = (z >= view.near) & (z <= view.far) & (tau > 0)
+    visible &= dr.isfinite(e.det) & dr.isfinite(u.x) & dr.isfinite(u.y)
     tau = dr.select(visible, tau, 0)
     rx, ry = dr.sqrt(tau * xx), dr.sqrt(tau * yy)
     visible &= (dr.ceil(rx) > view.radius) | (dr.ceil(ry) > view.radius)
@@ -123,8 +125,8 @@ def project(inputs: Inputs, plan: Plan, exact: CameraArrays) -> ProjectedGaussia
 
     middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
     radii = 3 * dr.sqrt(middle + dr.sqrt(half * half + xy * xy))
-    total = sum((dr.abs(v) for v in [*g.m, *g.geometry.columns(), *g.color]), dr.abs(g.o))
-    splat = Splat(u, e.L.p, e.L.q, e.L.r, e.lo, color, x[2])
+    total = sum((dr.abs(v) for v in [*g.m, *g.geometry.numbers(), *g.color]), dr.abs(g.o))
+    splat = Splat(u, e.L.p, e.L.q, e.L.r, e.lo, color, z)
     return ProjectedGaussians(splat, footprint, radii, dr.isfinite(total))
 
 
@@ -150,44 +152,41 @@ def project_adjoint(
     i = inputs.index()
     view = view.to(inputs.float_type)
     g = Gaussian3D.load(inputs, plan.color_width, i)
-    where = lambda columns: [dr.select(drawn, c, 0) for c in columns]
-    grad_color, toward = slot.color, [0, 0, 0]
+    if_drawn = lambda number: dr.select(drawn, number, 0)
+    grad_color, by_direction = slot.color, Vec3(0, 0, 0)
     if plan.harmonics:
-        grad_color, toward = sh.color_adjoint(g.color, g.m, view.o, slot.color)
+        grad_color, by_direction = sh.color_adjoint(g.color, g.m, view.o, slot.color)
     if target.colors is not None:
-        packets.store_rows(target.colors, where(grad_color), i)
+        packets.store_rows(target.colors, [if_drawn(c) for c in grad_color], i)
     if target.u is None:
         return
 
-    x, z = _in_camera(g.m, view)
-    lens = LENSES[view.model].at(x, z, view)
+    point, _ = _in_camera(g.m, view)
+    lens = LENSES[view.model].at(point, view)
     e = _ellipse(lens, view, g, plan.options)
-    k1, (mx, my) = 2 * LN2, slot.m1
-    gu = [k1 * e.L.p * mx, k1 * (e.L.q * mx + e.L.r * my)]
-    by_ellipse = e.adjoint(slot.m0, *slot.m2)
+    k1, m1, L = 2 * LN2, slot.m1, e.L
+    gu = Vec2(k1 * L.p * m1.x, k1 * (L.q * m1.x + L.r * m1.y))
+    by_ellipse = e.adjoint(slot.m0, slot.m2)
     by_lens = lens.adjoint(gu, by_ellipse.J)
-    gx = list(by_lens.x)
+    gpoint = by_lens.point
     if slot.depth is not None:
-        gx[2] = gx[2] + slot.depth
+        gpoint = gpoint._replace(z=gpoint.z + slot.depth)
 
     # eq. 1
-    R = view.R
-    grad_m = [R[n] * gx[0] + R[3 + n] * gx[1] + R[6 + n] * gx[2] for n in range(3)]
+    grad_m = apply(view.R.T, gpoint)
     if plan.harmonics:
-        grad_m = [a + b for a, b in zip(grad_m, toward, strict=True)]
-    (grad_o,) = where([by_ellipse.o])
-    geometry = by_ellipse.geometry.map(where)
-    grad = Gaussian3D(where(grad_m), geometry, grad_o, [])
+        grad_m = grad_m + by_direction
+    geometry = by_ellipse.geometry.map(if_drawn)
+    grad = Gaussian3D(each(if_drawn, grad_m), geometry, if_drawn(by_ellipse.o), [])
     if target.absolute is not None:
-        ax, ay = slot.absolute
-        packets.store_rows(target.absolute, where([k1 * e.L.p * ax, k1 * ay]), i)
-    target.store(grad, where(gu), i)
+        by_u = Vec2(k1 * L.p * slot.absolute.x, k1 * slot.absolute.y)
+        packets.store_rows(target.absolute, each(if_drawn, by_u), i)
+    target.store(grad, each(if_drawn, gu), i)
     if target.camera is not None:
-        gR = [gx[k] * g.m[n] for k in range(3) for n in range(3)]
-        gR = [a if b is None else a + b for a, b in zip(gR, by_ellipse.R, strict=True)]
-        go = [0 * gx[0] - v for v in toward]
-        parts = (gR, gx, by_lens.f, by_lens.c, go)
-        packets.store(target.camera, CameraGradient(*map(where, parts)), i)
+        gR = outer(gpoint, g.m) + by_ellipse.R
+        go = each(lambda v: 0 * gpoint.x - v, by_direction)
+        parts = (gR, gpoint, by_lens.f, by_lens.c, go)
+        packets.store(target.camera, CameraGradient(*(each(if_drawn, v) for v in parts)), i)
 
 
 def project_tangent(
@@ -197,16 +196,13 @@ def project_tangent(
     i, F = inputs.index(), inputs.float_type
     view, dview = view.to(F), dview.to(F)
     g, d = (Gaussian3D.load(source, plan.color_width, i) for source in (inputs, dinputs))
-    x, z = _in_camera(g.m, view)
-    dx = [
-        dot(view.R[3 * k : 3 * k + 3], d.m) + dot(dview.R[3 * k : 3 * k + 3], g.m) + dview.t[k]
-        for k in range(3)
-    ]
-    lens = LENSES[view.model].at(x, z, view)
-    du, dJ = lens.tangent(dx, dview)
+    point, _ = _in_camera(g.m, view)
+    dpoint = apply(view.R, d.m) + apply(dview.R, g.m) + dview.t
+    lens = LENSES[view.model].at(point, view)
+    du, dJ = lens.tangent(dpoint, dview)
     e = _ellipse(lens, view, g, plan.options)
     dp, dq, dr_, dlo = e.tangent(dJ, dview.R, d.geometry, d.o)
     dcolor = d.color
     if plan.harmonics:
         dcolor = sh.color_tangent(g.color, g.m, view.o, d.color, d.m, dview.o)
-    return Splat(du, dp, dq, dr_, dlo, dcolor, dx[2])
+    return Splat(du, dp, dq, dr_, dlo, dcolor, dpoint.z)

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 
 from drjit import ArrayBase as Array
 
+from gva_mi.splat.kernels.vectors import Mat3, Sym2, Vec2, Vec3
+
 
 @dataclass(frozen=True)
 class RecordFormat:
@@ -62,7 +64,7 @@ class Footprint:
 class Splat:
     """A projected Gaussian: mean, ellipse and opacity (lens.py, ellipse.py), and features."""
 
-    u: list[Array]  # 2, mean, px
+    u: Vec2  # mean, px
     p: Array  # eq. 6
     q: Array
     r: Array
@@ -87,19 +89,19 @@ class Splat:
     @staticmethod
     def unpack(columns: Sequence[Array], format: RecordFormat) -> Splat:
         """Make the record from its columns."""
-        u0, u1, p, q, r, lo, *features = columns
+        ux, uy, p, q, r, lo, *features = columns
         depth = features.pop() if format.depth else None
-        return Splat([u0, u1], p, q, r, lo, features, depth)
+        return Splat(Vec2(ux, uy), p, q, r, lo, features, depth)
 
 
 @dataclass(frozen=True)
 class PairGradient:
     """Contribution of one pair, or of all pairs, to a Gaussian's gradient (pixel.py, eq. 16)."""
 
-    m0: Array | None  # None, with empty m1 and m2, if no moments are requested
-    m1: list[Array]  # 2: x, y
-    m2: list[Array]  # 3: xx, xy, yy
-    absolute: list[Array]  # 2 absolute sums, or none
+    m0: Array | None  # None, as m1 and m2, if no moments are requested
+    m1: Vec2 | None
+    m2: Sym2 | None
+    absolute: Vec2 | None  # the absolute sums
     color: list[Array]  # gradients of the features
     depth: Array | None
 
@@ -110,28 +112,34 @@ class PairGradient:
 
     def pack(self) -> list[Array]:
         """Return the columns of the record."""
-        m0, depth = ([] if x is None else [x] for x in (self.m0, self.depth))
-        return [*m0, *self.m1, *self.m2, *self.absolute, *self.color, *depth]
+        moments = [] if self.m0 is None else [self.m0, *self.m1, *self.m2]
+        depth = [] if self.depth is None else [self.depth]
+        return [*moments, *(self.absolute or ()), *self.color, *depth]
 
     @staticmethod
     def unpack(columns: Sequence[Array], format: RecordFormat) -> PairGradient:
         """Make the record from its columns."""
-        moments, rest = columns[: 6 * format.moments], list(columns[6 * format.moments :])
+        rest = list(columns)
+        m0 = m1 = m2 = absolute = None
+        if format.moments:
+            m0, mx, my, mxx, mxy, myy, *rest = rest
+            m1, m2 = Vec2(mx, my), Sym2(mxx, mxy, myy)
+        if format.absolute:
+            ax, ay, *rest = rest
+            absolute = Vec2(ax, ay)
         depth = rest.pop() if format.depth else None
-        absolute, color = (rest[:2], rest[2:]) if format.absolute else ([], rest)
-        m0 = moments[0] if format.moments else None
-        return PairGradient(m0, list(moments[1:3]), list(moments[3:]), absolute, color, depth)
+        return PairGradient(m0, m1, m2, absolute, rest, depth)
 
 
 @dataclass(frozen=True)
 class CameraGradient:
     """Contribution of one Gaussian, or of all, to the gradient by ``CameraArrays``."""
 
-    R: list[Array]  # 9, row by row
-    t: list[Array]  # 3
-    f: list[Array]  # 2
-    c: list[Array]  # 2
-    o: list[Array]  # 3
+    R: Mat3
+    t: Vec3
+    f: Vec2
+    c: Vec2
+    o: Vec3
 
     @staticmethod
     def columns(format: None = None) -> int:
@@ -140,11 +148,10 @@ class CameraGradient:
 
     def pack(self) -> list[Array]:
         """Return the columns of the record."""
-        return [*self.R, *self.t, *self.f, *self.c, *self.o]
+        return [*self.R.flat(), *self.t, *self.f, *self.c, *self.o]
 
     @staticmethod
     def unpack(columns: Sequence[Array], format: None = None) -> CameraGradient:
         """Make the record from its columns."""
-        return CameraGradient(
-            columns[:9], columns[9:12], columns[12:14], columns[14:16], columns[16:]
-        )
+        R, t, f, c, o = (columns[i:j] for i, j in ((0, 9), (9, 12), (12, 14), (14, 16), (16, 19)))
+        return CameraGradient(Mat3.of(R), Vec3(*t), Vec2(*f), Vec2(*c), Vec3(*o))

@@ -14,6 +14,7 @@ import drjit as dr
 from drjit import ArrayBase as Array
 
 from gva_mi.splat.gaussians import degree_of
+from gva_mi.splat.kernels.vectors import Vec3, dot, each
 
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
@@ -70,8 +71,8 @@ def basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     return b
 
 
-def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> list[Array]:
-    """Eq. 9 reversed: sum_i g_i db_i/dd as [x, y, z], from the gradients ``g`` of the K values."""
+def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> Vec3:
+    """Eq. 9 reversed: sum_i g_i db_i/dd, from the gradients ``g`` of the K values."""
     gx, gy, gz = x * 0, x * 0, x * 0
     if degree >= 1:
         gx, gy, gz = -C1 * g[3], -C1 * g[1], C1 * g[2]
@@ -103,67 +104,76 @@ def basis_adjoint(degree: int, x: Array, y: Array, z: Array, g: list[Array]) -> 
         gz += b * y * (3 * xx - yy) + 12 * c * xy * z + d * y * (q + 8 * zz)
         gz += e * z * (32 * zz - 48 * s) + f * x * (q + 8 * zz) + 12 * h * z * (xx - yy)
         gz += k * x * (xx - 3 * yy)
-    return [gx, gy, gz]
+    return Vec3(gx, gy, gz)
 
 
-def direction(m: list[Array], o: list[Array]) -> tuple[list[Array], Array]:
+def direction(m: Vec3, o: Vec3) -> tuple[Vec3, Array]:
     """Eq. 8: the unit direction and 1/|m - o|; zero for a mean at the camera."""
-    v = [m[k] - o[k] for k in range(3)]
-    squared = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    v = each(lambda m, o: m - o, m, o)
+    squared = dot(v, v)
     reciprocal = dr.select(squared > 0, 1 / dr.sqrt(squared), 0)
-    return [x * reciprocal for x in v], reciprocal
+    return v * reciprocal, reciprocal
 
 
-def color(h: list[Array], m: list[Array], o: list[Array]) -> list[Array]:
+def direction_tangent(d: Vec3, reciprocal: Array, dv: Vec3) -> Vec3:
+    """Derivative of eq. 8 along ``dv``, of m - o. It is symmetric, so it is its own adjoint."""
+    radial = dot(d, dv)
+    return each(lambda dv, d: (dv - d * radial) * reciprocal, dv, d)
+
+
+def by_coefficient(columns: list[Array]) -> list[Vec3]:
+    """Group 3K columns to the K coefficients of red, green and blue."""
+    return [Vec3(*columns[i : i + 3]) for i in range(0, len(columns), 3)]
+
+
+def weighted_sum(b: list[Array], h: list[Vec3]) -> Vec3:
+    """sum_i b_i h_i for each channel."""
+    total = each(lambda h: b[0] * h, h[0])
+    for b_i, h_i in zip(b[1:], h[1:], strict=True):
+        total = each(lambda s, h, b=b_i: s + b * h, total, h_i)
+    return total
+
+
+def color(columns: list[Array], m: Vec3, o: Vec3) -> list[Array]:
     """Eq. 10: the colour of the three channels.
 
     Args:
-        h: 3K columns, coefficient by coefficient (``h[3 i + k]``).
+        columns: 3K, coefficient by coefficient.
         m: mean, world. o: camera position, world.
     """
-    d, _ = direction(m, o)
-    b = basis(degree_of(len(h) // 3), *d)
-    sums = [sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k]) for k in range(3)]
+    h, (d, _) = by_coefficient(columns), direction(m, o)
+    sums = weighted_sum(basis(degree_of(len(h)), *d), h)
     return [dr.select(s > -0.5, s + 0.5, 0) for s in sums]
 
 
 def color_tangent(
-    h: list[Array],
-    m: list[Array],
-    o: list[Array],
-    dh: list[Array],
-    dm: list[Array],
-    do: list[Array],
+    columns: list[Array], m: Vec3, o: Vec3, dcolumns: list[Array], dm: Vec3, do: Vec3
 ) -> list[Array]:
     """Eq. 10 along tangents of the coefficients, the mean and the camera's position."""
-    d, reciprocal = direction(m, o)
-    degree = degree_of(len(h) // 3)
+    h, dh, (d, reciprocal) = by_coefficient(columns), by_coefficient(dcolumns), direction(m, o)
+    degree = degree_of(len(h))
     b = basis(degree, *d)
-    dv = [dm[k] - do[k] for k in range(3)]
-    radial = d[0] * dv[0] + d[1] * dv[1] + d[2] * dv[2]
-    dd = [(dv[k] - d[k] * radial) * reciprocal for k in range(3)]
+    dd = direction_tangent(d, reciprocal, each(lambda dm, do: dm - do, dm, do))
     dc = []
-    for k in range(3):
-        s = sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k])
-        by_d = basis_adjoint(degree, *d, h[k::3])  # of s
-        ds = sum((b[i] * dh[3 * i + k] for i in range(1, len(b))), b[0] * dh[k])
-        ds += by_d[0] * dd[0] + by_d[1] * dd[1] + by_d[2] * dd[2]
+    for s, ds, h_k in zip(
+        weighted_sum(b, h), weighted_sum(b, dh), zip(*h, strict=True), strict=True
+    ):
+        ds = ds + dot(basis_adjoint(degree, *d, h_k), dd)
         dc.append(dr.select(s > -0.5, ds, 0))
     return dc
 
 
 def color_adjoint(
-    h: list[Array], m: list[Array], o: list[Array], grad_c: list[Array]
-) -> tuple[list[Array], list[Array]]:
+    columns: list[Array], m: Vec3, o: Vec3, grad_c: list[Array]
+) -> tuple[list[Array], Vec3]:
     """Eq. 10 reversed: gradients of the 3K coefficients and of the mean."""
-    d, reciprocal = direction(m, o)
-    degree = degree_of(len(h) // 3)
+    h, (d, reciprocal) = by_coefficient(columns), direction(m, o)
+    degree = degree_of(len(h))
     b = basis(degree, *d)
-    sums = [sum((b[i] * h[3 * i + k] for i in range(1, len(b))), b[0] * h[k]) for k in range(3)]
-    grad_s = [dr.select(s > -0.5, g, 0) for s, g in zip(sums, grad_c, strict=True)]
+    sums = weighted_sum(b, h)
+    grad_s = Vec3(*(dr.select(s > -0.5, g, 0) for s, g in zip(sums, grad_c, strict=True)))
 
-    grad_h = [b[i] * grad_s[k] for i in range(len(b)) for k in range(3)]
-    grad_b = [sum(h[3 * i + k] * grad_s[k] for k in range(3)) for i in range(len(b))]
+    grad_h = [b_i * g for b_i in b for g in grad_s]
+    grad_b = [dot(h_i, grad_s) for h_i in h]
     grad_d = basis_adjoint(degree, *d, grad_b)
-    radial = d[0] * grad_d[0] + d[1] * grad_d[1] + d[2] * grad_d[2]
-    return grad_h, [(grad_d[k] - d[k] * radial) * reciprocal for k in range(3)]
+    return grad_h, direction_tangent(d, reciprocal, grad_d)

@@ -10,6 +10,7 @@ from drjit.llvm import Float64
 from gva_mi.splat import reference
 from gva_mi.splat.kernels.ellipse import Ellipse
 from gva_mi.splat.kernels.inputs import QuatScale
+from gva_mi.splat.kernels.vectors import Mat3, Mat23, Quat, Sym2, Vec3
 from gva_mi.splat.options import SplatOptions
 
 N = 100
@@ -26,13 +27,14 @@ def inputs(seed=0):
 
 
 def wrap(parts):
-    return [[Float64(c) for c in p] if isinstance(p, list) else Float64(p) for p in parts]
+    J, R, quat, s = ([Float64(c) for c in part] for part in parts[:4])
+    J, geometry = Mat23(Vec3(*J[:3]), Vec3(*J[3:])), QuatScale(Quat(*quat), Vec3(*s))
+    return J, Mat3.of(R), geometry, Float64(parts[4])
 
 
 def ellipse(parts, antialiased=False):
     options = SplatOptions(antialiased=antialiased)
-    J, R, quat, s, o = wrap(parts)
-    return Ellipse.of(J, R, QuatScale(quat, s), o, Float64(options.blur), options)
+    return Ellipse.of(*wrap(parts), Float64(options.blur), options)
 
 
 def stack(values):
@@ -63,15 +65,16 @@ def test_adjoint_is_the_transpose_of_the_tangent(antialiased):
     e = ellipse(parts, antialiased)
     tangents = [columns(rng, 6), columns(rng, 9), columns(rng, 4), columns(rng, 3)]
     tangents.append(rng.normal(size=N))
-    dJ, dR, dquat, ds, do = wrap(tangents)
-    dp, dq, dr, dlo = stack(e.tangent(dJ, dR, QuatScale(dquat, ds), do))
+    dp, dq, dr, dlo = stack(e.tangent(*wrap(tangents)))
     v, dx, dy = rng.normal(size=(3, N))
     p, q, r = (getattr(e.L, name).numpy() for name in "pqr")
     wx, wy = p * dx + q * dy, r * dy
     # ln alpha = ln2 (lo - |w|^2): its tangent at a fixed d, weighted by v
     left = v * math.log(2) * (dlo - 2 * (wx * (dp * dx + dq * dy) + wy * dr * dy))
-    g = e.adjoint(*(Float64(m) for m in (v, v * wx * wx, v * wx * wy, v * wy * wy)))
-    pairs = zip((g.J, g.R, g.geometry.quats, g.geometry.scales), tangents, strict=False)
+    m2 = Sym2(*(Float64(m) for m in (v * wx * wx, v * wx * wy, v * wy * wy)))
+    g = e.adjoint(Float64(v), m2)
+    found = [*g.J.x, *g.J.y], g.R.flat(), g.geometry.quats, g.geometry.scales
+    pairs = zip(found, tangents, strict=False)
     right = sum((stack(a) * np.stack(b)).sum(axis=0) for a, b in pairs)
     right += g.o.numpy() * tangents[4]
     np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-10)

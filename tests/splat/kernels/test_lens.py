@@ -11,6 +11,7 @@ from gva_mi.splat.camera import Camera
 from gva_mi.splat.kernels.inputs import camera_adjoint, camera_arrays, camera_tangent
 from gva_mi.splat.kernels.lens import LENSES
 from gva_mi.splat.kernels.records import CameraGradient
+from gva_mi.splat.kernels.vectors import Mat23, Vec2, Vec3
 from gva_mi.splat.options import SplatOptions
 
 MODELS = list(LENSES)
@@ -31,12 +32,13 @@ def points(seed=0, spread=2.0):
 
 def lens_at(model, x, F=Float64):
     view = camera_arrays(camera(model), SplatOptions()).to(F)
-    x = [F(v) for v in x]
-    return LENSES[model].at(x, x[2], view)
+    return LENSES[model].at(Vec3(*(F(v) for v in x)), view)
 
 
 def numbers(columns):
-    """Columns of Dr.Jit variables, (N, columns); a None is a zero."""
+    """Dr.Jit variables as columns, (N, columns); a None is a zero."""
+    if isinstance(columns, Mat23):
+        columns = [*columns.x, *columns.y]
     full = [np.zeros(N) if c is None else np.broadcast_to(c.numpy(), N) for c in columns]
     return np.stack(full, axis=1)
 
@@ -65,13 +67,15 @@ def test_adjoint_is_the_transpose_of_the_tangent(model, spread):
     rng = np.random.default_rng(1)
     lens = lens_at(model, points(spread=spread))
     gu, gJ, dx = (rng.normal(size=(k, N)) for k in (2, 6, 3))
-    grad = lens.adjoint([Float64(g) for g in gu], [Float64(g) for g in gJ])
+    gu_columns, gJ_columns = ([Float64(g) for g in part] for part in (gu, gJ))
+    gJ_rows = Mat23(Vec3(*gJ_columns[:3]), Vec3(*gJ_columns[3:]))
+    grad = lens.adjoint(Vec2(*gu_columns), gJ_rows)
     dT, dK = np.zeros((4, 4)), np.zeros((3, 3))
     dK[0, 0], dK[1, 1], dK[:2, 2] = 0.7, -1.1, (0.4, 1.9)
     dview = camera_tangent(camera(model), dT, dK)
-    du, dJ = lens.tangent([Float64(d) for d in dx], dview)
+    du, dJ = lens.tangent(Vec3(*(Float64(d) for d in dx)), dview)
     left = (numbers(du) * gu.T).sum() + (numbers(dJ) * gJ.T).sum()
-    right = (numbers(grad.x) * dx.T).sum()
+    right = (numbers(grad.point) * dx.T).sum()
     right += (numbers(grad.f) * [0.7, -1.1]).sum() + (numbers(grad.c) * [0.4, 1.9]).sum()
     np.testing.assert_allclose(left, right, rtol=1e-12)
 
@@ -97,7 +101,7 @@ def test_views_adjoint_is_the_transpose_of_its_tangent():
     dT[:3] = rng.normal(size=(3, 4))
     dK[0, 0], dK[1, 1], dK[:2, 2] = rng.normal(size=2)[0], 0.3, rng.normal(size=2)
     d = camera_tangent(camera("pinhole"), dT, dK)
-    d = np.concatenate([[dr.slice(x) for x in part] for part in (d.R, d.t, d.f, d.c, d.o)])
+    d = np.concatenate([[dr.slice(x) for x in part] for part in (d.R.flat(), d.t, d.f, d.c, d.o)])
     g = rng.normal(size=CameraGradient.columns())
     grad_T, grad_K = camera_adjoint(camera("pinhole"), CameraGradient.unpack(g))
     np.testing.assert_allclose(d @ g, (grad_T * dT).sum() + (grad_K * dK).sum(), rtol=1e-12)

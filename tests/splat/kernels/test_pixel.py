@@ -18,6 +18,7 @@ from gva_mi.splat.kernels.pixel import (
 )
 from gva_mi.splat.kernels.records import RecordFormat, Splat
 from gva_mi.splat.kernels.tiles import WIDTH
+from gva_mi.splat.kernels.vectors import Vec2
 from gva_mi.splat.options import SplatOptions
 
 N, D = 50, 3
@@ -27,7 +28,7 @@ OPTIONS = SplatOptions()
 def random_splat(rng, scale=1.0):
     """N Gaussians whose middles lie about the tile at (0, 0)."""
     number = lambda low, high: Float64(scale * rng.uniform(low, high, N))
-    u = [number(0, 8), number(0, 4)]
+    u = Vec2(number(0, 8), number(0, 4))
     p, q, r = number(0.1, 0.5), number(-0.2, 0.2), number(0.1, 0.5)
     return Splat(u, p, q, r, number(-3, 0), [number(0, 1) for _ in range(D)], None)
 
@@ -121,7 +122,7 @@ def test_the_tangents_step_is_the_derivative_of_the_step():
     def stepped(t):
         along = lambda a, b: Float64(np.array(a) + t * np.array(b))
         moved = Splat(
-            [along(a, b) for a, b in zip(g.u, d.u, strict=True)],
+            Vec2(*(along(a, b) for a, b in zip(g.u, d.u, strict=True))),
             *(along(getattr(g, k), getattr(d, k)) for k in ("p", "q", "r", "lo")),
             [along(a, b) for a, b in zip(g.color, d.color, strict=True)],
             None,
@@ -131,7 +132,7 @@ def test_the_tangents_step_is_the_derivative_of_the_step():
         return np.stack([x.numpy() for x in (out.T, *out.y)])
 
     alpha = at(g, i, j)
-    dw = w_tangent(g, d, i + 0.5 - g.u[0], j + 0.5 - g.u[1])
+    dw = w_tangent(g, d, i + 0.5 - g.u.x, j + 0.5 - g.u.y)
     dalpha = alpha.tangent(d.lo, dw, OPTIONS)
     pixel = PixelTangent(Float64(T), Float64(dT), [Float64(x) for x in dy])
     out = pixel.step_tangent(alpha.value, dalpha, g.features, d.features, dr.llvm.Bool(True))

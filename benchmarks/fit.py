@@ -18,7 +18,7 @@ from benchmarks.timing import WARM_UP, Clock, Table, Timing
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.reinit import reinitialise
-from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.fit.losses import render_losses
@@ -28,8 +28,7 @@ from gva_mi.fit.renders import DRAWN, render_frame
 from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
-from gva_mi.subject.cameras import save_cameras
-from gva_mi.subject.pictures import write_image
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.video import Video, load_video
 
 FRAMES = 9  # of the turn; every eighth is a test frame
@@ -76,13 +75,14 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     focal = FILLED * size * DISTANCE / float(high[1] - low[1])
     view = look_at(center + (0, 0, DISTANCE), center)
     camera = Camera(focal, focal, size / 2, size / 2, view, size, size)
+    writer = SubjectWriter(folder)
     for k in range(FRAMES):
         with torch.no_grad():
             alpha = render(avatar(pose[k]), camera, DRAWN).alpha
-        write_image(folder / f"frames/{k:06d}.png", render_frame(avatar, pose[k], camera))
-        write_image(folder / f"masks/{k:06d}.png", alpha.numpy())
-    save_poses(folder / "poses.npz", pose, shape, stage=1)
-    save_cameras(folder / "cameras.npz", [camera])
+        writer.frame(k, render_frame(avatar, pose[k], camera))
+        writer.mask(k, alpha.numpy())
+    writer.poses(pose, shape, stage=1)
+    writer.cameras([camera])
     return load_video(folder)
 
 

@@ -40,8 +40,7 @@ from gva_mi.refine.observed_video import RefineOptions
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.stage1.prepare import RecordingOptions, prepare_video
 from gva_mi.subject.check import check_subject
-from gva_mi.subject.fingerprint import PREPARED
-from gva_mi.subject.folder import POSES, REFINED_POSES
+from gva_mi.subject.folder import POSES, PREPARED, REFINED_POSES
 from gva_mi.subject.opened import body_of, open_subject
 from gva_mi.subject.problems import CheckReport
 from gva_mi.subject.video import load_video

@@ -36,10 +36,18 @@ from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.stage1.prepare import RecordingOptions, Stage1Record
 from gva_mi.stage1.video_check import check_recording
-from gva_mi.subject.fingerprint import PREPARED
-from gva_mi.subject.folder import CAMERAS, FRAMES, LANDMARKS, MASKS, POSES, REFINED_POSES, SPLITS
+from gva_mi.subject.folder import (
+    CAMERAS,
+    FRAMES,
+    LANDMARKS,
+    MASKS,
+    POSES,
+    PREPARED,
+    REFINED_POSES,
+    SPLITS,
+    SubjectWriter,
+)
 from gva_mi.subject.footage import files_of
-from gva_mi.subject.landmarks import Landmarks
 from gva_mi.subject.problems import CheckReport
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video import load_video
@@ -223,10 +231,10 @@ class StepFolder:
 def _check(subject: Path, body: Path | None) -> None:
     """Compare the folder with itself, and the video with a good one."""
     report, record = check(subject, body=body), Stage1Record.load(subject)
-    video, landmarks = load_video(subject), Landmarks.load(subject / LANDMARKS)
+    video = load_video(subject)
     with bar("check") as progress:
         found = check_recording(
-            video, load_body(body), landmarks, record.fps, record.crowded, progress
+            video, load_body(body), video.landmarks, record.fps, record.crowded, progress
         )
     found = CheckReport(report.frames, list(found), [], report.figures)
     for line in found.lines(110):
@@ -240,7 +248,7 @@ def _split(subject: Path, test_frames: bool) -> None:
     count = Stage1Record.load(subject).frames
     every = Splits(list(range(count)), [])
     splits = Splits.of_video(count) if test_frames else every
-    write_json(subject / SPLITS, splits.to_json())
+    SubjectWriter(subject).splits(splits.to_json())
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_
 from gva_mi.readers.prepare import PrepareOptions, prepare_folder
 from gva_mi.readers.track import TargetBody
 from gva_mi.stage1.prepare import RecordingOptions, RecordingSource, motion_of_video
-from gva_mi.subject.fingerprint import PREPARED, VIDEO_KIND
+from gva_mi.subject.fingerprint import VIDEO_KIND
+from gva_mi.subject.folder import PREPARED
 
 VIDEO_FILES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
 OF_VIDEOS = ("body", "person", "lens", "masks")  # of PrepareOptions

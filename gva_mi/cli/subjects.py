@@ -18,7 +18,7 @@ from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_replaceable, require_room
 from gva_mi.core.tasks import usual_workers
-from gva_mi.subject.fingerprint import SYNTH
+from gva_mi.subject.folder import SYNTH
 from gva_mi.synthetic import SynthOptions, make_subject
 
 

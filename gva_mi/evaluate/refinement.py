@@ -31,7 +31,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose, Shape, save_poses
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, aligned, listed
 from gva_mi.core.cpu import one_thread
@@ -50,7 +50,7 @@ from gva_mi.refine.observed_video import RefineOptions
 from gva_mi.refine.refine import Refined, refine_all
 from gva_mi.splat import Camera
 from gva_mi.subject.crop import Box, NoEvidence, points_extent
-from gva_mi.subject.folder import REFINED_POSES
+from gva_mi.subject.folder import REFINED_POSES, SubjectWriter
 from gva_mi.subject.ground_truth import GroundTruth, truth_of
 from gva_mi.subject.pictures import in_8_bits, write_image
 from gva_mi.subject.splits import spread
@@ -315,7 +315,7 @@ def write_refinement(evaluation: Evaluation) -> None:
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
     for name in (REFINEMENT, OVERLAYS):  # which describe the older poses
         (folder / name).unlink(missing_ok=True)
-    save_poses(folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
+    SubjectWriter(folder).refined_poses(pose, shape, offsets)
     write_record(folder / REFINEMENT, record)
     write_image(folder / OVERLAYS, _overlays(evaluation))
 

@@ -45,7 +45,7 @@ from gva_mi.evaluate.figures import Figure
 from gva_mi.fit import run_folder
 from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.subject.fingerprint import SYNTH
+from gva_mi.subject.folder import SYNTH
 from gva_mi.synthetic import remake_subject
 from gva_mi.synthetic.subject import Subject
 from gva_mi.synthetic.subject_folder import recorded_options

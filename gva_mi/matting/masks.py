@@ -35,7 +35,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -51,8 +50,7 @@ from gva_mi.matting.camera import (
 from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
 from gva_mi.matting.plate import MEAN_SQUARE, Plate, mean_around
 from gva_mi.subject.crop import bounds
-from gva_mi.subject.folder import frame_name
-from gva_mi.subject.pictures import write_image
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.splits import spread
 
 # All chosen. Pixels are those of the working grid, unless the picture's are named.
@@ -78,17 +76,17 @@ LEAST_PIECE_PROBABILITY = 0.3  # mean probability of a piece; with less the netw
 def video_masks(
     pictures: Sequence[np.ndarray],
     probabilities: Sequence[np.ndarray],
-    out: Path,
+    writer: SubjectWriter,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write a soft mask of each picture, ``out/000000.png`` and so on; return notes.
+    """Write a soft mask of each picture of a subject; return notes.
 
     Args:
         pictures: T pictures (H, W, 3) 8-bit of one video. Each is read a few times; only the one
             that is worked on, and parts of some, stay in memory.
         probabilities: T probabilities of the person (H, W) 8-bit, 255 for certain; all zero where
             there is nobody.
-        out: folder of the masks. A picture without a person gets an empty one.
+        writer: of the subject. A picture without a person gets an empty mask.
         progress: called after each picture.
     """
     total = len(pictures)
@@ -109,7 +107,7 @@ def video_masks(
     def write(numbered: tuple[int, GridPicture | None]) -> int:
         k, view = numbered
         mask = nobody if view is None else on_grid.grid.paste(scene.mask(view))
-        write_image(Path(out) / frame_name(k), mask)
+        writer.mask(k, mask)
         return k
 
     views = ((k, on_grid.view(k) if extents[k, 2] > 0 else None) for k in range(total))
@@ -244,7 +242,7 @@ class VideoScene:
         return mask
 
     def inside(self, view: GridPicture, plate: Plate | None = None) -> np.ndarray:
-        """Return where the person is in a picture, (h, w) bool; ``plate`` is its plate, if known."""
+        """Return where the person is in a picture, (h, w) bool; ``plate`` is its plate."""
         part = _looked_at(view)
         image, P = view.image[part], view.probability[part]
         plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]

@@ -24,12 +24,11 @@ from gva_mi.core.files import read_arrays, require_keys
 from gva_mi.readers.estimators import read_source
 from gva_mi.readers.track import TargetBody, Track, make_track
 from gva_mi.splat import Camera
-from gva_mi.subject.folder import FRAMES, MASKS, VIEWS, frame_name
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.footage import Pictures, files_of, masks, pictures
-from gva_mi.subject.ground_truth import save_views
 from gva_mi.subject.lens import undistort
 from gva_mi.subject.masks import MaskMeaning
-from gva_mi.subject.pictures import require_sides, write_image
+from gva_mi.subject.pictures import require_sides
 from gva_mi.subject.splits import spread
 
 ALL_CAMERAS = "all"  # in the place of names of cameras
@@ -199,14 +198,14 @@ def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]
 
 
 def write_views(
-    out: Path,
+    writer: SubjectWriter,
     where: str,
     capture: Capture,
     names: Sequence[str],
     frames: Sequence[int],
     upright: np.ndarray,
 ) -> list[str]:
-    """Write ``views/`` of the folder ``out``, and return notes.
+    """Write a subject's held-out views, and return notes.
 
     Each camera of ``names`` sees at most :data:`FRAMES_PER_VIEW` of ``frames``; ``upright`` is W
     (4, 4).
@@ -228,13 +227,14 @@ def write_views(
                 left_out.append(name)
                 break
             straight = undistort(at, other.K, other.distortion, size) or (lambda image: image)
-            for part, picture in ((FRAMES, image), (MASKS, mask)):
-                write_image(out / VIEWS / part / frame_name(len(shown)), straight(picture))
+            writer.views.frame(len(shown), straight(image))
+            writer.views.mask(len(shown), straight(mask))
             shown.append((k, name, Camera.from_matrices(other.K, T, *size)))
     if not shown:
         raise InputError(f"{where}: other cameras have no picture and mask of the video's frames")
     numbers, seen_by, cameras = zip(*shown, strict=True)
-    save_views(out / VIEWS, numbers, seen_by, cameras)
+    writer.views.cameras(cameras)
+    writer.views_record(numbers, seen_by)
     notes = [f"{len(shown)} views held out, of cameras {', '.join(dict.fromkeys(seen_by))}"]
     if left_out:
         notes.append(f"left out, of another size of pictures: cameras {', '.join(left_out)}")

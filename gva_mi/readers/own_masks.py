@@ -1,6 +1,7 @@
-"""Masks and normals that a user brings: of another program, or by a network.
+"""Masks and normals that a user provides: files of another program, or a network that makes them.
 
-Masks take the place of those that are found here, or stand beside them (:class:`WithMasks`).
+A user's masks replace those of :mod:`gva_mi.matting`. Masks that a user's network makes are
+combined with the probabilities of the landmark network (:class:`WithMasks`).
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from gva_mi.subject import footage
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import FRAMES, MASKS, SubjectWriter, frame_name
 from gva_mi.subject.masks import INSIDE_ABOVE, read_mask, require_person
-from gva_mi.subject.pictures import in_8_bits, read_image, write_image
+from gva_mi.subject.pictures import in_8_bits, read_image
 
-CERTAIN_PROBABILITY = 0.95  # probability of certainty: no witness is believed beyond it
-LEAST_HELD = 0.5  # share of certain pixels, or of the person's points, that a mask holds at least
-ASPECT_TOLERANCE = 0.01  # largest relative difference of a mask's width by height from the video's
+# All chosen.
+CERTAIN_PROBABILITY = 0.95  # no network counts as more certain than this
+LEAST_HELD = 0.5  # share of the person's certain pixels, or points, that lie in a right mask
+ASPECT_TOLERANCE = 0.01  # relative difference of a mask's aspect from the video's
 
 
 @options_of("prepare")
@@ -43,21 +45,21 @@ class MaskOptions:
 
 
 def write_own_masks(
-    folder: Path,
+    writer: SubjectWriter,
     source: Path,
     numbers: Sequence[int],
     size: tuple[int, int],
     probabilities: Sequence[np.ndarray],
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write the masks of a video's used pictures into a folder, and return notes.
+    """Write a user's masks of a video's used pictures, and return notes.
 
     Args:
-        folder: of the masks, ``000000.png`` and so on.
-        source: what :func:`.footage.masks` reads, a mask for each picture of the video.
-        numbers: T numbers of the used pictures in the video, ascending.
+        writer: of the subject.
+        source: what :func:`.footage.masks` reads, a mask for each picture of the video file.
+        numbers: T numbers of the used pictures in the video file, ascending.
         size: (W, H) of the used pictures, which may be smaller than the masks.
-        probabilities: T of the person (H, W) 8-bit by a network, to tell masks of another video.
+        probabilities: T maps (H, W) 8-bit by a network, which reveal masks of another video.
         progress: called after each used picture.
     """
     used = {number: k for k, number in enumerate(numbers)}
@@ -66,7 +68,7 @@ def write_own_masks(
         if (k := used.get(number := read - 1)) is None:
             continue
         mask = _in_size(f"{source}: mask {number}", mask, size)
-        write_image(folder / frame_name(k), mask)
+        writer.mask(k, mask)
         counts += np.bincount(mask.ravel(), minlength=256)
         person = probabilities[k] > 255 * CERTAIN_PROBABILITY
         if person.any():
@@ -76,13 +78,13 @@ def write_own_masks(
     if read <= numbers[-1]:
         raise InputError(
             f"{source}: holds {read} masks, but picture {numbers[-1]} of the video is used; "
-            "expected a mask for each picture of the video, in their order"
+            "expected a mask for each picture of the video, in order"
         )
     require_person(str(source), counts)
     if held and np.median(held) < LEAST_HELD:
         raise InputError(
             f"{source}: its masks do not lie on the person of the video; expected a mask for each "
-            "picture of the video, in their order, of its upright pictures"
+            "picture of the video, in order, of its upright pictures"
         )
     return [f"masks of {source}"]
 
@@ -102,15 +104,16 @@ def _in_size(where: str, mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def write_masks(
-    folder: Path,
+    writer: SubjectWriter,
     network: SegmentAnything,
     picture: Callable[[int], np.ndarray],
     prompts: Sequence[Prompt | None],
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write masks into a folder, each guided by the mask before; return notes.
+    """Segment the person in all frames, write the masks, and return notes.
 
-    ``picture`` gives a frame (H, W, 3) 8-bit. A frame without a prompt gets no mask.
+    Each frame is guided by its prompt and by the mask before; a frame without a prompt gets no
+    mask. ``picture`` returns a frame (H, W, 3) 8-bit.
     """
     before: MaskGuess | None = None
     none, doubtful = [], []
@@ -121,7 +124,7 @@ def write_masks(
             before = None
             none.append(k)
         else:
-            write_image(folder / frame_name(k), before.mask * np.uint8(255))
+            writer.mask(k, before.mask * np.uint8(255))
             x, y = np.floor(prompt.points[prompt.labels == 1]).astype(int).T
             if before.mask[y, x].mean() < LEAST_HELD:
                 doubtful.append(k)
@@ -129,8 +132,8 @@ def write_masks(
             progress(k + 1, len(prompts))
     if len(none) == len(prompts):
         raise InputError(
-            f"{folder}: Segment Anything found nobody in any frame; are the poses of this video, "
-            "and the weights those of Segment Anything?"
+            f"{writer.folder}: Segment Anything found nobody in any frame; expected poses of this "
+            "very video, and weights of Segment Anything"
         )
     notes = [f"frames where the network found nobody: {listed(none)}"] if none else []
     if doubtful:
@@ -139,14 +142,14 @@ def write_masks(
 
 
 class WithMasks(Sequence[np.ndarray]):
-    """A network's probabilities P and another's masks Q: their odds are multiplied.
+    """A network's probabilities P combined with another network's masks Q: their odds multiply.
 
-    The result is ``P Q / (P Q + (1 - P) (1 - Q))``. It is near a half where they contradict each
-    other, and there the colours of the video decide.
+    The result is ``P Q / (P Q + (1 - P) (1 - Q))``. Where P and Q contradict each other it is near
+    a half, and the matting decides by colours.
     """
 
     def __init__(self, probabilities: Sequence[np.ndarray], folder: Path) -> None:
-        """Take masks of a folder; a picture without one keeps its probability."""
+        """Combine with the masks in a folder; a picture without a mask keeps its probability."""
         self._probabilities, self._folder = probabilities, folder
 
     def __len__(self) -> int:
@@ -163,22 +166,23 @@ class WithMasks(Sequence[np.ndarray]):
 
 
 def write_normals(
-    folder: Path,
+    writer: SubjectWriter,
     network: NormalNetwork,
     count: int,
     progress: Progress | None = None,
 ) -> list[str]:
-    """Write ``normals/`` and ``normals.json`` of a subject that has its masks; return notes.
+    """Estimate the normals of a subject that has its masks, write them, and return notes.
 
-    A map shows a part of the frame, which ``normals.json`` says, at the network's own resolution.
+    A map shows the part of the frame around the person, at the network's own resolution;
+    ``normals.json`` has the boxes.
 
     Args:
-        folder: of the subject.
-        network: that sees the pictures.
-        count: of the frames.
+        writer: of the subject.
+        network: estimates the normals.
+        count: number of frames.
         progress: called after every frame.
     """
-    writer, boxes, maps = SubjectWriter(folder), [[0, 0, 1, 1]] * count, 0
+    folder, boxes, maps = writer.folder, [[0, 0, 1, 1]] * count, 0
     for k in range(count):
         mask = read_mask(folder / MASKS, k)
         box = None if mask is None else bounds(mask > 0.5)

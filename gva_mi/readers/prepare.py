@@ -42,8 +42,8 @@ from gva_mi.readers.track import TargetBody, Track, every_frame, filmed_with, me
 from gva_mi.readers.world import Upward, upright
 from gva_mi.splat import Camera
 from gva_mi.subject import footage
-from gva_mi.subject.fingerprint import PREPARED, fingerprint
-from gva_mi.subject.folder import FRAMES, MASKS, SubjectWriter, frame_name
+from gva_mi.subject.fingerprint import fingerprint
+from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, SubjectWriter, frame_name
 from gva_mi.subject.lens import asked_for, recorded, undistort
 from gva_mi.subject.masks import read_mask, require_person
 from gva_mi.subject.normals import Convention
@@ -125,20 +125,20 @@ def prepare_folder(
         track = track.where(track.frames < count)
     track, inside, more = every_frame(where, track, count)
     for k in np.flatnonzero(~inside):  # without a mask, a frame belongs to no split
-        (out / MASKS / frame_name(k)).unlink(missing_ok=True)
+        writer.remove_mask(k)
     if mask_network:
         prompts = prompts_of(track, others, body.joints, size)
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
         picture = lambda k: read_image(out / FRAMES / frame_name(k), 3)
-        more += write_masks(out / MASKS, mask_network, picture, seen, progress)
+        more += write_masks(writer, mask_network, picture, seen, progress)
     cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     writer.cameras(cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
-        more += write_normals(out, normal_network, count, progress)
+        more += write_normals(writer, normal_network, count, progress)
     if views:
         seen = np.flatnonzero(inside).tolist()
-        more += write_views(out, where, capture, views, seen, _T_CAMERA_WORLD)
+        more += write_views(writer, where, capture, views, seen, _T_CAMERA_WORLD)
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
     writer.poses(pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]

@@ -37,11 +37,11 @@ from gva_mi.stage1.face import with_face
 from gva_mi.stage1.pictures import EvenPictures, even_pictures
 from gva_mi.stage1.solver import KnownOfVideo, Stage1Solution, solve_stage1
 from gva_mi.stage1.upright import vertical_of
-from gva_mi.subject.fingerprint import PREPARED, VIDEO_KIND, fingerprint
-from gva_mi.subject.folder import FRAMES, MASKS, StoredPictures, SubjectWriter
+from gva_mi.subject.fingerprint import VIDEO_KIND, fingerprint
+from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, StoredPictures, SubjectWriter
 from gva_mi.subject.footage import mask_meaning
 from gva_mi.subject.lens import asked_for, in_pixels
-from gva_mi.subject.pictures import in_8_bits, read_image, write_image
+from gva_mi.subject.pictures import in_8_bits, read_image
 from gva_mi.subject.splits import Splits
 
 _LENS = (
@@ -138,6 +138,7 @@ def prepare_video(
     given = own_masks.masks if network is None else None
     if given is not None:
         mask_meaning(given)  # what cannot be read is refused before any work
+    writer = SubjectWriter(out)
     with tempfile.TemporaryDirectory(dir=out, prefix=".") as folder:
         rough = StoredPictures(Path(folder), ".npy", read_array)
         keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
@@ -147,22 +148,21 @@ def prepare_video(
         )  # fmt: skip
         pictures = motion.pictures.pictures
         stored = StoredPictures(out / FRAMES, ".png", lambda path: read_image(path, 3))
-        write = lambda numbered: write_image(stored.path(numbered[0]), numbered[1])
+        write = lambda numbered: writer.frame(*numbered)
         rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
         more = part_of_progress(progress, 6, 4, 10)
         if given is not None:
             numbers, size = motion.pictures.numbers, pictures[0].shape[1::-1]
-            notes = write_own_masks(out / MASKS, given, numbers, size, rough, more)
+            notes = write_own_masks(writer, given, numbers, size, rough, more)
         else:
             probabilities, notes = rough, []
             if network is not None:
-                guesses = Path(folder) / "guesses"
+                guesses = SubjectWriter(Path(folder))
                 picture, prompts = stored.__getitem__, motion.prompts(model)
                 notes = write_masks(guesses, network, picture, prompts)
-                probabilities = WithMasks(rough, guesses)
-            notes += video_masks(stored, probabilities, out / MASKS, more)
+                probabilities = WithMasks(rough, guesses.folder / MASKS)
+            notes += video_masks(stored, probabilities, writer, more)
     solved, watched = motion.solved, motion.watched
-    writer = SubjectWriter(out)
     writer.poses(solved.pose, solved.shape, stage=1)
     writer.cameras([solved.camera] * len(pictures))
     writer.landmarks(watched.landmarks)

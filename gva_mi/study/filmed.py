@@ -29,8 +29,8 @@ from gva_mi.matting.masks import video_masks
 from gva_mi.splat import Camera
 from gva_mi.stage1.prepare import RecordingOptions, motion_of_video
 from gva_mi.study.cases import StudyCase, Take
-from gva_mi.subject.fingerprint import PREPARED, SYNTH, VIDEO_KIND, require_same_body
-from gva_mi.subject.folder import MASKS, SPLITS, TRUTH, SubjectWriter
+from gva_mi.subject.fingerprint import VIDEO_KIND, require_same_body
+from gva_mi.subject.folder import PREPARED, SPLITS, SYNTH, TRUTH, SubjectWriter
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.pictures import in_8_bits
 from gva_mi.synthetic import degrade, make_subject
@@ -141,7 +141,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         pictures, solved = motion.pictures.pictures, motion.solved
         for k, picture in enumerate(pictures):
             writer.frame(k, picture)
-        video_masks(pictures, [seen[k] for k in range(len(pictures))], folder / MASKS)
+        video_masks(pictures, [seen[k] for k in range(len(pictures))], writer)
         writer.landmarks(motion.watched.landmarks)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         writer.poses(pose, solved.shape, stage=1)

@@ -1,4 +1,4 @@
-"""Separate a person from the background along the outline.
+"""Remove the background's colour from a person's outline.
 
 A pixel of the outline mixes two colours, the person's F and the background's B, by a mask S:
 
@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import numpy as np
 
-BACKGROUND_SQUARE = 3  # pixels, side of the squares whose mean is the background
-SEARCH_MARGIN = 8  # pixels around the mask, in which the background is looked for
-ZERO_MASK = 0.5 / 255  # a mask below this is zero
+# All chosen.
+BACKGROUND_SQUARE = 3  # pixels, side of the squares whose mean colour continues the background
+SEARCH_MARGIN = 8  # pixels around the mask in which the background is looked for
+ZERO_MASK = 0.5 / 255  # half a step of 8 bits: a smaller mask is stored as zero
 
 
 def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the person's colour times the mask (eq. 2), (H, W, 3), for a mask (H, W)."""
+    """Return the person's colour times the mask (H, W), eq. 2: (H, W, 3)."""
     person = np.zeros_like(image)
     rows, columns = (np.flatnonzero((mask > ZERO_MASK).any(axis)) for axis in (1, 0))
     if len(rows):

@@ -13,16 +13,22 @@ from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 from gva_mi.subject.pictures import require_size
 
-FOCAL_PER_SIDE = Within(
-    0.01, 1e6, unit="times the picture's longer side"
-)  # of any lens, generously
-_SIDE_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}  # pixels; metres
+# Chosen: wider than any lens, from a fisheye to a telescope.
+FOCAL_PER_SIDE = Within(0.01, 1e6, unit="times the picture's longer side")
+# Rows, and the largest entry (pixels, metres). Chosen: far beyond any camera.
+_ROWS_AND_LARGEST = {"K": (3, 1e9), "T_camera_world": (4, 1e6)}
 
 
 def load_cameras(
     path: Path, count: int | None = None, of: str = ", but the video has {} frames"
 ) -> list[Camera]:
-    """Read ``cameras.npz``; one camera stands for all of ``count``, which errors say are ``of``."""
+    """Read ``cameras.npz``: the camera of each frame.
+
+    Args:
+        path: the file.
+        count: how many cameras there have to be; a single one in the file is repeated. None: any.
+        of: how an error about another count ends; ``{}`` becomes ``count``.
+    """
     data = read_arrays(path, "K, T_camera_world, width, height (.npz)")
     require_keys(path, data, ("K", "T_camera_world", "width", "height"))
     K, T = (_matrices(path, name, data[name]) for name in ("K", "T_camera_world"))
@@ -34,17 +40,17 @@ def load_cameras(
             f"{path}: 'T_camera_world' of camera {mirrored[0]} is mirrored (its determinant is "
             "below 0); expected x right, y down, z forward"
         )
-    there = max(len(K), len(T))
-    if not {len(K), len(T)} <= {1, there}:
+    found = max(len(K), len(T))
+    if not {len(K), len(T)} <= {1, found}:
         raise InputError(f"{path}: holds {len(K)} 'K', but {len(T)} 'T_camera_world'")
-    K, T = np.broadcast_to(K, (there, 3, 3)), np.broadcast_to(T, (there, 4, 4))
+    K, T = np.broadcast_to(K, (found, 3, 3)), np.broadcast_to(T, (found, 4, 4))
     with expecting(path, "cameras that see something"):
-        cameras = [Camera.from_matrices(K[k], T[k], width, height) for k in range(there)]
+        cameras = [Camera.from_matrices(K[k], T[k], width, height) for k in range(found)]
     for k, camera in enumerate(cameras):
         for focal in (camera.fx, camera.fy):
             share = focal / max(width, height)
             FOCAL_PER_SIDE.require(str(path), f"the focal length of camera {k} in 'K'", share)
-    if there == 1 and count is not None:
+    if found == 1 and count is not None:
         cameras *= count
     if count not in (None, len(cameras)):
         raise InputError(f"{path}: holds {len(cameras)} cameras{of.format(count)}")
@@ -52,11 +58,11 @@ def load_cameras(
 
 
 def _matrices(path: Path, name: str, value: np.ndarray) -> np.ndarray:
-    """Check K (3, 3) or T_camera_world (4, 4), of one camera or of several, and return several."""
-    n, largest = _SIDE_AND_LARGEST[name]
+    """Validate K (3, 3) or T_camera_world (4, 4), of one camera or n; return (n, ., .)."""
+    n, largest = _ROWS_AND_LARGEST[name]
     value = require_array(path, name, value, (n, n), (None, n, n), kind="iuf", largest=largest)
     value = value.reshape(-1, n, n)
-    # A K that is not normalised, or a transposed one, would be a camera that nobody meant.
+    # Another last row means that K is not normalised, or that the matrix is transposed.
     last = [0] * (n - 1) + [1]
     if bad := [row for row in value[:, -1] if any(row != last)]:
         raise InputError(f"{path}: the last row of '{name}' must be {last}, got {bad[0].tolist()}")

@@ -1,8 +1,9 @@
 """Find everything that is wrong with a subject's folder in one pass: ``gva-mi check``.
 
-The other steps stop at the first file that they cannot use, and trust numbers of the right shape.
-Here the same reader goes on after each fault (:class:`~gva_mi.subject.problems.Faults`). Then
-numbers are compared with what lenses and people are like, and silhouettes with the masks.
+Other steps stop at the first file that they cannot use, and trust numbers of the right shape. This
+check uses the same reader, which here continues after each fault
+(:class:`~gva_mi.subject.problems.Faults`). Then it compares the numbers with those of real lenses
+and people, and the body's silhouettes with the masks.
 """
 
 from __future__ import annotations
@@ -27,24 +28,20 @@ from gva_mi.subject.problems import CheckReport, Faults, Problem, doubt, error
 from gva_mi.subject.silhouettes import LEAST_IOU, compare, draw_sheet
 from gva_mi.subject.video import Video, read_video
 
-# A lens's axis meets the middle of a picture to a few percent. K of a picture 1.25 times as large
-# has it an eighth of the width away.
-PRINCIPAL_POINT_OFFSET = 0.12  # of width or height
-FOCAL_RATIO = 1.5  # fx over fy: the widest pixels of any video standard, 16:9 in PAL, are 1.46
-# Axis-angle needs no more than half a turn, and no unwrapping makes a limb's more than a whole one.
-# In degrees an ordinary bend is ten times as much. The root may have been unwrapped: it turns on.
+# All chosen, for the reason beside each.
+# Of width or height. A lens's axis meets the middle of a picture to a few percent; K of a picture
+# 1.25 times as large has it an eighth of the width away.
+PRINCIPAL_POINT_OFFSET = 0.12
+FOCAL_RATIO = 1.5  # fx over fy: the widest pixels of a video standard, 16:9 in PAL, have 1.46
+# Radians. Axis-angle needs no more than half a turn; a limb's rotation that was unwrapped has no
+# more than a whole one. In degrees an ordinary bend is ten times as much.
 LARGEST_ROTATION = 2 * np.pi
-DOUBTFUL_BETA, WRONG_BETA = (
-    5.0,
-    10.0,
-)  # standard deviations; one person in three million has a beta above 5
-
-FITTING_IOU = 0.5  # IoU: more of both pictures is the person in common than not
-JOINTS_INSIDE = (
-    0.5  # of a frame's joints: a joint is in the body, so half of them outside is no chance
-)
-# The root mean square radius of a standing person is some 45 cm. Clothes and hair add 5 cm all
-# round, and grown-ups differ by 8 % from the mean person whom zero betas stand for: a sixth in all.
+DOUBTFUL_BETA, WRONG_BETA = 5.0, 10.0  # standard deviations: 1 person in 3 million has one above 5
+FITTING_IOU = 0.5  # the body and the mask have more in common than not
+JOINTS_INSIDE = 0.5  # share of a frame's joints in the mask; joints lie well inside a body
+# Size of the masks over the size of the body, and its inverse. A standing person has a root mean
+# square radius of some 45 cm. Clothes and hair add 5 cm all around, and adults differ by 8 % from
+# the mean person whom zero betas stand for: together a sixth.
 DOUBTFUL_SIZE_RATIO, WRONG_SIZE_RATIO = 1.2, 1.35
 
 
@@ -54,9 +51,9 @@ def check_subject(
     progress: Progress | None = None,
     sheet: Path | None = None,
 ) -> CheckReport:
-    """Check a folder, whose poses are for ``body``.
+    """Check a folder whose poses are for ``body``.
 
-    ``sheet`` receives a picture of some frames, if there are any with mask, camera and pose.
+    Some frames with mask, camera and pose are drawn into the picture file ``sheet``.
     """
     folder, faults = Path(folder), Faults()
     parts = (VIDEO, FRAMES, MASKS, CAMERAS, POSES)
@@ -135,7 +132,7 @@ def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
     if wide.any():
         frame, joint = np.unravel_index(turns.argmax(), turns.shape)
         figure = f"{JOINTS[joint + 1]} turns by {turns.max():.3g} in frame {frame}"
-        yield error("rotations", figure, "degrees, or another form than axis-angle",
+        yield error("rotations", figure, "degrees, or another representation than axis-angle",
                     "axis-angle in radians", np.flatnonzero(wide))  # fmt: skip
 
 

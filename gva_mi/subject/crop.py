@@ -25,7 +25,7 @@ from torch import Tensor
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.splat import Camera
 
-EMPTY_MASK_PIXELS = 16  # pixels: a mask of a smaller area counts as empty
+EMPTY_MASK_PIXELS = 16  # a mask of a smaller area counts as empty. Chosen: it shows no pose
 
 Image = TypeVar("Image", np.ndarray, Tensor)
 Seen = TypeVar("Seen")

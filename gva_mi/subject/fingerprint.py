@@ -8,7 +8,7 @@ signed sums of all its vertices x (metres) in two poses that use every joint, be
     1. s_k = Σ_i σ_ki x_i / √V,    σ_ki = ±1 at random
     2. mean over k of (s_k - s'_k)²  ≈  mean over the vertices of |x_i - x'_i|²
 
-so that two sketches tell how far apart two bodies are, and not only whether they differ.
+so two sketches tell how far apart two bodies are, not only whether they differ.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
+from gva_mi.subject.folder import PREPARED, SYNTH
 
-SKETCH_SUMS = 32  # K: their root mean square is right to one part in √(2 K), 12 %
-SAME_BODY_METRES = 3e-6  # m, root mean square; float32 rounding is a tenth of it
-# Files of a subject; each holds {"body": {"vertices": V, "sketch": [...]}}, the second also a
-# "name" there, and the "file" of a body that is not built in.
-SYNTH, PREPARED = "synth.json", "prepare.json"
+SKETCH_SUMS = 32  # K. Chosen: the root mean square is right to one part in √(2 K), 12 %
+SAME_BODY_METRES = 3e-6  # root mean square. Chosen: ten times float32's rounding
+# Both records hold {"body": {"vertices": V, "sketch": [...]}}; PREPARED also the body's "name", and
+# its "file" unless it is the built-in body.
 EXPECTED_RECORD = "what gva-mi synth or gva-mi prepare writes"
-VIDEO_KIND = "video"  # kind of a subject that was prepared from a video alone
+VIDEO_KIND = "video"  # "kind" in PREPARED of a subject that stage 1 made from a video file
 
 
 def fingerprint(body: BodyModel) -> dict[str, object]:
-    """Return vertex count and sketch (eq. 1, metres), as ``synth.json`` keeps them."""
+    """Return the vertex count and the sketch (eq. 1, metres) of a body, for its record."""
     dtype = body.v_template.dtype
     wave = lambda n, size: size * torch.sin(1.0 + torch.arange(n, dtype=torch.float64)).to(dtype)
     shape = Shape(wave(body.num_betas, 1.5))
@@ -58,7 +58,7 @@ def distance(a: dict[str, object], b: dict[str, object]) -> float:
 
 
 def belongs_to(folder: Path, body: BodyModel) -> bool:
-    """Whether a subject's folder says that it was made on, or prepared for, this very body."""
+    """Whether a subject's folder was made on, or prepared for, this body, by its records."""
     known = (_body_of(folder / name) for name in (SYNTH, PREPARED))
     return any(distance(x, fingerprint(body)) <= SAME_BODY_METRES for x in known if x)
 
@@ -66,7 +66,7 @@ def belongs_to(folder: Path, body: BodyModel) -> bool:
 def require_same_body(folder: Path, body: BodyModel) -> None:
     """Raise an InputError if a subject was made on, or prepared for, another body.
 
-    A folder that was put together by hand has no fingerprint, and passes.
+    A folder without a record, such as one that was put together by hand, passes.
     """
     for name in (SYNTH, PREPARED):
         known = _body_of(Path(folder) / name)
@@ -80,7 +80,7 @@ def require_same_body(folder: Path, body: BodyModel) -> None:
         )
         theirs = known.get("name", "the one that gva-mi synth was given")
         raise InputError(
-            f"{folder}: its poses belong to another body ({how}), so that they mean nothing here; "
+            f"{folder}: its poses belong to another body ({how}), so they are wrong for this one; "
             f"expected --body with that body ({theirs}), or make the folder again for this body"
         )
 
@@ -92,9 +92,9 @@ def prepared_body(folder: Path) -> Path | None:
 
 
 def prepared_from(folder: Path) -> tuple[str | None, float | None]:
-    """Return what a subject's poses were prepared from, and the frames a second of a video.
+    """Return the kind of source that a subject was prepared from, and its frames a second.
 
-    Either is None if it is not known, both if the subject was not prepared.
+    Both are None without ``prepare.json``, the second one unless the source was a video file.
     """
     about = _record(folder / PREPARED)
     with expecting(folder / PREPARED, EXPECTED_RECORD):
@@ -107,7 +107,7 @@ def _record(file: Path) -> dict:
 
 
 def _body_of(file: Path) -> dict:
-    """Return the body that a subject's record describes; nothing if it describes none."""
+    """Return what a record says of the body; an empty dictionary if it says nothing."""
     about = _record(file)
     with expecting(file, EXPECTED_RECORD):
         body = about.get("body", {})

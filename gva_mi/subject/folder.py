@@ -1,23 +1,30 @@
 """The format of a subject's folder: the name of each file, and the one writer of them.
 
-::
-
-    subject/
-      video.mp4 | frames/000000.png ...   8-bit RGB; the frames win where both are there
-      masks/000000.png | .npy             hard or soft: gva_mi.subject.masks
-      normals/000000.png | .npy           optional; gva_mi.subject.normals
-      normals.json                        optional: how the normals were made
-      cameras.npz                         K (3,3) or (T,3,3); T_camera_world (4,4) or (T,4,4);
-                                          width, height
-      landmarks.npz                       optional; gva_mi.subject.landmarks
-      poses.npz                           SMPL-X names, each (T, ...); betas (B,); stage
-      poses_refined.npz                   optional: poses after stage 2
-      splits.json                         optional: train and test frames; gva_mi.subject.splits
-      views/                              optional: held-out other cameras, for evaluation
-      truth/                              ground truth of synthetic subjects, for evaluation
+======================  ======================================================= ====================
+file in ``subject/``    content                                                 format
+======================  ======================================================= ====================
+``frames/000000.png``   8-bit RGB                                               ``pictures``
+``video.mp4``           the same; used if there is no ``frames/``               ``video_file``
+``masks/000000.png``    where the person is, hard or soft; or ``.npy``          ``masks``
+``cameras.npz``         the camera of each frame                                ``cameras``
+``poses.npz``           poses of stage 1                                        ``gva_mi.body.pose``
+``poses_refined.npz``   optional: poses of stage 2                              ``gva_mi.body.pose``
+``normals/000000.png``  optional: normals of the person; or ``.npy``            ``normals``
+``normals.json``        optional: how the normals were made                     ``normals``
+``landmarks.npz``       optional: named points of the person                    ``landmarks``
+``splits.json``         optional: train and test frames                         ``splits``
+``prepare.json``        optional: what the folder was prepared from             ``fingerprint``
+``synth.json``          optional: how a synthetic subject was made              ``fingerprint``
+``views/``              optional: held-out views of other cameras               ``ground_truth``
+``truth/``              optional: ground truth of a synthetic subject           ``ground_truth``
+======================  ======================================================= ====================
 
 Pictures, masks and normals of single frames may be missing. ``views``, ``truth`` and the parts of
-``truth`` have the same files. :func:`gva_mi.subject.video.load_video` is the one reader.
+``truth`` hold the same kinds of files.
+
+:class:`SubjectWriter` writes them. :func:`gva_mi.subject.video.load_video` reads them, and
+:func:`gva_mi.body.pose.read_pose_file` is its reader of poses. ``truth`` and ``views`` are read by
+:mod:`gva_mi.subject.ground_truth` alone.
 """
 
 from __future__ import annotations
@@ -36,16 +43,17 @@ from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.landmarks import Landmarks
 from gva_mi.subject.pictures import write_image
 
-VIDEO, FRAMES, MASKS, NORMALS = "video.mp4", "frames", "masks", "normals"
+FRAMES, VIDEO, MASKS, NORMALS = "frames", "video.mp4", "masks", "normals"
 NORMALS_RECORD = "normals.json"
 CAMERAS, LANDMARKS, SPLITS = "cameras.npz", "landmarks.npz", "splits.json"
-POSES = "poses.npz"  # of stage 1
-REFINED_POSES = "poses_refined.npz"  # of stage 2, where it was run
+POSES, REFINED_POSES = "poses.npz", "poses_refined.npz"
+PREPARED, SYNTH = "prepare.json", "synth.json"
 TRUTH, VIEWS = "truth", "views"
+VIEWS_RECORD = "views.json"  # in views/
 
 
 def frame_name(index: int, suffix: str = ".png") -> str:
-    """Return the name of a frame's picture, mask or map of normals, such as 000012.png."""
+    """Return the file name of a frame's picture, mask or normals, such as 000012.png."""
     return f"{index:06d}{suffix}"
 
 
@@ -62,7 +70,7 @@ def array_or_picture(folder: Path, index: int) -> Path:
 
 @dataclass(frozen=True)
 class SubjectWriter:
-    """Writes the files of a subject's folder; each appears when it is complete."""
+    """Writes the files of a subject's folder. Each file appears when it is complete."""
 
     folder: Path
 
@@ -71,6 +79,11 @@ class SubjectWriter:
         """The writer of the ground truth."""
         return SubjectWriter(self.folder / TRUTH)
 
+    @property
+    def views(self) -> SubjectWriter:
+        """The writer of the held-out views."""
+        return SubjectWriter(self.folder / VIEWS)
+
     def frame(self, index: int, image: np.ndarray) -> None:
         """Write a frame's picture (H, W, 3), 8-bit or in [0, 1]."""
         write_image(self.folder / FRAMES / frame_name(index), image)
@@ -78,6 +91,10 @@ class SubjectWriter:
     def mask(self, index: int, mask: np.ndarray) -> None:
         """Write a frame's mask (H, W), 8-bit or in [0, 1]."""
         write_image(self.folder / MASKS / frame_name(index), mask)
+
+    def remove_mask(self, index: int) -> None:
+        """Delete a frame's mask, which makes the frame absent."""
+        (self.folder / MASKS / frame_name(index)).unlink(missing_ok=True)
 
     def normals(self, index: int, normals: np.ndarray) -> None:
         """Write a frame's unit normals (H, W, 3), zero where unknown."""
@@ -93,23 +110,32 @@ class SubjectWriter:
         save_cameras(self.folder / CAMERAS, cameras)
 
     def poses(self, pose: Pose, shape: Shape, stage: int, offsets: Tensor | None = None) -> None:
-        """Write the poses of all frames, which ``stage`` made: 0 for the ground truth."""
+        """Write ``poses.npz``; ``stage`` is 1, or 0 for ground truth: :class:`.PoseFile`."""
         save_poses(self.folder / POSES, pose, shape, stage=stage, offsets=offsets)
+
+    def refined_poses(self, pose: Pose, shape: Shape, offsets: Tensor | None) -> None:
+        """Write ``poses_refined.npz``, the poses of stage 2."""
+        save_poses(self.folder / REFINED_POSES, pose, shape, stage=2, offsets=offsets)
 
     def landmarks(self, landmarks: Landmarks) -> None:
         """Write the landmarks of all frames."""
         landmarks.save(self.folder / LANDMARKS)
 
     def splits(self, record: Mapping[str, list[int]]) -> None:
-        """Write which frames are for training and for tests, as ``Splits.to_json`` returns them."""
+        """Write the train and test frames, as ``Splits.to_json`` returns them."""
         write_json(self.folder / SPLITS, record)
+
+    def views_record(self, frames: Sequence[int], names: Sequence[str]) -> None:
+        """Write the video's frame, and the camera's name, of each picture in ``views``."""
+        record = {"frames": list(frames), "cameras": list(names)}
+        write_json(self.folder / VIEWS / VIEWS_RECORD, record)
 
 
 class StoredPictures(Sequence[np.ndarray]):
-    """Pictures in the numbered files of a folder, read one by one; none stays in memory.
+    """The numbered pictures of a folder as a sequence that reads each file when it is used.
 
     Attributes:
-        count: how many there are; zero until it is set.
+        count: its length; zero until it is set.
     """
 
     def __init__(self, folder: Path, suffix: str, read: Callable[[Path], np.ndarray]) -> None:

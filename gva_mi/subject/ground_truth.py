@@ -1,12 +1,12 @@
-"""What evaluation alone reads: ground truth of a synthetic video, and held-out views.
+"""Read what only evaluation may see: ground truth of a synthetic subject, and held-out views.
 
-The subject may be drawn on another body than the one that is fitted, because real people are not in
-the span of any body model. Then the folder ``truth`` holds that body beside its poses:
+Real people lie outside the shape space of any body model. So a synthetic subject may be rendered
+with another body than the one that is fitted. Then the folder ``truth`` holds that body, too:
 
 ===============  ===============================================================================
-``poses.npz``    poses and betas of the body that was filmed
-``body.npz``     that body, where it is not the fitted one; in SMPL-X's format
-``cameras.npz``  the cameras, where the video's own may be off
+``poses.npz``    poses and betas of the rendered body
+``body.npz``     the rendered body in SMPL-X's format, unless it is the fitted one
+``cameras.npz``  the true cameras, unless they are the video's
 ===============  ===============================================================================
 
 All bodies have SMPL-X's 55 joints, which can be compared one by one. Rotations, betas and vertex
@@ -22,29 +22,35 @@ numbers have a meaning on their own body only.
         views.json              {"frames": [...], "cameras": [...]}: which frame of the video each
                                 picture is of, and the name of the camera that saw it
 
-Poses are those that the video was opened with. Only evaluation reads this folder. (Synthetic
-subjects have their novel views in the ground truth.)
+The poses of a view are those of the opened video. (Synthetic subjects have their novel views in the
+ground truth.)
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gva_mi.body.pose import Pose, Shape, load_poses
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_json, write_json
+from gva_mi.core.files import read_json
 from gva_mi.splat import Camera
-from gva_mi.subject.cameras import load_cameras, save_cameras
-from gva_mi.subject.folder import CAMERAS, FRAMES, MASKS, POSES, VIEWS, frame_name
+from gva_mi.subject.cameras import load_cameras
+from gva_mi.subject.folder import (
+    CAMERAS,
+    FRAMES,
+    MASKS,
+    POSES,
+    VIEWS,
+    VIEWS_RECORD,
+    frame_name,
+)
 from gva_mi.subject.masks import read_mask
 from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video import Video
 
-VIEWS_RECORD = "views.json"
 TRUE_BODY = "body.npz"  # of another body than the fitted one
 
 
@@ -112,15 +118,7 @@ def read_views(subject: Path, count: int) -> tuple[list[int], list[Camera]] | No
         image = read_image(folder / FRAMES / frame_name(k), 3)
         mask = read_mask(folder / MASKS, k)
         if mask is None:
-            raise InputError(f"{folder}: mask {k} is not there")
+            raise InputError(f"{folder}: has no mask {k}; expected one for each picture")
         for what, found in (("picture", image), ("mask", mask)):
             require_sides(f"{folder}: {what} {k}", found, camera.width, camera.height)
     return frames, cameras
-
-
-def save_views(
-    folder: Path, frames: Sequence[int], names: Sequence[str], cameras: Sequence[Camera]
-) -> None:
-    """Write ``views.json`` and ``cameras.npz``: frame and camera of each picture."""
-    save_cameras(folder / CAMERAS, cameras)
-    write_json(folder / VIEWS_RECORD, {"frames": list(frames), "cameras": list(names)})

@@ -45,7 +45,7 @@ class Landmarks:
 
     names: Sequence[str]  # P
     pixels: np.ndarray  # (T, P, 2) x, y; the centre of the first pixel is (0.5, 0.5)
-    confidence: np.ndarray  # (T, P) in [0, 1]: the network's own; of hand and face: that it is one
+    confidence: np.ndarray  # (T, P) in [0, 1], by the network; for hand and face, of the whole part
     spread: np.ndarray  # (T, P) pixels: standard deviation between passes of the network, or 0
     # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera, relative to
     # the middle of the hips, or for a hand to its own middle; NaN if the network gives none.
@@ -55,7 +55,7 @@ class Landmarks:
         return len(self.pixels)
 
     def indices(self, names: Sequence[str]) -> list[int]:
-        """Return where some names stand."""
+        """Return the positions of some names in :attr:`names`."""
         return [list(self.names).index(name) for name in names]
 
     def save(self, path: Path) -> None:

@@ -37,20 +37,22 @@ from gva_mi.core.options import Within
 from gva_mi.subject.footage import Pictures, files_of
 from gva_mi.subject.pictures import opened
 
-RECORDED = "recorded"  # in the place of a focal length: what the file says
+RECORDED = "recorded"  # given instead of a focal length: take the one in the file
+# Chosen: both ranges hold any lens, from fisheyes to telescopes.
 FOCAL_IN_PIXELS = Within(1, 1e6, unit="pixels")
-FOCAL_IN_35MM = Within(1, 2000, unit="mm")  # of 35 mm film: from fisheye lenses to telescopes
+FOCAL_IN_35MM = Within(1, 2000, unit="mm")  # equivalent on 35 mm film
 EXPECTED_FOCAL = (
     f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
 )
 EXPECTED_CAMERA = 'a camera such as {"focal": [fx, fy], "princpt": [cx, cy]}'
-ONE_LENS_TOLERANCE = 1e-3  # by which entries of K may differ, as a share of the focal length
-_ASPECT_TOLERANCE = 0.01  # how much two pictures' sides may differ in proportion
-_DIAGONAL_35MM = 43.27  # mm of 36 x 24
-_SENSOR_ASPECT = 1.6  # longer over shorter side of a whole sensor's picture
+# All chosen as relative differences, above rounding and below what another lens makes.
+ONE_LENS_TOLERANCE = 1e-3  # of entries of K, relative to the focal length
+_ASPECT_TOLERANCE = 0.01  # of two pictures' aspects
+_DIAGONAL_35MM = 43.27  # mm, of 36 x 24
+_SENSOR_ASPECT = 1.6  # longer over shorter side: a whole sensor's picture has less (3:2, 4:3)
 _QUICKTIME_FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
-_EXIF_TAGS, _EXIF_FOCAL = 0x8769, 41989  # the photograph's tags among the file's, and the one
-# Types of QuickTime's whole numbers, of any number of bytes: signed, unsigned.
+_EXIF_TAGS, _EXIF_FOCAL = 0x8769, 41989  # EXIF's tags of a photograph, FocalLengthIn35mmFilm
+# Type numbers in QuickTime's metadata: whole numbers of 1 to 8 bytes, text, floating point.
 _SIGNED_TYPES, _UNSIGNED_TYPES = (21, 65, 66, 67, 74), (22, 75, 76, 77, 78)
 _TEXT_TYPE, _FLOAT_TYPES = 1, {23: ">f", 24: ">d"}
 

@@ -1,17 +1,18 @@
 """Read masks as segmenters write them: hard or soft, pictures or arrays.
 
 ========================  ====================================================
-``000000.png``            8 or 16 bits: hard, or soft in between; or labels. Of colours,
-                          palettes and alpha: :mod:`.pictures`
+``000000.png``            8 or 16 bits: hard, soft, or labels. For colours, palettes and
+                          alpha see :mod:`.pictures`
 ``000000.npy``            Boolean; whole numbers as above; or floating point in [0, 1]
 ========================  ====================================================
 
-What whole numbers mean, 0 to 1, 0 to 255, 16 bits or labels, is decided once for all masks. One
-mask alone says little: a person who has left the picture has an empty one, and a segmenter's noise
-of one step is all that it holds. So :func:`meaning_of` looks at masks until one settles it.
+The range of whole numbers (0 to 1, 0 to 255, 16 bits, or labels) is decided once for all masks of a
+video. One mask is not enough: if the person has left the picture, it is empty, or it holds a
+segmenter's noise of one step. So :func:`meaning_of` reads masks until one decides.
 
-Few whole numbers that never come near the unit are labels, and so are those beside a border of 255,
-which is nobody's. The only label beside 0 is the person's; several are refused.
+A few different whole numbers that stay far below the unit are labels. So are those in a drawing
+with borders of 255, which belong to no object. The only label beside 0 is the person; several
+labels are refused.
 """
 
 from __future__ import annotations
@@ -29,9 +30,11 @@ from gva_mi.core.files import read_array
 from gva_mi.subject.folder import array_or_picture
 from gva_mi.subject.pictures import VOID_LABEL, read_image
 
-INSIDE_ABOVE = 127  # 8-bit masks above this are inside
-_LABEL_COUNT = 64  # labels; more values are those of a soft and dim mask
-_FULL_SHARE = 0.98  # of the unit: a mask that is somewhere fully inside reaches it
+INSIDE_ABOVE = 127  # a pixel of an 8-bit mask with a larger value is inside
+_LABEL_COUNT = (
+    64  # chosen: a mask of more different values is soft and dim, not a drawing of labels
+)
+_FULL_SHARE = 0.98  # of the unit. Chosen: a mask that is fully inside somewhere reaches it
 
 
 def read_mask(folder: Path, index: int) -> np.ndarray | None:
@@ -60,19 +63,19 @@ def _values(path: Path) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _meaning(folder: Path, changed: int, dtype: np.dtype) -> MaskMeaning:
-    """Return what the masks of one kind mean in a folder that was ``changed`` last at that time."""
+    """Return the meaning of a folder's masks of one type; ``changed`` renews the cache."""
     masks = (_values(x) for x in sorted(folder.iterdir()) if x.suffix in (".npy", ".png"))
     return meaning_of(mask for mask in masks if mask.dtype == dtype)
 
 
 @dataclass(frozen=True)
 class MaskMeaning:
-    """What the values of a video's masks mean."""
+    """The range of the values in a video's masks, or which of them is the person."""
 
     full: int = 255  # the value that is fully inside: 1, 255 or 65535
-    label: int | None = None  # the person's, the only one beside 0
-    labels: tuple[int, ...] = ()  # several, of which nothing says whose they are
-    parts: bool = False  # labels are parts of the person: whatever is not zero is inside
+    label: int | None = None  # the person's, if it is the only one beside 0
+    labels: tuple[int, ...] = ()  # several: which of them is the person is unknown
+    parts: bool = False  # labels are parts of the person: all but zero are inside
 
     def inside(self, where: str, mask: np.ndarray) -> np.ndarray:
         """Convert a mask (H, W) to 8 bits, 255 inside."""
@@ -80,16 +83,16 @@ class MaskMeaning:
             return (mask > 0) * np.uint8(255)
         if self.labels:
             raise InputError(
-                f"{where}: masks of labels {listed(self.labels)}, and nothing says which is the "
-                "person; save (label == the person's) * 255"
+                f"{where}: the masks hold the labels {listed(self.labels)}, and which one is the "
+                "person is unknown; expected 255 inside the person: save (mask == label) * 255"
             )
         if self.label is not None:
             return (mask == self.label) * np.uint8(255)
         low, high = (mask.min(), mask.max()) if mask.size else (0, 0)
         if not 0 <= low <= high <= self.full:  # NaN is neither
             raise InputError(
-                f"{where}: its values go from {low:g} to {high:g}, such as a network's own before "
-                "they are shares; expected Boolean, 0 to 1, or 0 to 255"
+                f"{where}: its values go from {low:g} to {high:g}, such as a network's logits; "
+                "expected Boolean, 0 to 1, or 0 to 255"
             )
         if mask.dtype == np.uint8 and self.full == 255:
             return mask
@@ -97,8 +100,8 @@ class MaskMeaning:
 
 
 def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
-    """Return what the values of a video's masks (H, W) mean."""
-    full, found = 1, set()  # of labels; None: they are none
+    """Decide the range of the values in a video's masks (H, W)."""
+    full, found = 1, set()  # found: the labels; None: the values are no labels
     for mask in masks:
         if mask.dtype.kind == "b":
             return MaskMeaning(1)
@@ -121,7 +124,7 @@ def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
 
 
 def _drop_border(counts: dict[int, int]) -> bool:
-    """Remove the border's value from the counts of a drawing of labels; False if it is none."""
+    """Remove the border's value from the counts of a drawing of labels; False: it is no drawing."""
     labels = [count for value, count in counts.items() if 0 < value <= INSIDE_ABOVE]
     if max(counts) != VOID_LABEL or any(INSIDE_ABOVE < value < VOID_LABEL for value in counts):
         return False
@@ -129,7 +132,7 @@ def _drop_border(counts: dict[int, int]) -> bool:
 
 
 def _whole_numbers(mask: np.ndarray) -> dict[int, int] | None:
-    """Count the values of a mask, if they are whole numbers from 0 on, else None."""
+    """Count the values of a mask; None unless they are whole numbers from 0 on."""
     if mask.dtype == np.uint8:
         counts = np.bincount(mask.ravel(), minlength=256)
         return {int(value): int(counts[value]) for value in np.flatnonzero(counts)}
@@ -144,7 +147,7 @@ def require_person(where: str, counts: np.ndarray) -> None:
     values = np.flatnonzero(counts).tolist()
     if not values or values[0] <= INSIDE_ABOVE < values[-1]:
         return
-    what = f"no pixel of any mask is above half, the greatest value is {values[-1]}"
+    what = f"no pixel of any mask is above half, the largest value is {values[-1]}"
     if values[0] > INSIDE_ABOVE:
-        what = "all masks are full: opaque pictures, or masks of another video"
+        what = "every pixel of every mask is inside: opaque pictures, or masks of another video"
     raise InputError(f"{where}: {what}; expected 255 inside the person, and 0 outside")

@@ -44,10 +44,9 @@ from gva_mi.subject.pictures import read_image
 Convention = Literal["perspective", "opengl", "icon"]
 Part = tuple[slice, slice]  # rows and columns of a picture, without steps
 
-SHORTEST_NORMAL, LONGEST_NORMAL = (
-    0.2,
-    1.5,
-)  # lengths taken for a direction; black and white are 1.73 long
+# Lengths of a stored vector that is taken for a normal; others mark unknown pixels. Chosen: the
+# background's black and white are 1.73 long and grey is 0; a normal that was averaged is short.
+SHORTEST_NORMAL, LONGEST_NORMAL = 0.2, 1.5
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,12 @@ from gva_mi.core.files import once_a_file, require_file, require_room
 if TYPE_CHECKING:
     from PIL import Image
 
-MOST_PIXELS = 1 << 25  # of a picture; 8K UHD has fewer
-WRITTEN_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # of pictures that are written
-READ_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # none starts another program
-VOID_LABEL = 255  # label of pixels that are nobody's, round each object of PASCAL VOC's drawings
-GREY_TOLERANCE = 32  # largest difference of a grey pixel's channels, after JPEG
+MOST_PIXELS = 1 << 25  # of a picture. Chosen: 8K UHD has fewer, and memory holds some of them
+WRITTEN_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # by suffix; Pillow's names
+READ_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # their decoders start no other program
+VOID_LABEL = 255  # of pixels that belong to no object: borders in the drawings of PASCAL VOC
+GREY_TOLERANCE = 32  # largest difference of a grey pixel's channels. Chosen: JPEG stays below it
+PNG_LEVEL = 2  # chosen: a quarter of the default level's time, for a tenth more bytes
 
 
 def read_image(path: Path, channels: int) -> np.ndarray:
@@ -64,7 +65,7 @@ def read_image(path: Path, channels: int) -> np.ndarray:
 
 @once_a_file
 def size_of_whole(path: Path) -> tuple[int, int]:
-    """Decode a picture, because damage shows nowhere else, and return its size (W, H)."""
+    """Decode a picture completely, which finds any damage, and return its size (W, H)."""
     return read_image(path, 3).shape[1::-1]
 
 
@@ -82,7 +83,7 @@ def opened(path: Path) -> Iterator[Image.Image]:
                 yield image
     except InputError:
         raise
-    except Exception as error:  # each of its decoders has its own
+    except Exception as error:  # each decoder of Pillow raises errors of its own
         raise InputError(f"{path}: not a readable picture ({reason_of(error)})") from None
 
 
@@ -106,8 +107,7 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
     with atomic_write(path) as unfinished:
         kind = WRITTEN_FORMATS[Path(path).suffix.lower()]
-        # For a PNG a quarter of the usual level's time, for a tenth more bytes.
-        Image.fromarray(in_8_bits(image)).save(unfinished, kind, compress_level=2)
+        Image.fromarray(in_8_bits(image)).save(unfinished, kind, compress_level=PNG_LEVEL)
 
 
 def in_8_bits(image: np.ndarray) -> np.ndarray:
@@ -118,7 +118,7 @@ def in_8_bits(image: np.ndarray) -> np.ndarray:
 
 
 def require_picture(path: Path, overwrite: bool) -> None:
-    """Check that a .png can be written, before the work whose result it shows."""
+    """Refuse a path where no .png can be written, before the work starts whose result it shows."""
     if path.suffix.lower() != ".png":
         raise InputError(f"{path}: a picture's name ends in .png")
     require_room(path, overwrite)

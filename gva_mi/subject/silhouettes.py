@@ -20,24 +20,21 @@ from gva_mi.splat import Camera
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
-RENDERED_SIDE = (
-    192  # px, longer side of pictures that are rendered: a person of 1.8 m has 1 px a cm
-)
-VERTEX_SIDE = 48  # px, likewise without rendering: vertices of a body are as dense
-FULL_MASK = 0.995  # of a mask: what is missing is noise of a file's compression
-# A person touches one side of the border, or two if head and feet are cut off; what is around the
-# person touches all four.
-INVERTED_BORDER = 0.5  # of the border
-COMPARED_FRAMES = 8  # frames of the sanity check
+# All chosen, for the reason beside each.
+RENDERED_SIDE = 192  # px, longer side of rendered silhouettes: of a whole person, 1 px is 1 cm
+VERTEX_SIDE = 48  # px, longer side without rendering: a body's vertices are about as dense
+FULL_MASK = 0.995  # share of a picture that a full mask covers: the rest is noise of compression
+# Share of the picture's border that an inverted mask touches. A person touches one side, or two if
+# head and feet are cut off; the background touches all four.
+INVERTED_BORDER = 0.5
+COMPARED_FRAMES = 8  # of the sanity check, which should take seconds
 LEAST_JOINTS_IN_MASKS = (
-    0.5  # of the joints in the picture; noise and loose clothes leave most in the masks
+    0.5  # share of the joints in the picture; noise and loose clothes leave more
 )
-LEAST_IOU = 0.25  # IoU; wide clothes and occlusion leave more
-LEAST_JOINTS_IN_PICTURE = (
-    0.2  # of all joints are in the picture; head and shoulders are a third of them
-)
-SHEET_FRAMES, SHEET_HEIGHT = 6, 360  # frames of the sheet, and their height in px
-MASK_COLOR = (0.1, 0.75, 0.35)  # of the masks, beside the body's orange
+LEAST_IOU = 0.25  # of the body and the mask; wide clothes and occlusion leave more
+LEAST_JOINTS_IN_PICTURE = 0.2  # share of all joints; head and shoulders alone are a third
+SHEET_FRAMES, SHEET_HEIGHT = 6, 360  # frames of the sheet; height of each, px
+MASK_COLOR = (0.1, 0.75, 0.35)  # RGB in [0, 1]: green, beside the body's orange
 
 
 @dataclass(frozen=True)

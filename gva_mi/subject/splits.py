@@ -23,9 +23,7 @@ from gva_mi.core.files import read_json
 from gva_mi.subject.folder import SPLITS
 
 TEST_EVERY = 8  # without splits.json, every 8th frame is a test frame
-TEST_FRAMES_LIMIT = (
-    16  # test frames of a video, and as many in its range: more tell little, and cost time
-)
+TEST_FRAMES_LIMIT = 16  # of a video, and of its held-out range. Chosen: more cost evaluation time
 
 
 @dataclass(frozen=True)

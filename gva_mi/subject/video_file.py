@@ -36,23 +36,24 @@ from gva_mi.subject.pictures import in_8_bits, require_size
 if TYPE_CHECKING:
     import av
 
-PQ, HLG, BT2020, UNTAGGED = 16, 18, 9, (0, 2)  # ITU-T H.273: transfers; primaries and matrix
+# Numbers of ITU-T H.273: transfer functions, primaries, and the matrices of a video without a tag.
+PQ, HLG, BT2020, UNTAGGED = 16, 18, 9, (0, 2)
 HDR = {PQ: "PQ", HLG: "HLG"}
-REFERENCE_WHITE, HLG_PEAK = 203.0, 1000.0  # cd/m²; the peak of a display that HLG is meant for
-HIGHLIGHT_KNEE = 0.7  # of eq. 1
-HD_WIDTH, HD_HEIGHT = 1280, 720  # pixels: an untagged video of this size is BT.709
-# Linear BT.2020 to linear BT.709, ITU-R BT.2087.
-BT2020_TO_BT709 = np.array(
+REFERENCE_WHITE = 203.0  # cd/m², BT.2408
+HLG_PEAK = 1000.0  # cd/m², of the nominal display of HLG: BT.2100
+HIGHLIGHT_KNEE = 0.7  # k of eq. 1. Chosen: most of a picture is darker, and keeps its colours
+HD_WIDTH, HD_HEIGHT = 1280, 720  # pixels: an untagged video of this size or more is BT.709
+BT2020_TO_BT709 = np.array(  # of linear light: BT.2087
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
 )
 BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
-_ENCODINGS = {  # of a video: codec, its pixels and options
+_ENCODINGS = {  # codec, pixel format and options
     # x264 writes its settings into the file, the number of threads among them: always use one.
     "lossless": ("libx264rgb", "rgb24", {"crf": "0", "preset": "veryfast", "threads": "1"}),
-    # mbtree reads uninitialised memory: other bits in every run.
+    # mbtree reads uninitialised memory, which gives other bits in every run.
     "playable": ("libx264", "yuv420p", {"crf": "18", "threads": "1", "mbtree": "0"}),
 }
-KEPT_BYTES = 1 << 27  # bytes of decoded pictures: 43 of 1920 x 1080 in 4:2:0
+KEPT_BYTES = 1 << 27  # of decoded pictures. Chosen: 43 pictures of 1920 x 1080 in 4:2:0
 
 
 class VideoFile(Sequence[np.ndarray]):

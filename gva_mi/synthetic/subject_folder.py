@@ -46,8 +46,8 @@ from gva_mi.core.files import read_json, write_arrays, write_json
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.splat import Camera
-from gva_mi.subject.fingerprint import SYNTH, fingerprint, require_same_body
-from gva_mi.subject.folder import FRAMES, SPLITS, TRUTH, VIDEO, SubjectWriter
+from gva_mi.subject.fingerprint import fingerprint, require_same_body
+from gva_mi.subject.folder import FRAMES, SPLITS, SYNTH, TRUTH, VIDEO, SubjectWriter
 from gva_mi.subject.ground_truth import TRUE_BODY, load_ground_truth
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video_file import write_video

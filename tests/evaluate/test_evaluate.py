@@ -25,7 +25,7 @@ from gva_mi.fit.renders import render_frame
 from gva_mi.fit.run_folder import METRICS
 from gva_mi.splat import look_at
 from gva_mi.subject.crop import Box
-from gva_mi.subject.ground_truth import save_views
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.normals import NormalMaps
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video import load_video
@@ -90,11 +90,13 @@ def watched(studio, known, camera, tmp_path):
     shutil.rmtree(folder / "truth")
     T = look_at(camera.position + (0.3, 0.1, 0.0), (0.0, 0.0, 0.0))
     other = camera.with_matrices(T_camera_world=T)
+    writer = SubjectWriter(folder)
     for k, frame in enumerate((1, 0)):
         picture = render_frame(known, studio.pose[frame], other)
-        write_image(folder / f"views/frames/{k:06d}.png", picture)
-        write_image(folder / f"views/masks/{k:06d}.png", np.ones(picture.shape[:2]))
-    save_views(folder / "views", [1, 0], ["b", "b"], [other] * 2)
+        writer.views.frame(k, picture)
+        writer.views.mask(k, np.ones(picture.shape[:2]))
+    writer.views.cameras([other] * 2)
+    writer.views_record([1, 0], ["b", "b"])
     return folder
 
 

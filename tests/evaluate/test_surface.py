@@ -19,7 +19,8 @@ from gva_mi.evaluate.surface import (
     stray_mm,
     surface_figures,
 )
-from gva_mi.subject.fingerprint import SYNTH, fingerprint
+from gva_mi.subject.fingerprint import fingerprint
+from gva_mi.subject.folder import SYNTH
 from gva_mi.synthetic import SynthOptions, remake_subject
 
 

@@ -14,6 +14,7 @@ from gva_mi.matting.odds import (
     log_odds,
 )
 from gva_mi.matting.plate import Plate
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.pictures import read_image
 
 H, W, T = 96, 80, 10
@@ -52,12 +53,12 @@ def iou(a, b):
 
 
 def found(folder):
-    return np.array([read_image(folder / f"{k:06d}.png", 1) for k in range(T)]) / 255
+    return np.array([read_image(folder / f"masks/{k:06d}.png", 1) for k in range(T)]) / 255
 
 
 def test_masks_hold_at_the_outline_and_leave_the_shadow_out(recording, tmp_path):
     pictures, truth, rough = recording
-    assert video_masks(pictures, rough, tmp_path) == []
+    assert video_masks(pictures, rough, SubjectWriter(tmp_path)) == []
     masks = found(tmp_path)
     before = iou(np.array(rough) > 127, truth > 0.5)
     assert before < 0.87
@@ -105,11 +106,11 @@ def test_dark_skin_before_wood_is_no_shadow_unless_the_video_has_deep_ones():
 def test_frames_without_a_person_get_empty_masks_and_a_note(recording, tmp_path):
     pictures, _, rough = recording
     rough = [0 * P if k in (2, 3) else P for k, P in enumerate(rough)]
-    (note,) = video_masks(pictures, rough, tmp_path / "some")
+    (note,) = video_masks(pictures, rough, SubjectWriter(tmp_path / "some"))
     assert "2-3" in note
     masks = found(tmp_path / "some")
     assert [k for k in range(T) if not masks[k].any()] == [2, 3]
-    (note,) = video_masks(pictures, [0 * P for P in rough], tmp_path / "none")
+    (note,) = video_masks(pictures, [0 * P for P in rough], SubjectWriter(tmp_path / "none"))
     assert "0-9" in note and not found(tmp_path / "none").any()
 
 
@@ -117,6 +118,6 @@ def test_a_hand_held_camera_is_followed(recording, tmp_path):
     pictures, truth, rough = recording
     ways = [(round(3 * np.sin(k)), round(2 * np.cos(2 * k))) for k in range(T)]
     shaken = lambda images: [np.roll(x, way, (0, 1)) for x, way in zip(images, ways, strict=True)]
-    (note,) = video_masks(shaken(pictures), shaken(rough), tmp_path)
+    (note,) = video_masks(shaken(pictures), shaken(rough), SubjectWriter(tmp_path))
     assert "the camera moves" in note
     assert iou(found(tmp_path) > 0.5, np.array(shaken(truth)) > 0.5) > 0.975

@@ -117,11 +117,11 @@ INSIDE[10:40, 20:40] = 1
 NONE = {
     "labels of others": (
         INSIDE[:, ::-1] + 2 * INSIDE[::-1] * (1 - INSIDE[:, ::-1]) * (1 - INSIDE),
-        "masks of labels 0-2, and nothing says which is",
+        "the masks hold the labels 0-2, and which one is the person is unknown",
     ),
-    "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "the greatest value is 110;"),
-    "empty": (INSIDE * 0, "no pixel of any mask is above half, the greatest value is 0"),
-    "full": (INSIDE * 0 + 255, "all masks are full"),
+    "dim": (np.add.outer(np.arange(48), np.arange(64)).astype("u1"), "the largest value is 110;"),
+    "empty": (INSIDE * 0, "no pixel of any mask is above half, the largest value is 0"),
+    "full": (INSIDE * 0 + 255, "every pixel of every mask is inside"),
 }
 
 

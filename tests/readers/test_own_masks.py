@@ -5,6 +5,7 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.readers.own_masks import WithMasks, write_own_masks
+from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.pictures import read_image, write_image
 
 SIZE = (32, 48)  # width, height of the used pictures
@@ -32,10 +33,10 @@ def test_each_used_picture_gets_its_own(tmp_path, kind):
         source = tmp_path / "masks"
         for k, mask in enumerate(masks()):
             write_image(source / f"shot{k + 100}.png", mask)
-    notes = write_own_masks(tmp_path / "out", source, USED, SIZE, NETWORK)
+    notes = write_own_masks(SubjectWriter(tmp_path / "out"), source, USED, SIZE, NETWORK)
     assert notes == [f"masks of {source}"]
     for k, number in enumerate(USED):
-        found = read_image(tmp_path / f"out/{k:06d}.png", 1)
+        found = read_image(tmp_path / f"out/masks/{k:06d}.png", 1)
         assert np.array_equal(found, masks()[number, ::2, ::2])
 
 
@@ -43,7 +44,9 @@ def test_masks_that_do_not_fit_are_described(tmp_path):
     def refused(given, sentence):
         np.save(tmp_path / "m.npy", given)
         with pytest.raises(InputError, match=sentence):
-            write_own_masks(tmp_path / "out", tmp_path / "m.npy", USED, SIZE, NETWORK)
+            write_own_masks(
+                SubjectWriter(tmp_path / "out"), tmp_path / "m.npy", USED, SIZE, NETWORK
+            )
 
     refused(masks()[:4], "holds 4 masks, but picture 5 of the video is used; expected a mask for")
     refused(masks()[:, :, :40], "mask 1: 40x96, but the video's pictures are 32x48")

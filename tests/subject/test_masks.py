@@ -98,7 +98,7 @@ REFUSED = {
     "NaN": (np.full((5, 7), np.nan), r"must lie in \[0, 1\]"),
     "floats to 255": (np.full((5, 7), 255.0), r"must lie in \[0, 1\]"),
     "complex": (np.ones((5, 7), complex), "Boolean or numbers, got complex128"),
-    "labels": (np.arange(35).reshape(5, 7) % 3, "masks of labels 0-2"),
+    "labels": (np.arange(35).reshape(5, 7) % 3, "the masks hold the labels 0-2"),
     "a photograph": (Image.fromarray(PHOTO), r"000000\.png: a mask in colours"),
     "red": (Image.fromarray(np.dstack([HARD, 0 * HARD, 0 * HARD])), "a mask in colours"),
 }

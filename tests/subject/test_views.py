@@ -9,7 +9,8 @@ import torch
 from gva_mi.body.pose import Pose
 from gva_mi.core.errors import InputError
 from gva_mi.splat import Camera, look_at
-from gva_mi.subject.ground_truth import held_out_views, save_views
+from gva_mi.subject.folder import SubjectWriter
+from gva_mi.subject.ground_truth import held_out_views
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video import load_video
 
@@ -19,13 +20,14 @@ SIZE = (10, 12)
 @pytest.fixture
 def views(subject):
     """Frames 2 and 0 of the subject, by a camera each."""
-    cameras = []
+    writer, cameras = SubjectWriter(subject), []
     for k, eye in enumerate(((3, 0, 0), (0, 1, -3))):
         image = np.full((*SIZE, 3), 40 * (k + 1), np.uint8)
-        write_image(subject / f"views/frames/{k:06d}.png", image)
-        write_image(subject / f"views/masks/{k:06d}.png", np.full(SIZE, 255, np.uint8))
+        writer.views.frame(k, image)
+        writer.views.mask(k, np.full(SIZE, 255, np.uint8))
         cameras.append(Camera(10, 10, 6, 5, look_at(eye, (0, 0, 0)), 12, 10))
-    save_views(subject / "views", [2, 0], ["b", "a"], cameras)
+    writer.views.cameras(cameras)
+    writer.views_record([2, 0], ["b", "a"])
     return subject
 
 
@@ -53,7 +55,7 @@ DAMAGED = {
     "a small picture": (
         lambda s: write_image(s / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8)),
         "picture 1 is 5x4, expected 12x10"),
-    "no mask": (lambda s: (s / "views/masks/000000.png").unlink(), "mask 0 is not there"),
+    "no mask": (lambda s: (s / "views/masks/000000.png").unlink(), "has no mask 0; expected one for each picture"),
 }  # fmt: skip
 
 

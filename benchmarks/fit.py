@@ -24,7 +24,7 @@ from gva_mi.core.cpu import one_torch_thread
 from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
-from gva_mi.fit.renders import DRAWN, render_frame
+from gva_mi.fit.renders import AVATAR_SPLATTING, render_frame
 from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render
@@ -53,7 +53,7 @@ def run(repeats: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Tabl
         for k in range(WARM_UP + repeats):
             frame = k % len(video)
             with clock("a frame of the driven avatar"), torch.no_grad():
-                render(fit.avatar(video.pose[frame]), video.cameras[frame], DRAWN)
+                render(fit.avatar(video.pose[frame]), video.cameras[frame], AVATAR_SPLATTING)
         for k in range(WARM_UP + min(repeats, 5)):  # one takes as long as dozens of steps
             generator = torch_state(0, RandomStream.REINIT, k)
             with clock("a re-initialisation"):
@@ -78,7 +78,7 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     writer = SubjectWriter(folder)
     for k in range(FRAMES):
         with torch.no_grad():
-            alpha = render(avatar(pose[k]), camera, DRAWN).alpha
+            alpha = render(avatar(pose[k]), camera, AVATAR_SPLATTING).alpha
         writer.frame(k, render_frame(avatar, pose[k], camera))
         writer.mask(k, alpha.numpy())
     writer.poses(pose, shape, stage=1)
@@ -101,7 +101,7 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
         with clock("target"):
             target = sample.target(g)
         with clock("splatting"):
-            image = render(g, target.camera, DRAWN, screen=Screen())
+            image = render(g, target.camera, AVATAR_SPLATTING, screen=Screen())
         seen = image.color, image.alpha
         for name, loss in weights.items():
             with clock(name):

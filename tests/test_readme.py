@@ -105,7 +105,7 @@ def test_tables_list_every_source_error_model_and_extra():
 
     from gva_mi.readers.datasets import DATASETS
     from gva_mi.readers.estimators import KINDS
-    from gva_mi.synthetic.error_models import ERROR_MODELS
+    from gva_mi.synthetic.errors.models import ERROR_MODELS
 
     sources, people, installation = (
         (ROOT / "docs" / n).read_text() for n in ("sources.md", "synthetic_subjects.md", "installation.md")

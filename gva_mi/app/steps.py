@@ -22,7 +22,7 @@ from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_room
 from gva_mi.evaluate.measure import Metrics, measure_run
-from gva_mi.evaluate.refinement import Evaluation, describe, refine_videos
+from gva_mi.evaluate.refinement import MeasuredRefinement, describe, write_refinement
 from gva_mi.evaluate.report import write_report
 from gva_mi.evaluate.scores import Scorer
 from gva_mi.fit import run_folder
@@ -37,6 +37,7 @@ from gva_mi.fit.photometric import (
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine.observed_video import RefineOptions
+from gva_mi.refine.refine import refine_all
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.stage1.prepare import RecordingOptions, prepare_video
 from gva_mi.subject.check import check_subject
@@ -120,7 +121,7 @@ def refine(
     workers: int = 1,
     body: Path | str | None = None,
     overwrite: bool = False,
-) -> list[Evaluation]:
+) -> list[MeasuredRefinement]:
     """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
 
     Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
@@ -151,9 +152,12 @@ def refine(
             held.enter_context(folder_lock(folder, "gva-mi refine"))
             require_room(folder / REFINED_POSES, overwrite)
         progress = held.enter_context(bar("refine"))
-        for evaluation in refine_videos(videos, model, options, progress, workers):
-            found.append(evaluation)
-            for line in describe(evaluation):
+        results = refine_all(videos, model, options, progress, workers)
+        for video, refined in zip(videos, results, strict=True):
+            measured = MeasuredRefinement.of(video, model, options, refined)
+            write_refinement(measured)
+            found.append(measured)
+            for line in describe(measured):
                 say(line)
     return found
 

@@ -23,20 +23,13 @@ from gva_mi.evaluate.figures import Table, pivot, table, to_json
 from gva_mi.prior.stature import PERSON_HEIGHTS
 from gva_mi.readers.world import Axis, axis_of
 from gva_mi.stage1.prepare import RecordingOptions
-from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out, variants_named
-from gva_mi.study.engine import (
-    REFINED,
-    STAGE_1,
-    AvatarStudy,
-    AvatarStudyOptions,
-    Outcome,
-    RefineStudy,
-    RefineStudyOptions,
-    Study,
-    run_study,
-)
+from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
+from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
+from gva_mi.study.engine import Outcome, Study, run_study
 from gva_mi.study.multiview import multiview
+from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
 from gva_mi.study.report import study_tables, write_study_report
+from gva_mi.study.variants import variants_named
 
 
 @options_of("study")
@@ -48,7 +41,8 @@ class _Choice:
     cases: Literal["held-out", "tuning", "all", "limits"] = "held-out"
     # Number of the held-out set; once you tune on its results, take the next.
     held_out_set: Annotated[int, Within(1, 1000)] = 1
-    error_models: tuple[str, ...] = ()  # rows of the refinement's table; all without it
+    # Error models, such as white, video or "no normals"; all without it.
+    error_models: tuple[str, ...] = ()
     subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
     workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: PythonOnly[Path | None] = None  # in SMPL-X's .npz format; None: the built-in body

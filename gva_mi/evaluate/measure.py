@@ -78,14 +78,14 @@ SPLITS: tuple[Split, ...] = get_args(Split)
 OF_VIDEO: tuple[Split, ...] = ("train", "test", "held_out_range")  # frames of the video itself
 Region = Literal["white", "person"] | Detail
 REGIONS: tuple[Region, ...] = ("white", "person", "hands", "face")
-TRAIN_FRAMES = 16  # evaluated frames of the train split
+TRAIN_FRAMES = 16  # evaluated frames of the train split; chosen: enough for a mean
 
 
 # Alignments: rows that are rendered under other poses or cameras than the run's own.
 AS_REFINED = "poses as refined"  # test frames without the trained poses
 ALIGNED = "aligned"  # novel poses and views after one similarity transform, in the avatar's world
 
-POSE_FIT_STEPS = 100  # at least; one step moves a pose by little
+POSE_FIT_STEPS = 100  # at least; chosen: one step moves a pose by little
 
 
 @dataclass(frozen=True)

@@ -25,10 +25,11 @@ from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
+# Chosen: what is easy to see on a page.
 ZOOMED_PIXELS = 220  # about the side of an enlarged box
-DOT = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
-DOTS_HEIGHT = 560  # pixels of the pictures of dots
-RED_AT = 64  # levels of 255 at which a difference is fully red
+DOT_SIZE = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
+DOTS_HEIGHT = 560  # pixels, height of the pictures of dots
+RED_LEVELS = 64  # levels of 255, difference that is fully red
 SECTIONS: dict[Split, str] = {
     "test": "Test frames",
     "held_out_range": "The held-out range",
@@ -81,7 +82,7 @@ def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
 
 def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Show the largest difference of the three channels in red."""
-    share = np.abs(image.astype(int) - target).max(-1)[..., None] / RED_AT
+    share = np.abs(image.astype(int) - target).max(-1)[..., None] / RED_LEVELS
     white, red = np.array([255, 255, 255]), np.array([190, 20, 40])
     return np.round(white + np.minimum(share, 1) * (red - white)).astype(np.uint8)
 
@@ -101,7 +102,7 @@ def dots(caption: str, gaussians: Gaussians) -> Picture:
     small = Gaussians(
         means,
         means.new_zeros(len(gaussians), 4),  # round, so any rotation will do
-        torch.full_like(means, DOT),
+        torch.full_like(means, DOT_SIZE),
         torch.full_like(gaussians.opacities.detach(), 0.99),
         sh=gaussians.sh.detach()[:, :1],
     )

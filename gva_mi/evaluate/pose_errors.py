@@ -32,8 +32,8 @@ from gva_mi.core.cpu import one_torch_thread
 from gva_mi.refine.evidence import hand_vertices
 from gva_mi.subject.ground_truth import GroundTruth
 
-_BODY_JOINTS = 22
-_TOGETHER = 16  # frames that are measured at a time
+_BODY_JOINTS = 22  # of trunk and limbs, the first ones; finger joints would outnumber them
+_FRAMES_AT_A_TIME = 16  # chosen: their vertices fit in memory
 
 
 def _pair(joint: str) -> list[int]:
@@ -60,8 +60,8 @@ def pose_errors(
     axes = torch.from_numpy(np.stack([c.T_camera_world[2, :3] for c in truth.cameras]))
     parts: list[dict[str, Tensor]] = []
     with one_torch_thread():
-        for start in range(0, len(truth.pose), _TOGETHER):
-            some = slice(start, start + _TOGETHER)
+        for start in range(0, len(truth.pose), _FRAMES_AT_A_TIME):
+            some = slice(start, start + _FRAMES_AT_A_TIME)
             x = body(found[0][some], found[1])
             y = truth.body(truth.pose[some], truth.shape)
             parts.append(points.errors(x, y) | _depths(x, y, axes[some].to(x.joints)))

@@ -33,7 +33,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import Progress, aligned, listed
+from gva_mi.core.console import aligned, listed
 from gva_mi.core.cpu import one_thread
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
@@ -47,7 +47,7 @@ from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats
 from gva_mi.prior.inference import AXES
 from gva_mi.refine.observed_video import RefineOptions
-from gva_mi.refine.refine import Refined, refine_all
+from gva_mi.refine.refine import Refined
 from gva_mi.splat import Camera
 from gva_mi.subject.crop import Box, NoEvidence, points_extent
 from gva_mi.subject.folder import REFINED_POSES, SubjectWriter
@@ -57,22 +57,33 @@ from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
-SHOWN = 8  # frames in the picture
-MARGIN = 0.1  # around the person, a share of the longer side
+OVERLAY_FRAMES = 8  # in the picture; chosen: a readable width
+OVERLAY_MARGIN = 0.1  # share of the longer side around the person; chosen: bodies beside it show
 
 PerFrame = dict[tuple[str, str, str], Tensor]  # (T,) by region, alignment and metric
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """A refinement with its input and its figures."""
+class MeasuredRefinement:
+    """A refinement with its input, and its figures."""
 
     video: Video  # under its stage-1 poses
     body: BodyModel
     options: RefineOptions
     refined: Refined | None  # None: stage 1 alone is measured
     truth: GroundTruth | None = None  # of a synthetic subject
-    truth_problem: str | None = None  # why a ground truth that is there cannot be used
+    truth_problem: str | None = None  # why the existing ground truth cannot be used
+
+    @staticmethod
+    def of(
+        video: Video, body: BodyModel, options: RefineOptions, refined: Refined
+    ) -> MeasuredRefinement:
+        """Read the ground truth of a subject. If it cannot be used, keep why, for the user."""
+        try:
+            truth, problem = truth_of(video, body), None
+        except InputError as error:
+            truth, problem = None, str(error)
+        return MeasuredRefinement(video, body, options, refined, truth, problem)
 
     @cached_property
     def per_frame(self) -> PerFrame:
@@ -224,43 +235,11 @@ def _surroundings(vertices: Tensor, camera: Camera) -> Box:
     return extent.box(0, np.array(size))
 
 
-def refine_videos(
-    videos: Sequence[Video],
-    body: BodyModel,
-    options: RefineOptions,
-    progress: Progress | None = None,
-    workers: int = 1,
-) -> Iterator[Evaluation]:
-    """Refine videos, and write each result into its subject's folder as soon as it is ready.
-
-    Args:
-        videos: under their stage-1 poses.
-        body: the body that all poses move.
-        options: whose type chooses the method, as for :func:`gva_mi.refine.refine.refine`.
-        progress: called as ``progress(done, total, **figures)`` as the work goes on.
-        workers: processes on this machine; any number gives the same bits.
-    """
-    truths = [_truth(video, body) for video in videos]
-    found = refine_all(videos, body, options, progress, workers)
-    for video, (truth, problem), refined in zip(videos, truths, found, strict=True):
-        evaluation = Evaluation(video, body, options, refined, truth, problem)
-        write_refinement(evaluation)
-        yield evaluation
-
-
-def _truth(video: Video, body: BodyModel) -> tuple[GroundTruth | None, str | None]:
-    """Read the ground truth. If it cannot be used, return why: only the figures need it."""
-    try:
-        return truth_of(video, body), None
-    except InputError as error:
-        return None, str(error)
-
-
-def describe(evaluation: Evaluation) -> Iterator[str]:
+def describe(measured: MeasuredRefinement) -> Iterator[str]:
     """Yield lines for the user about a refinement, its figures and its files."""
-    video, refined = evaluation.video, evaluation.refined
-    if evaluation.truth_problem:
-        yield f"{evaluation.truth_problem}; the refinement is not measured"
+    video, refined = measured.video, measured.refined
+    if measured.truth_problem:
+        yield f"{measured.truth_problem}; the refinement is not measured"
     if video.normals is None:
         yield f"{video.folder}: no normals, the refinement used the silhouettes alone"
     for frame, reason in refined.kept.items():
@@ -268,7 +247,7 @@ def describe(evaluation: Evaluation) -> Iterator[str]:
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
     yield from describe_prior(refined.noise, refined.contact)
-    for found in pose_tables(evaluation.figures()):
+    for found in pose_tables(measured.figures()):
         yield from aligned([found.head, *found.rows])
     yield f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}"
 
@@ -291,15 +270,15 @@ def describe_prior(
         yield f"ground      {stands}, within {1000 * contact.spread:.0f} mm of one plane"
 
 
-def write_refinement(evaluation: Evaluation) -> None:
+def write_refinement(measured: MeasuredRefinement) -> None:
     """Write the three files."""
-    video, refined, options = evaluation.video, evaluation.refined, evaluation.options
+    video, refined, options = measured.video, measured.refined, measured.options
     folder: Path = video.folder
-    held_out, figures = refined.held_out, evaluation.figures()
+    held_out, figures = refined.held_out, measured.figures()
     if held_out:
         seen = [k for k in range(len(video)) if k not in held_out]
-        figures += [*evaluation.figures("train", seen), *evaluation.figures("test", held_out)]
-    truth = evaluation.truth
+        figures += [*measured.figures("train", seen), *measured.figures("test", held_out)]
+    truth = measured.truth
     record = {
         "figures": to_json(figures),
         "points": None if truth is None else "joints" if truth.foreign else "vertices",
@@ -317,7 +296,7 @@ def write_refinement(evaluation: Evaluation) -> None:
         (folder / name).unlink(missing_ok=True)
     SubjectWriter(folder).refined_poses(pose, shape, offsets)
     write_record(folder / REFINEMENT, record)
-    write_image(folder / OVERLAYS, _overlays(evaluation))
+    write_image(folder / OVERLAYS, _overlays(measured))
 
 
 def load_refinement(subject: Path) -> tuple[tuple[Figure, ...], bool]:
@@ -337,13 +316,13 @@ def load_refinement(subject: Path) -> tuple[tuple[Figure, ...], bool]:
 
 
 @torch.no_grad()
-def _overlays(evaluation: Evaluation) -> np.ndarray:
+def _overlays(measured: MeasuredRefinement) -> np.ndarray:
     """Draw bodies over evenly spaced frames, stage 1 above, refined below, in 8 bits."""
-    video, body, refined = evaluation.video, evaluation.body, evaluation.refined
-    shown = spread([k for k in range(len(video)) if k not in video.absent], SHOWN)
+    video, body, refined = measured.video, measured.body, measured.refined
+    shown = spread([k for k in range(len(video)) if k not in video.absent], OVERLAY_FRAMES)
     scene, cameras = MeshScene(body.faces, body.v_template), refined.cameras or video.cameras
     seen = np.any([outline.mask > 0.5 for outline in video.outlines(shown)], axis=0)
-    part = person_box(seen if seen.any() else ~seen, MARGIN)
+    part = person_box(seen if seen.any() else ~seen, OVERLAY_MARGIN)
     rows: list[list[np.ndarray]] = [[], []]
     for frame in video.frames(shown):  # one at a time: eight of 1080p as floats take a gigabyte
         k = frame.index

@@ -1,12 +1,12 @@
 """Regions of a picture that metrics are taken on, besides the whole picture.
 
-* **Person**: the bounding box of the mask, with a margin of :data:`MARGIN` of its longer side. A
-  metric of the whole picture depends on how much background there is.
-* **Hands**: a square of :data:`HAND` around wrist and finger joints. It counts if a quarter of the
-  hand's vertices are visible, half of what a hand in front of the body shows, and if the square
+* **Person**: the bounding box of the mask, with a margin of :data:`PERSON_MARGIN`. A metric of the
+  whole picture depends on how much background there is.
+* **Hands**: a square of :data:`HAND_SIDE` around wrist and finger joints. It counts if a quarter of
+  the hand's vertices are visible, half of what a hand in front of the body shows, and if the square
   lies in the picture.
-* **Face**: a square of :data:`FACE` around jaw and eyes. It counts if the face looks toward the
-  camera and the square lies in the picture.
+* **Face**: a square of :data:`FACE_SIDE` around jaw and eyes. It counts if the face looks toward
+  the camera and the square lies in the picture.
 
 Boxes do not depend on the avatar, so all avatars are compared on the same pixels: they come from
 the ground-truth pose if there is one, and else from the video's pose.
@@ -29,18 +29,18 @@ from gva_mi.subject.crop import Box
 from gva_mi.subject.ground_truth import truth_of
 from gva_mi.subject.video import Video
 
-MARGIN = 0.03  # share of the longer side of the mask's box
-HAND = 0.28  # metres, the side of a hand's box
-FACE = 0.26  # metres, the side of the face's box
-SMALLEST = 16  # pixels of a side, which the metrics' networks need
-SEEN = 0.25  # share of the hand's vertices, of which about half face the camera
+PERSON_MARGIN = 0.03  # share of the longer side of the mask's box; chosen: holds the outline
+HAND_SIDE = 0.28  # metres, of a hand's box; chosen: holds an open hand
+FACE_SIDE = 0.26  # metres, of the face's box; chosen: holds a head
+SMALLEST_SIDE = 16  # pixels of a box, which the metrics' networks need
+VISIBLE_SHARE = 0.25  # of a hand's vertices; chosen: half of what a hand in front shows
 
 HEAD = JOINTS.index("head")
 
 Detail = Literal["hands", "face"]
 
 
-def person_box(mask: np.ndarray, margin: float = MARGIN) -> Box:
+def person_box(mask: np.ndarray, margin: float = PERSON_MARGIN) -> Box:
     """Return the box around a mask (H, W) that is not empty, inside the picture."""
     height, width = mask.shape
     rows, columns = (np.flatnonzero((mask > 0.5).any(axis)) for axis in (1, 0))
@@ -56,14 +56,14 @@ def box_around(camera: Camera, joints: np.ndarray, metres: float) -> Box | None:
     Args:
         camera: of the picture.
         joints: in the middle, metres.
-        metres: of a side, which is at least SMALLEST pixels long.
+        metres: of a side, which is at least SMALLEST_SIDE pixels long.
     """
     R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
     depth = float((joints @ R.T + t)[:, 2].mean())
     if depth <= 0:
         return None
     u, v = camera.project(joints).mean(0)
-    side = max(SMALLEST, round(camera.fx * metres / depth))
+    side = max(SMALLEST_SIDE, round(camera.fx * metres / depth))
     left, top = round(u - side / 2), round(v - side / 2)
     fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
     return Box(left, top, left + side, top + side) if fits else None
@@ -93,17 +93,17 @@ class Details:
         joints, weights = posed.joints[0].double().numpy(), self.body.weights
         for wrist, fingers in zip(WRISTS, HANDS.values(), strict=True):
             own = weights[:, fingers].sum(1) + weights[:, wrist] > 0.5
-            box = box_around(camera, joints[np.r_[wrist, fingers]], HAND)
-            if box is not None and seen[own].float().mean() >= SEEN:
+            box = box_around(camera, joints[np.r_[wrist, fingers]], HAND_SIDE)
+            if box is not None and seen[own].float().mean() >= VISIBLE_SHARE:
                 yield "hands", box
         looks = joints[EYES].mean(0) - joints[HEAD]
-        box = box_around(camera, joints[JAW_AND_EYES], FACE)
+        box = box_around(camera, joints[JAW_AND_EYES], FACE_SIDE)
         if box is not None and looks @ (camera.position - joints[HEAD]) > 0:
             yield "face", box
 
 
 def _at_least(low: int, high: int, size: int) -> tuple[int, int]:
     """Grow a span to the smallest side, inside the picture."""
-    grown = max(0, SMALLEST - (high - low))
+    grown = max(0, SMALLEST_SIDE - (high - low))
     low, high = low - grown // 2, high + grown - grown // 2
     return max(0, int(low)), min(size, int(high))

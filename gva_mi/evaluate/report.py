@@ -37,19 +37,20 @@ from gva_mi.subject.pictures import read_image
 from gva_mi.subject.problems import Problem
 from gva_mi.subject.video import Video
 from gva_mi.subject.video_file import write_video
-from gva_mi.synthetic.motion import perform
+from gva_mi.synthetic.motion.motions import perform
 
-SHOWN = 4  # frames of a split
+# Chosen: a page of a few megabytes, and motions at a natural speed.
+FRAMES_SHOWN = 4  # of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
 
 FINDINGS = "video_check.json"  # on the video, in the subject's folder
 TURNTABLE = "turntable"
-DRIVEN = ("walk", "dance")  # motions of gva_mi.synthetic.motion
-FPS = 20  # frames a second of the videos
-SECONDS = 6.0  # of a motion's round
-SIZE = (384, 512)  # pixels
-IN_PAGE = 3  # every 3rd picture of a video is in the page
-SEED = 0  # of the motions
+DRIVEN_MOTIONS = ("walk", "dance")  # motions of gva_mi.synthetic.motion
+VIDEO_FPS = 20  # frames a second of the videos
+ROUND_SECONDS = 6.0  # of a motion's round
+VIDEO_SIZE = (384, 512)  # pixels, width and height
+PAGE_STRIDE = 3  # every 3rd picture of a video is in the page
+MOTION_SEED = 0  # chosen: any
 
 
 def write_report(
@@ -85,7 +86,7 @@ def write_report(
         headlines=headlines(metrics),
         sections=[
             *(first or [_turning(avatar, video)]),
-            *picture_sections(avatar, views, SHOWN),
+            *picture_sections(avatar, views, FRAMES_SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run, metrics),
             _scores(metrics),
@@ -188,23 +189,23 @@ def _videos(
 ) -> Iterator[Picture]:
     """Write the videos of the avatar, and yield each as an animation."""
     motions = {TURNTABLE: (video.pose[_frame_from_front(video)], "turntable")}
-    motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN}
+    motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN_MOTIONS}
     for name, (motion, path) in motions.items():
-        plan, images = shots(CameraPath(path=path, size=SIZE), avatar.rig, motion), []
+        plan, images = shots(CameraPath(path=path, size=VIDEO_SIZE), avatar.rig, motion), []
         for layer in render_shots(avatar, motion, plan):
             images.append(over(layer, np.array(WHITE)))
             if progress:
                 progress(len(images), len(plan))
-        write_video(out / f"{name}.mp4", images, FPS, way="playable")
-        yield animation(name, images[::IN_PAGE])
+        write_video(out / f"{name}.mp4", images, VIDEO_FPS, way="playable")
+        yield animation(name, images[::PAGE_STRIDE])
 
 
 def driven_motion(avatar: Avatar, name: str) -> Pose:
-    """Return one round of a motion of :data:`DRIVEN` for an avatar, as if the camera went along."""
+    """Return one round of one of :data:`DRIVEN_MOTIONS`, as if the camera followed the person."""
     joints = avatar.rig.joints.double().numpy()
     expressions = avatar.rig.expression_joints.shape[2]
-    t = np.arange(round(FPS * SECONDS)) / (FPS * SECONDS)
-    pose = perform(name, t, joints, expressions, np.random.default_rng(SEED))
+    t = np.arange(round(VIDEO_FPS * ROUND_SECONDS)) / (VIDEO_FPS * ROUND_SECONDS)
+    pose = perform(name, t, joints, expressions, np.random.default_rng(MOTION_SEED))
     pose = pose.map(lambda x: torch.as_tensor(x, dtype=torch.float32))
     return replace(pose, transl=pose.transl * torch.tensor([0.0, 1.0, 0.0]))
 

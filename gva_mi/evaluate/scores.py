@@ -64,11 +64,11 @@ from gva_mi.subject.video_file import VideoFile
 
 # The PSNR of rounding to 8 bits, an error with a variance of 1/12 of a level squared: 58.9 dB.
 PSNR_MAX = float(20 * np.log10(255) + 10 * np.log10(12))
-NETWORK_SIDE = 64  # pixels, the smallest side that the networks see
-NETWORK_LONGEST = 1024  # pixels, the largest side that they see
-# Pixels from which their deepest features see something, and between the positions of these.
+NETWORK_SIDE = 64  # pixels, the smallest side that the networks see; below it, only borders
+NETWORK_LONGEST = 1024  # pixels, the largest side that they see; chosen: most time is theirs
+# Of VGG16 to its last tap: half of the receptive field, and the stride, pixels.
 NETWORK_SIGHT, NETWORK_STEP = 98, 16
-SSIM_RADIUS = 5  # pixels, of its window
+SSIM_RADIUS = 5  # pixels, of the 11 x 11 window of Wang et al. (2004)
 _SSIM = {
     "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
 }  # fmt: skip

@@ -47,19 +47,19 @@ from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.subject.folder import SYNTH
 from gva_mi.synthetic import remake_subject
-from gva_mi.synthetic.subject import Subject
-from gva_mi.synthetic.subject_folder import recorded_options
-from gva_mi.synthetic.texture import Material
+from gva_mi.synthetic.folder import recorded_options
+from gva_mi.synthetic.person.surface import PersonSurface
+from gva_mi.synthetic.person.texture import Material
 
-OPAQUE = 0.5  # opacity above which a Gaussian counts
-NEAR = 0.03  # metres from the surface; beyond it are floaters
-FEWEST = 50  # Gaussians, or points, that a figure needs
+OPAQUE_ABOVE = 0.5  # opacity above which a Gaussian counts; chosen: it hides most of what is behind
+SURFACE_BAND = 0.03  # metres from the surface; chosen: beyond it are floaters
+FEWEST_POINTS = 50  # Gaussians, or points, that a figure needs; chosen: percentiles mean something
 
-POINTS = 40_000  # spread over the surface by area: some 7 mm apart
-DISTANCE = 4.0  # metres from the person's centre to the cameras around
-# Azimuths and elevations of the cameras. From below they would see into a skirt.
-AROUND = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
-HEM = 0.8  # share of a garment's slack beyond which a face belongs to the hem
+SURFACE_POINTS = 40_000  # spread over the surface by area; chosen: some 7 mm apart
+EYE_DISTANCE = 4.0  # metres from the person's centre to the cameras around; chosen: as a video's
+# Azimuths and elevations of the cameras, rad. From below they would see into a skirt.
+EYE_ANGLES = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
+HEM_SLACK = 0.8  # share of a garment's slack beyond which a face is hem; chosen: the last fifth
 
 END = "end"  # of the fit, a moment
 PARTS = ("hair", "hem", "rest")
@@ -84,9 +84,9 @@ def surface_figures(run: Path, avatar: Avatar, subject: Path, body: BodyModel) -
         moments.append((f"step {snapshot.step:,}, before", snapshot.before))
         moments.append((f"step {snapshot.step:,}, after", snapshot.after))
     for moment, gaussians in (*moments, (END, avatar.canonical)):
-        opaque = gaussians.opacities.detach() > OPAQUE
+        opaque = gaussians.opacities.detach() > OPAQUE_ABOVE
         means = gaussians.means.detach()[opaque].double().numpy()
-        if len(means) < FEWEST:
+        if len(means) < FEWEST_POINTS:
             continue
         yield Figure(split=moment, metric="opaque Gaussians", value=len(means))
         yield Figure(split=moment, metric="spacing", value=spacing(means, truth))
@@ -100,11 +100,11 @@ def spacing(means: np.ndarray, truth: TrueSurface) -> float | None:
     from scipy.spatial import cKDTree
 
     distance, nearest = cKDTree(truth.points).query(means)
-    near = distance < NEAR
+    near = distance < SURFACE_BAND
     means, nearest = means[near], nearest[near]
     normals = truth.normals[nearest]
     height = ((means - truth.points[nearest]) * normals).sum(1, keepdims=True)
-    if len(means) < FEWEST:
+    if len(means) < FEWEST_POINTS:
         return None
     feet = means - height * normals
     apart = cKDTree(feet).query(feet, k=2)[0][:, 1]
@@ -119,7 +119,7 @@ def bias_mm(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
     return {
         name: float(np.percentile(distance[truth.part == k], 95))
         for k, name in enumerate(PARTS)
-        if (truth.part == k).sum() >= FEWEST
+        if (truth.part == k).sum() >= FEWEST_POINTS
     }
 
 
@@ -159,13 +159,13 @@ class TrueSurface:
         return _spread(person, torch.from_numpy(vertices), _outside(person))
 
 
-def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> TrueSurface:
+def _spread(person: PersonSurface, vertices: torch.Tensor, outside: np.ndarray) -> TrueSurface:
     """Spread points on the visible faces."""
     faces = torch.from_numpy(person.faces)
     normals = vertex_normals(vertices, faces)
-    anywhere, at = spread_over_faces(vertices, faces, POINTS)
+    anywhere, at = spread_over_faces(vertices, faces, SURFACE_POINTS)
     kept = faces[torch.from_numpy(outside)]
-    chosen, barycentric = spread_over_faces(vertices, kept, POINTS)
+    chosen, barycentric = spread_over_faces(vertices, kept, SURFACE_POINTS)
     on_faces = lambda x: (x[kept[chosen]] * barycentric[..., None]).sum(1).numpy()
     of_face = np.flatnonzero(outside)[chosen.numpy()]
     normal = on_faces(normals)
@@ -177,28 +177,28 @@ def _spread(person: Subject, vertices: torch.Tensor, outside: np.ndarray) -> Tru
     )
 
 
-def _outside(person: Subject) -> np.ndarray:
+def _outside(person: PersonSurface) -> np.ndarray:
     """Return the faces (F,) bool that a camera around the rest pose sees.
 
     Gaussians need not reach the inner sides of cloth and hair, or skin under a skirt.
     """
     vertices = torch.from_numpy(person.vertices)
     low, high = person.vertices.min(0), person.vertices.max(0)
-    azimuth, height = (x.ravel() for x in np.meshgrid(*AROUND))
+    azimuth, height = (x.ravel() for x in np.meshgrid(*EYE_ANGLES))
     flat = np.cos(height)
     away = np.stack([flat * np.sin(azimuth), np.sin(height), flat * np.cos(azimuth)], axis=1)
-    eyes = (low + high) / 2 + DISTANCE * away
+    eyes = (low + high) / 2 + EYE_DISTANCE * away
     seen = seen_vertices(vertices, torch.from_numpy(person.faces), eyes).any(0).numpy()
     return seen[person.faces].all(1)
 
 
-def _parts(person: Subject) -> np.ndarray:
+def _parts(person: PersonSurface) -> np.ndarray:
     """Return the part of each face (F,)."""
     parts = np.full(len(person.faces), PARTS.index("rest"))
     slack = person.slack[person.faces].mean(1)
     for material in (Material.TOP, Material.BOTTOM):
         own = person.material == int(material)
         if slack[own].any():
-            parts[own & (slack >= HEM * slack[own].max())] = PARTS.index("hem")
+            parts[own & (slack >= HEM_SLACK * slack[own].max())] = PARTS.index("hem")
     parts[person.material == int(Material.HAIR)] = PARTS.index("hair")
     return parts

@@ -70,7 +70,7 @@ from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.held import head_weights
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import BodyModel
-from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.jit.rowwise import Lane, launch
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
@@ -179,7 +179,7 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
         sh = torch.zeros_like(G.sh, requires_grad=True)
         gaussians = avatar.animate(pose, sh).gaussians
         target = sample.target(gaussians)
-        image = render(gaussians, target.camera, DRAWN)
+        image = render(gaussians, target.camera, AVATAR_SPLATTING)
         total = (image.color * target.composite()[2][..., None]).sum()
         (by_sh,) = torch.autograd.grad(total, sh)
     T_world_rest = avatar.posed_skeleton(pose).T_world_rest

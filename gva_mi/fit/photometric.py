@@ -62,7 +62,7 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
-from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.stage1_poses import Stage1
 from gva_mi.refine.clips import cut, join
@@ -135,7 +135,7 @@ class PictureAndMask:
     def loss(self, avatar: Avatar, pose: Pose, weights: PhotometricOptions) -> Tensor:
         """Return the loss of a pose of one frame (eq. 3)."""
         picture, mask = self.picture.float() / 255, self.mask.float() / 255
-        image = render(avatar(pose), self.camera, DRAWN)
+        image = render(avatar(pose), self.camera, AVATAR_SPLATTING)
         over = image.color + (1 - image.alpha)[..., None] * picture
         loss = (over - picture).abs().mean()
         if weights.alpha:

@@ -142,7 +142,7 @@ def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
 
 # Splat options of all avatars. The area of a pixel has a variance of 1/12; the 0.3 of 3DGS makes
 # outlines wider than in pictures.
-DRAWN = SplatOptions(blur=0.1, depth=False)
+AVATAR_SPLATTING = SplatOptions(blur=0.1, depth=False)
 WHITE = (1.0, 1.0, 1.0)
 
 
@@ -154,7 +154,7 @@ def render_frame(
     background: tuple[float, float, float] = WHITE,
 ) -> np.ndarray:
     """Render an avatar in a pose of one frame on a colour: 8-bit (H, W, 3)."""
-    image = render(avatar(pose), camera, DRAWN, torch.tensor(background))
+    image = render(avatar(pose), camera, AVATAR_SPLATTING, torch.tensor(background))
     return in_8_bits(image.color.numpy())
 
 
@@ -167,7 +167,7 @@ def render_layer(avatar: Avatar, pose: Pose, camera: Camera) -> np.ndarray:
 @torch.no_grad()
 def layer_of(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     """Render Gaussians in the world without background, as :func:`render_layer` does."""
-    image = render(gaussians, camera, DRAWN)
+    image = render(gaussians, camera, AVATAR_SPLATTING)
     return np.concatenate([image.color.numpy(), image.alpha.numpy()[..., None]], axis=2)
 
 

@@ -59,7 +59,7 @@ from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.renders import DRAWN
+from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.fit.samples import (
     FrameSampler,
     RandomStream,
@@ -204,7 +204,7 @@ class Run:
         lower_rate_of_means(self.optimizer, options.rates, done)
         animated = self.avatar.animate(self.poses(sample.frame), self.colors())
         target, screen = sample.target(animated.gaussians), Screen()
-        image = render(animated.gaussians, target.camera, DRAWN, screen=screen)
+        image = render(animated.gaussians, target.camera, AVATAR_SPLATTING, screen=screen)
         weights = options.loss
         if self.step % options.perceptual_every:  # most steps omit it, and others weight it more
             weights = replace(weights, perceptual=0.0)

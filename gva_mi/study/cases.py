@@ -1,4 +1,4 @@
-"""Cases and variants of the studies: each case is computed in each variant.
+"""Cases of the studies: which subjects are measured, and under which errors.
 
 A case is a synthetic subject under one draw of an error model. Refinement and avatars are tuned on
 some cases and judged on others.
@@ -11,29 +11,16 @@ below 100, those of held-out sets from 1000.
 Once you tune on these results they are no longer held out. So HELD_OUT is only set 1:
 :func:`held_out` draws other subjects and errors for each further set, with the same motions,
 bodies, clothes and error models.
-
-Variants of the avatar study are the whole method, and the method without one part in turn;
-``docs/studies.md`` says what differs in each. :data:`LADDER` goes from the method as printed to the
-whole one, change by change (``docs/paper.md``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from operator import attrgetter
-from typing import Any, Literal, TypeVar
 
-from gva_mi.core.errors import InputError
-from gva_mi.fit import paper
-from gva_mi.fit.losses import LossOptions
-from gva_mi.fit.options import FitOptions
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.synthetic import SynthOptions
-from gva_mi.synthetic.error_models import NO_ERRORS
-
-T = TypeVar("T")
+from gva_mi.synthetic.errors.models import NO_ERRORS
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
 
@@ -204,97 +191,3 @@ def held_out(number: int = 1) -> tuple[StudyCase, ...]:
         replace(case, take=others[case.take], draw=case.draw + 1000 * (number - 1))
         for case in HELD_OUT
     )
-
-
-@dataclass(frozen=True)
-class AvatarVariant:
-    """One way to make an avatar of a video."""
-
-    name: str
-    options: Mapping[str, Any] = field(default_factory=dict)  # of the fit, by dotted names
-    poses: Literal["refined", "printed", "stage 1", "true"] = "refined"
-    rigid: bool = False  # one rigid body
-    one_range: bool = False  # of test frames
-    changes: int | None = None  # of the options as printed, :data:`CHANGES`; None: not of those
-
-    def of(self, options: FitOptions) -> FitOptions:
-        """Return the options of this variant's fit."""
-        if self.changes is not None:
-            own = [name for _, names in CHANGES[: self.changes + 1] for name in names]
-            own += ["steps", "seed", "checkpoint_every", "vgg16"]
-            return changed(paper.FIT, {name: attrgetter(name)(options) for name in own})
-        return changed(options, self.options)
-
-
-def changed(options: T, values: Mapping[str, Any]) -> T:
-    """Return a dataclass with other values, by dotted names such as ``avatar.hands``."""
-    for name, value in values.items():
-        first, _, rest = name.partition(".")
-        inner = changed(getattr(options, first), {rest: value}) if rest else value
-        options = replace(options, **{first: inner})
-    return options
-
-
-UNTRAINED = {"first_steps": 0, "poses.trained": False}  # poses stay as they are given
-HANDLESS = {"avatar.hands": False}
-UNSTRETCHED = {"avatar.stretch": False}  # Gaussians do not stretch and shear with the skin
-NAKED = {"naked": True}  # seeded on the naked body instead of the displaced surface
-NO_REINIT = {"schedule.reinit_at": ()}
-# A residual whose weight lets it do something, as the paper's 0.5 does not.
-RESIDUAL = {"avatar.residual.enabled": True, "loss": LossOptions(residual=0.02)}
-GART_LOSS = {"loss": LossOptions(perceptual=0.01, residual=0.0, alpha=0.1, ssim=0.01)}
-GART = NAKED | HANDLESS | NO_REINIT | UNSTRETCHED | GART_LOSS
-
-FULL = AvatarVariant("full")
-NO_HANDS = AvatarVariant("without hand skeleton", HANDLESS)
-VARIANTS = (
-    FULL,
-    AvatarVariant("without refinement", poses="stage 1"),
-    AvatarVariant("without trained poses", UNTRAINED),
-    AvatarVariant("without either", UNTRAINED, poses="stage 1"),
-    NO_HANDS,
-    AvatarVariant("without re-initialisation", NO_REINIT),
-    AvatarVariant("without re-initialisation, naked", NO_REINIT | NAKED),
-    AvatarVariant("seeded on the naked body", NAKED),
-    AvatarVariant("without stretching", UNSTRETCHED),
-    AvatarVariant("with residual", RESIDUAL),
-    AvatarVariant("GART-like", GART, poses="stage 1"),
-    AvatarVariant("static 3DGS", UNTRAINED | HANDLESS | NO_REINIT, rigid=True),
-    AvatarVariant("true poses", UNTRAINED, poses="true"),
-    AvatarVariant("one held-out range", one_range=True),
-)
-
-CHANGES: tuple[tuple[str, tuple[str, ...]], ...] = (  # name, and the options that it sets
-    ("as printed", ()),
-    ("+ refined over all frames", ()),
-    ("+ poses trained", ("poses",)),
-    ("+ seeded on the clothes", ("naked",)),
-    ("+ offset surface", ("reinit",)),
-    ("+ smooth weights", ("avatar.skinning",)),
-    ("+ stretching", ("avatar.stretch",)),
-    ("+ colour by light", ("avatar.color",)),
-    ("+ our rates", ("rates", "min_scale")),
-)  # and without the residual, it is "full"
-LADDER = tuple(
-    AvatarVariant(name, poses="refined" if k else "printed", changes=k)
-    for k, (name, _) in enumerate(CHANGES)
-)
-
-
-def variants_named(names: Sequence[str]) -> list[AvatarVariant]:
-    """Return the variants of some names, in the order of the study.
-
-    Without names: all that change one part. The name "ladder" is all of :data:`LADDER`.
-
-    Raises:
-        InputError: there is no variant of a name.
-    """
-    if not names:
-        return list(VARIANTS)
-    known = {variant.name: variant for variant in (*LADDER, *VARIANTS)}
-    asked = {*names, *(row.name for row in LADDER if "ladder" in names)} - {"ladder"}
-    for name in asked:
-        if name not in known:
-            there = ", ".join([*known, "ladder"])
-            raise InputError(f"study: --rows has no '{name}'; there are: {there}")
-    return [variant for name, variant in known.items() if name in asked]

@@ -27,6 +27,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -47,10 +48,10 @@ CALIBRATION = (
     "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
     "anipose's or FreeMoCap's calibration"
 )
-ROUNDS = 10  # of reweighting, and of undoing the distortion
-APART = 0.01  # τ of triangulation, of a person's height
-SEEN = 0.5  # least confidence of a landmark
-COMPARED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+ITERATIONS = 10  # of reweighting, and of undoing the distortion; chosen: both have settled
+OUTLIER_SCALE = 0.01  # τ, share of a person's height; chosen: about the error of a landmark
+LEAST_CONFIDENCE = 0.5  # of a landmark that counts; chosen: likelier right than wrong
+COMPARED_JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class CalibratedCamera:
         k1, k2, p1, p2, k3 = (*self.distortion, 0.0)[:5]
         seen = (pixels - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         x = seen
-        for _ in range(ROUNDS):
+        for _ in range(ITERATIONS):
             r2, xy = np.square(x).sum(-1, keepdims=True), x.prod(-1, keepdims=True)
             aside = 2 * xy * [p1, p2] + (r2 + 2 * np.square(x)) * [p2, p1]
             x = (seen - aside) / (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
@@ -94,8 +95,8 @@ def read_calibration(path: Path) -> list[CalibratedCamera]:
     for name, table in tables.items():
         if table.get("fisheye") or np.size(table["distortions"]) not in (4, 5):
             raise InputError(
-                f"{path}: {name} is a fisheye, or has not 4 or 5 distortions; expected a lens of "
-                "OpenCV with k1, k2, p1, p2 and perhaps k3"
+                f"{path}: {name} is a fisheye, or does not have 4 or 5 distortion "
+                "coefficients; expected a lens of OpenCV with k1, k2, p1, p2 and perhaps k3"
             )
     if len(found) < 2:
         raise InputError(f"{path}: expected at least two cameras, found {len(found)}")
@@ -130,7 +131,7 @@ def triangulate(
     x = np.where(seen[..., None], rays, 0)
     rows = x[..., None] * P[:, :, 2:] - P[:, :, :2]  # (C, N, 2, 4)
     weights = seen.astype(float)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         A = (weights[..., None, None] * rows).transpose(1, 0, 2, 3).reshape(len(x[0]), -1, 4)
         X = np.linalg.svd(A, full_matrices=False)[2][:, -1]
         X = X[:, :3] / X[:, 3:]
@@ -152,7 +153,7 @@ def compare(
 
     ``up`` (3,) is the world's direction up.
     """
-    names = [f"{side}_{name}" for name in COMPARED for side in SIDES]
+    names = [f"{side}_{name}" for name in COMPARED_JOINTS for side in SIDES]
     true = 1e3 * camera.place(X)[:, [BODY_LANDMARKS.index(name) for name in names]]
     T = np.asarray(solved.camera.T_camera_world)
     joints = body(solved.pose, solved.shape).joints[:, [JOINTS.index(name) for name in names]]
@@ -181,7 +182,7 @@ def compare(
         "network, mm": length(scale * own - centred(true)),
     }
     figures = [Figure(subject=camera.name, metric=k, value=float(x)) for k, x in values.items()]
-    for name in COMPARED:
+    for name in COMPARED_JOINTS:
         joints = [k for k, full in enumerate(names) if full.endswith(name)]
         about = {"region": name, "metric": "aligned, mm", "value": length(off[:, joints])}
         figures.append(Figure(subject=camera.name, **about))
@@ -231,10 +232,9 @@ def multiview(
         cameras, rays.reshape(len(recordings), -1, 2), seen.reshape(len(recordings), -1), tau
     )
     X = X.reshape(*rays.shape[1:3], 3)
-    found = [(motion.solved, motion.watched.landmarks) for motion in motions]
     figures = []
-    for camera, recording in zip(cameras, found, strict=True):
-        figures += compare(camera, *recording, body, X, up)
+    for camera, motion in zip(cameras, motions, strict=True):
+        figures += compare(camera, motion.solved, motion.watched.landmarks, body, X, up)
     return figures
 
 
@@ -250,11 +250,22 @@ def _video_of(folder: Path, camera: CalibratedCamera) -> Path:
     return recordings[0]
 
 
-def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the rays of landmarks (T, 33, 2), where they were seen (T, 33), and τ."""
+class SeenRays(NamedTuple):
+    """The landmarks of one video, as rays of its camera."""
+
+    rays: np.ndarray  # (T, 33, 2) x / z and y / z
+    seen: np.ndarray  # (T, 33) bool
+    tau: float  # τ of eq. 1
+
+
+def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> SeenRays:
+    """Return the rays of a video's landmarks."""
     landmarks, scale = motion.watched.landmarks, motion.pictures.scale
     at = landmarks.indices(BODY_LANDMARKS)
     pixels = landmarks.pixels[:, at].astype(float)
-    seen = np.isfinite(pixels).all(2) & (np.nan_to_num(landmarks.confidence[:, at]) >= SEEN)
+    seen = np.isfinite(pixels).all(2) & (
+        np.nan_to_num(landmarks.confidence[:, at]) >= LEAST_CONFIDENCE
+    )
     tall = float(np.median(person_sizes(landmarks)))
-    return camera.rays(pixels / scale), seen, APART * tall / (scale * camera.K[0, 0])
+    tau = OUTLIER_SCALE * tall / (scale * camera.K[0, 0])
+    return SeenRays(camera.rays(pixels / scale), seen, tau)

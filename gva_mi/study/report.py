@@ -18,9 +18,16 @@ import numpy as np
 
 from gva_mi.evaluate.figures import METRICS, Table, pivot, table, where
 from gva_mi.evaluate.page import Section, write_page
-from gva_mi.study.cases import FULL
 from gva_mi.study.engine import Outcome
+from gva_mi.study.variants import FULL
 
+TEXTS = {  # of the sections, by the title of their tables
+    "error models": "Changes of errors are relative: -50 % is half the error of stage 1. Depths "
+    "are measured after refinement, and above zero if too far away. ‘Increased’ is the share of "
+    "frames whose error increased. Every error model counts once.",
+    "held out subjects": "Mean ± standard deviation over subjects, the worst subject, and in "
+    "brackets the difference to full.",
+}
 REFINE_SHOWN = (  # a study's tables
     "change", "stage 1 error, mm", "refined error, mm", "refined depth, mm", "increased",
     "IoU - limit", "mask IoU", "s a frame",
@@ -117,8 +124,8 @@ def write_study_report(
     """
     shown = "change" if kind == "refine" else "PSNR, dB"
     sections = [
-        Section(title.capitalize(), tables=tables)
-        for title, tables in study_tables(kind, outcomes).items()
+        Section(name.capitalize(), tables=tables, text=TEXTS.get(name, ""))
+        for name, tables in study_tables(kind, outcomes).items()
     ]
     own = [f for o in outcomes for f in o.figures if f.metric == shown and f.split != "train"]
     each = table(pivot(own, ("subject", "variant"), ("split", "alignment", "region")), "case")

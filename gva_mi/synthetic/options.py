@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from enum import IntEnum
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -11,16 +12,31 @@ from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
-from gva_mi.synthetic.error_models import ERROR_MODELS, NO_ERRORS
-from gva_mi.synthetic.foreign_body import BodyStretch, stretched
-from gva_mi.synthetic.people import NAMED, SyntheticPerson, foreign_outfit
-from gva_mi.synthetic.subject import Subject, draw_subject
+from gva_mi.synthetic.errors.models import ERROR_MODELS, NO_ERRORS
+from gva_mi.synthetic.person.identity import NAMED, SyntheticPerson, foreign_outfit
+from gva_mi.synthetic.person.stretched_body import BodyStretch, stretched
+from gva_mi.synthetic.person.surface import PersonSurface, draw_surface
 
-# Random number streams, one for each purpose.
-MOTION, NOISE, NOVEL_POSE, NOVEL_VIEW, RENDER = range(1, 6)
-MISTAKEN, MISSING, FIGURE, OUTFIT, CAMERA, ROOM, RECORDING = 7, 8, 11, 12, 13, 14, 15
-BLUR = 4  # moments while the shutter is open, which share the samples
-MOST_PIXELS = 1 << 31  # limit of a whole video, which is held in memory
+
+class SubjectStream(IntEnum):
+    """Streams of random numbers of a subject, one per purpose."""
+
+    MOTION = 1
+    POSE_ERRORS = 2
+    NOVEL_POSE = 3
+    NOVEL_VIEW = 4
+    RENDER = 5
+    SEGMENTATION_ERRORS = 7  # feet and bags, in masks
+    MISSING_NORMALS = 8  # frames without normals
+    FIGURE = 11  # the stretched body
+    OUTFIT = 12
+    CAMERA = 13
+    ROOM = 14
+    PHONE_VIDEO = 15  # noise of its sensor
+
+
+EXPOSURE_MOMENTS = 4  # while the shutter is open, which share the samples; chosen: fewer show steps
+VIDEO_PIXELS = 1 << 31  # limit of a whole video; chosen: it is held in memory
 VideoFrames = Annotated[int, Within(2, 10_000)]
 NovelPictures = Annotated[int, Within(0, 1000)]
 Samples = Annotated[int, Within(1, 4096)]
@@ -55,10 +71,10 @@ class SynthOptions:
     workers: PythonOnly[Workers] = 1  # processes that render; any number gives the same bits
 
     def __post_init__(self) -> None:
-        if self.frames * self.size**2 > MOST_PIXELS:
+        if self.frames * self.size**2 > VIDEO_PIXELS:
             found = f"{self.frames} of {self.size}x{self.size}"
             raise InputError(
-                f"synth: a video must have at most {MOST_PIXELS:,} pixels, got {found}"
+                f"synth: a video must have at most {VIDEO_PIXELS:,} pixels, got {found}"
             )
         choices = {"subject": (None, *NAMED), "error_model": (NO_ERRORS, *ERROR_MODELS)} | {
             name: get_args(hint)
@@ -78,11 +94,11 @@ class SynthOptions:
         needed = {"held": "room", "circles": "white"}.get(self.camera, self.scene)
         if self.scene != needed:
             raise InputError(f"synth: --camera {self.camera} needs --scene {needed}")
-        moments = BLUR if self.shutter > 0 else 1
+        moments = EXPOSURE_MOMENTS if self.shutter > 0 else 1
         if round((self.samples / moments) ** 0.5) ** 2 * moments != self.samples:
             number = "a square number"
             if self.shutter > 0:
-                number = f"{BLUR} times a square number with a shutter"
+                number = f"{EXPOSURE_MOMENTS} times a square number with a shutter"
             raise InputError(f"synth: samples must be {number}, got {self.samples}")
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
@@ -90,7 +106,7 @@ class SynthOptions:
         if self.figure == "anny":
             return load_body(anny_body())
         if self.figure == "stretched":
-            return stretched(body, BodyStretch.draw(self.random(FIGURE)))
+            return stretched(body, BodyStretch.draw(self.random(SubjectStream.FIGURE)))
         return body
 
     def person(self, body: BodyModel) -> SyntheticPerson:
@@ -99,14 +115,14 @@ class SynthOptions:
         person = NAMED[self.subject] if named else SyntheticPerson.draw(self.seed, body.num_betas)
         outfit = person.outfit
         if self.outfit == "foreign":
-            outfit = foreign_outfit(outfit, self.random(OUTFIT))
+            outfit = foreign_outfit(outfit, self.random(SubjectStream.OUTFIT))
         if self.figure == "anny" and outfit.bottom == "skirt":  # its legs would come through
             outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
         return person if outfit is person.outfit else replace(person, outfit=outfit)
 
-    def subject_on(self, drawn_on: BodyModel) -> Subject:
+    def subject_on(self, drawn_on: BodyModel) -> PersonSurface:
         """Return the person's surface on the body of :meth:`drawn_on`."""
-        return draw_subject(drawn_on, self.person(drawn_on), self.bare)
+        return draw_surface(drawn_on, self.person(drawn_on), self.bare)
 
     def recorded(self) -> dict[str, object]:
         """Return the recorded options: all but ``workers``, which does not change the result."""

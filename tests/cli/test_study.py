@@ -7,7 +7,8 @@ import pytest
 
 from gva_mi.evaluate.figures import Figure
 from gva_mi.study import engine
-from gva_mi.study.cases import HELD_OUT, LIMITS, VARIANTS, StudyCase
+from gva_mi.study.cases import HELD_OUT, LIMITS, StudyCase
+from gva_mi.study.variants import VARIANTS
 
 REFINED = [
     Figure(region="body", alignment="absolute", metric="change", value=-0.75),

@@ -11,7 +11,7 @@ import torch
 from gva_mi.core.errors import InputError
 from gva_mi.evaluate.figures import where
 from gva_mi.evaluate.refinement import (
-    Evaluation,
+    MeasuredRefinement,
     error_figures,
     load_refinement,
     mask_iou,
@@ -105,7 +105,7 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
     video = replace(estimated, folder=tmp_path)
     refined = replace(refined, held_out=[5])
-    evaluation = Evaluation(video, body, SequenceOptions(), refined, truth)
+    evaluation = MeasuredRefinement(video, body, SequenceOptions(), refined, truth)
     write_refinement(evaluation)
     record = json.loads((tmp_path / "refinement.json").read_text())
     assert record["kept"] == {"5": refined.kept[5]} and record["test_frames"] == "held out"

@@ -8,9 +8,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.evaluate.regions import (
-    FACE,
-    HAND,
-    SMALLEST,
+    FACE_SIDE,
+    HAND_SIDE,
+    SMALLEST_SIDE,
     Details,
     box_around,
     person_box,
@@ -30,7 +30,10 @@ def test_a_tiny_persons_box_is_large_enough_for_the_networks_and_in_the_picture(
     mask[39, 0] = 1
     box = person_box(mask)
     assert box.left == 0 and box.bottom == 40
-    assert SMALLEST / 2 <= box.width <= SMALLEST and SMALLEST / 2 <= box.height <= SMALLEST
+    assert (
+        SMALLEST_SIDE / 2 <= box.width <= SMALLEST_SIDE
+        and SMALLEST_SIDE / 2 <= box.height <= SMALLEST_SIDE
+    )
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +72,7 @@ def test_the_face_is_found_between_jaw_and_eyes_from_before_and_not_from_behind(
     for name in ("jaw", "left_eye_smplhf", "right_eye_smplhf"):
         u, v = standing.cameras[0].project(joints[JOINTS.index(name)])
         assert box.left < u < box.right and box.top < v < box.bottom
-    assert box.width == box.height == pytest.approx(200 * FACE / 3, abs=2)
+    assert box.width == box.height == pytest.approx(200 * FACE_SIDE / 3, abs=2)
     behind = look_at(np.array([0.0, 0.0, -3.0]), np.zeros(3))
     turned = replace(standing.cameras[0], T_camera_world=behind)
     assert of(replace(standing, cameras=[turned]), "face") == []
@@ -77,6 +80,6 @@ def test_the_face_is_found_between_jaw_and_eyes_from_before_and_not_from_behind(
 
 def test_a_hand_at_the_edge_of_the_picture_or_behind_the_camera_has_no_box(standing):
     camera = standing.cameras[0]
-    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND) is None
-    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND) is None
-    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND) is not None
+    assert box_around(camera, np.array([[1.48, 0.0, 0.0]]), HAND_SIDE) is None
+    assert box_around(camera, np.array([[0.0, 0.0, 5.0]]), HAND_SIDE) is None
+    assert box_around(camera, np.array([[1.0, 0.0, 0.0]]), HAND_SIDE) is not None

@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from gva_mi.avatar.avatar import seed_avatar
 from gva_mi.body.pose import Shape
 from gva_mi.evaluate.surface import (
-    NEAR,
     PARTS,
+    SURFACE_BAND,
     TrueSurface,
     bias_mm,
     spacing,
@@ -50,7 +50,7 @@ def test_spacing_is_0_on_a_lattice_and_0_52_for_random_points(square):
 
 
 def test_floaters_do_not_count_and_few_gaussians_have_no_figure(square):
-    floaters = np.random.default_rng(3).random((300, 3)) + (0, 0, 2 * NEAR)
+    floaters = np.random.default_rng(3).random((300, 3)) + (0, 0, 2 * SURFACE_BAND)
     assert spacing(np.vstack([lattice(50), floaters]), square) == pytest.approx(0)
     assert spacing(lattice(5), square) is None
 

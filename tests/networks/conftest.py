@@ -32,12 +32,12 @@ def rendered_person(built_in_body):
     pytest.importorskip("mitsuba")
     from gva_mi.body.pose import JOINTS, Pose
     from gva_mi.splat import Camera, look_at
-    from gva_mi.synthetic.people import SyntheticPerson
-    from gva_mi.synthetic.render import Renderer
-    from gva_mi.synthetic.subject import draw_subject
+    from gva_mi.synthetic.person.identity import SyntheticPerson
+    from gva_mi.synthetic.person.surface import draw_surface
+    from gva_mi.synthetic.pictures.render import Renderer
 
     drawn = SyntheticPerson.draw(101, built_in_body.num_betas)
-    person = draw_subject(built_in_body, drawn, bare=True)
+    person = draw_surface(built_in_body, drawn, bare=True)
     pose = Pose.rest(1)
     turns = {
         "left_shoulder": (0, 0, -0.7), "right_shoulder": (0, 0, 0.7), "left_elbow": (-1.4, 0, 0),

@@ -8,21 +8,11 @@ import pytest
 from gva_mi.core.errors import InputError
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
-from gva_mi.study.cases import (
-    CHANGES,
-    FULL,
-    HELD_OUT,
-    LADDER,
-    LIMITS,
-    NO_NORMALS,
-    TUNING,
-    VARIANTS,
-    held_out,
-    variants_named,
-)
+from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, held_out
+from gva_mi.study.variants import CHANGES, FULL, LADDER, VARIANTS, variants_named
 from gva_mi.subject.fingerprint import VIDEO_KIND
-from gva_mi.synthetic.error_models import ERROR_MODELS
-from gva_mi.synthetic.people import NAMED
+from gva_mi.synthetic.errors.models import ERROR_MODELS
+from gva_mi.synthetic.person.identity import NAMED
 
 BOTH = pytest.mark.parametrize(
     "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]

@@ -26,20 +26,12 @@ from gva_mi.fit.renders import render_frame, render_layer
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.prior.stature import Stature
 from gva_mi.refine import SequenceOptions
-from gva_mi.study.cases import FULL, NO_HANDS, TUNING, variants_named
-from gva_mi.study.engine import (
-    MADE_WITH,
-    AvatarStudy,
-    AvatarStudyOptions,
-    Outcome,
-    RefineStudy,
-    RefineStudyOptions,
-    Study,
-    VariantRun,
-    run_study,
-    with_true_focal,
-)
-from gva_mi.study.filmed import Filming, VideoOptions, height_of
+from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions, VariantRun
+from gva_mi.study.cases import TUNING
+from gva_mi.study.engine import Outcome, Study, run_study
+from gva_mi.study.refine_study import RefineStudy, RefineStudyOptions, with_true_focal
+from gva_mi.study.variants import FULL, NO_HANDS, variants_named
+from gva_mi.study.videos import StudyVideos, VideoOptions, height_of
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.ground_truth import load_ground_truth
@@ -100,8 +92,8 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         assert other.stamp != made
     # Avatars begin with refined poses, and masks and poses of a video are results, too.
     avatars = lambda: AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]).stamp
-    filming = Filming(tmp_path, VideoOptions())
-    recordings = lambda: [filming.subject(case) for case in TUNING]
+    videos = StudyVideos(tmp_path, VideoOptions())
+    recordings = lambda: [videos.subject(case) for case in TUNING]
     before, filmed = avatars(), recordings()
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
@@ -163,9 +155,9 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     options = RefineStudyOptions(frames=3, size=48, refine=refine, known=True)
     bare = next(case for case in TUNING if case.take.bare)
     case = replace(bare, noise="focal", draw=51)
-    filming = Filming(tmp_path, VideoOptions(frames=3, size=48))
-    filming.recording([case], body)
-    video = load_video(filming.subject(case))
+    videos = StudyVideos(tmp_path, VideoOptions(frames=3, size=48))
+    videos.make([case], body)
+    video = load_video(videos.subject(case))
     truth = load_ground_truth(video.truth, body)
     zoomed = with_true_focal(truth, video, body)
     focal, right = (v.cameras[0].fx / truth.cameras[0].fx for v in (video, zoomed))

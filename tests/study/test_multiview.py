@@ -11,7 +11,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.splat import Camera, look_at
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.study.multiview import (
-    COMPARED,
+    COMPARED_JOINTS,
     CalibratedCamera,
     compare,
     multiview,
@@ -21,7 +21,7 @@ from gva_mi.study.multiview import (
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
-NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED]
+NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED_JOINTS]
 TABLE = """
 [one]
 name = "{name}"
@@ -82,8 +82,8 @@ def test_a_calibration_is_read_and_its_distortion_undone(tmp_path):
         ("[one]\nmatrix = 3", "expected a camera's name"),
         ("[", "expected a"),
         ("[metadata]\nerror = 0.0" + TABLE, "found 1"),
-        (TABLE + "fisheye = true", "one is a fisheye, or has not 4 or 5 distortions"),
-        (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or has not 4 or 5"),
+        (TABLE + "fisheye = true", "one is a fisheye, or does not have 4 or 5 distortion"),
+        (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or does not have 4 or 5"),
     ],
 )
 def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):

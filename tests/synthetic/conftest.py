@@ -8,9 +8,9 @@ import torch
 
 from gva_mi.body.pose import Shape
 from gva_mi.synthetic import SynthOptions, make_subject
-from gva_mi.synthetic.people import NAMED, Fabric
-from gva_mi.synthetic.subject import Subject
-from gva_mi.synthetic.texture import FaceLandmarks, Look, Material
+from gva_mi.synthetic.person.identity import NAMED, Fabric
+from gva_mi.synthetic.person.surface import PersonSurface
+from gva_mi.synthetic.person.texture import FaceLandmarks, Look, Material
 
 GREY = Fabric("plain", ((0.5, 0.5, 0.5),) * 3, 0.05)
 PERSON = replace(
@@ -31,7 +31,7 @@ def ball():
 
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
     count = len(mesh.vertices)
-    return Subject(
+    return PersonSurface(
         np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int64),
         csr_array((count, 1)), torch.eye(55)[:1].expand(count, 55), np.ones((count, 3), np.float32),
         np.full(len(mesh.faces), int(Material.TOP), np.uint32), LOOK, Shape(torch.zeros(10)),

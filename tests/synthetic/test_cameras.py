@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from gva_mi.subject.video_file import VideoFile
-from gva_mi.synthetic.cameras import (
-    BITS_PER_PIXEL,
-    HEIGHT,
-    TILT,
-    PhoneCamera,
-    camera_around,
-    write_phone_video,
-)
+from gva_mi.synthetic.pictures.cameras import MAX_TILT, PHONE_HEIGHTS, PhoneCamera, camera_around
+from gva_mi.synthetic.pictures.phone_video import BITS_PER_PIXEL, write_phone_video
 
 
 def person(rng, wander=0.0):
@@ -28,7 +22,7 @@ def test_a_phone_sees_the_whole_person(wander):
         rng = np.random.default_rng(seed)
         points = person(rng, wander)
         phone = PhoneCamera.draw(rng, points, 512)
-        assert HEIGHT[0] <= phone.height <= HEIGHT[1] and 0 <= phone.tilt <= TILT
+        assert PHONE_HEIGHTS[0] <= phone.height <= PHONE_HEIGHTS[1] and 0 <= phone.tilt <= MAX_TILT
         camera = phone.camera()
         pixels = camera.project(points)
         assert (pixels > 8).all() and (pixels < 504).all()

@@ -8,10 +8,12 @@ import torch
 import trimesh
 
 from gva_mi.body.pose import JOINTS, Shape
-from gva_mi.synthetic import subject
-from gva_mi.synthetic.dressing import follow_nearest, hang_from_hips
-from gva_mi.synthetic.garments import shoe
-from gva_mi.synthetic.rest_body import BodySurface, RestBody, VoxelGrid, smax, surface_of
+from gva_mi.synthetic.person.dressing import follow_nearest, hang_from_hips
+from gva_mi.synthetic.person.garments import shoe
+from gva_mi.synthetic.person.level_sets import BodySurface, VoxelGrid, smax, surface_of
+from gva_mi.synthetic.person.rest_body import RestBody
+from gva_mi.synthetic.person.surface import LAG_STEPS, lag
+from gva_mi.synthetic.person.surface import creases as place_creases
 
 RADIUS = 0.5
 HIP, KNEE = np.array([0.1, 0.9, 0.0]), np.array([0.1, 0.5, 0.0])
@@ -111,7 +113,7 @@ def test_legs_that_part_do_not_tear_a_skirt(legs, skirt):
 def creases():
     rng = np.random.default_rng(1)
     points = rng.normal(0, 0.4, (4000, 3))
-    return subject.creases(points, np.full(4000, 0.005), JOINT_POSITIONS, rng)
+    return place_creases(points, np.full(4000, 0.005), JOINT_POSITIONS, rng)
 
 
 def test_a_straight_joint_and_a_twist_have_no_creases(creases):
@@ -136,10 +138,10 @@ def test_loose_ends_lag_behind_motion_and_not_at_rest():
     now = np.random.default_rng(0).normal(size=(50, 3))
     away = np.tile([0.0, 1.0, 0.0], (50, 1))
     slack = np.linspace(0.001, 0.03, 50)
-    still = np.broadcast_to(now, (subject.MEMORY, 50, 3))
-    assert np.abs(subject.lag(now, still, slack, away)).max() < 1e-12
-    steps = np.arange(1, subject.MEMORY + 1)[:, None, None]
-    moved = subject.lag(now, now - steps * [0.01, 0, 0], slack, away)
+    still = np.broadcast_to(now, (LAG_STEPS, 50, 3))
+    assert np.abs(lag(now, still, slack, away)).max() < 1e-12
+    steps = np.arange(1, LAG_STEPS + 1)[:, None, None]
+    moved = lag(now, now - steps * [0.01, 0, 0], slack, away)
     assert (moved[:, 0] < 0).all() and np.abs(moved[:, 1:]).max() < 1e-12
     assert (np.linalg.norm(moved, axis=1) <= slack).all()
     assert (np.diff(-moved[:, 0]) > 0).all()  # the looser, the farther

@@ -9,8 +9,7 @@ import torch
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import BODY, HANDS, JOINTS, PARENTS, Pose, Shape, mirrored_name
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.error_models import ERROR_MODELS, ErrorParameters, draw_errors
-from gva_mi.synthetic.picture_errors import (
+from gva_mi.synthetic.errors.masks_and_normals import (
     Confusion,
     MaskErrors,
     NormalErrors,
@@ -18,7 +17,8 @@ from gva_mi.synthetic.picture_errors import (
     noisy_mask,
     noisy_normals,
 )
-from gva_mi.synthetic.pose_errors import (
+from gva_mi.synthetic.errors.models import ERROR_MODELS, ErrorParameters, draw_errors
+from gva_mi.synthetic.errors.poses import (
     CameraTilt,
     JointFactors,
     Outliers,

@@ -6,8 +6,9 @@ import torch
 
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.synthetic.foreign_body import LIMBS, BodyStretch, closest, stretched
-from gva_mi.synthetic.motion import perform
+from gva_mi.synthetic.errors.closest_pose import LIMBS, closest
+from gva_mi.synthetic.motion.motions import perform
+from gva_mi.synthetic.person.stretched_body import BodyStretch, stretched
 
 AVERAGE = Shape(torch.zeros(10))
 

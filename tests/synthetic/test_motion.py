@@ -10,11 +10,11 @@ import torch
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.synthetic import motion
+from gva_mi.synthetic.motion import motions
 
 
 def video_of(name, frames):
-    return motion.perform(name, motion.times(frames), None, 10, np.random.default_rng(0))
+    return motions.perform(name, motions.times(frames), None, 10, np.random.default_rng(0))
 
 
 @cache
@@ -26,7 +26,7 @@ def on_foot(name, frames=240, seed=0):
     """Return a motion with feet on the ground, and its joints in the world (T, 55, 3)."""
     joints = torch.from_numpy(rest_joints())
     rng = np.random.default_rng(seed)
-    pose = motion.perform(name, motion.times(frames), rest_joints(), 10, rng)
+    pose = motions.perform(name, motions.times(frames), rest_joints(), 10, rng)
     T = joint_transforms(pose.rotations, joints, PARENTS, pose.transl)
     return pose, ((T[..., :3, :3] @ joints[..., None])[..., 0] + T[..., :3, 3]).numpy()
 
@@ -43,12 +43,12 @@ def test_the_video_is_one_full_turn_at_constant_speed():
     assert np.isclose(abs(steps.sum()) + abs(steps.mean()), 2 * np.pi, atol=0.05)
 
 
-@pytest.mark.parametrize("name", motion.MOTIONS)
+@pytest.mark.parametrize("name", motions.MOTIONS)
 def test_a_motion_is_a_function_of_time_and_periodic(name):
     def at(t):
-        return motion.perform(name, t, rest_joints(), 10, np.random.default_rng(5))
+        return motions.perform(name, t, rest_joints(), 10, np.random.default_rng(5))
 
-    t = motion.times(12)
+    t = motions.times(12)
     whole, part, round_on = at(t), at(t[3:5]), at(t + 1)
     assert torch.equal(whole.rotations[3:5], part.rotations)
     assert torch.equal(whole.expression[3:5], part.expression)
@@ -88,6 +88,6 @@ def test_walking_covers_some_metres_and_faces_ahead():
 @pytest.mark.parametrize("name", ["turn", "everyday"])
 def test_novel_poses_are_not_in_the_video(name):
     video = video_of(name, 80).rotations[:, 1:22]
-    for pose in motion.novel(10, 10, np.random.default_rng(0)).rotations[:, 1:22]:
+    for pose in motions.novel(10, 10, np.random.default_rng(0)).rotations[:, 1:22]:
         nearest = (video - pose).norm(dim=-1).amax(dim=1).min()
         assert nearest > 0.2  # radians, for at least one joint of the body

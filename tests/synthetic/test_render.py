@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.furniture import Finish
-from gva_mi.synthetic.render import LIGHTS, Moment, Renderer
-from gva_mi.synthetic.room import Room, draw_room
+from gva_mi.synthetic.pictures.finishes import Finish
+from gva_mi.synthetic.pictures.render import LIGHTS, Moment, Renderer
+from gva_mi.synthetic.pictures.room import Room, draw_room
 
 pytest.importorskip("mitsuba")
 RADIUS = 0.5

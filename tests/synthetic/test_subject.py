@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.synthetic import motion
-from gva_mi.synthetic.cameras import camera_around
-from gva_mi.synthetic.people import SyntheticPerson
-from gva_mi.synthetic.render import Renderer
-from gva_mi.synthetic.rest_body import BodySurface, vertex_normals
-from gva_mi.synthetic.subject import draw_subject
-from gva_mi.synthetic.texture import Material
+from gva_mi.synthetic.motion import motions
+from gva_mi.synthetic.person.identity import SyntheticPerson
+from gva_mi.synthetic.person.level_sets import BodySurface, vertex_normals
+from gva_mi.synthetic.person.surface import draw_surface
+from gva_mi.synthetic.person.texture import Material
+from gva_mi.synthetic.pictures.cameras import camera_around
+from gva_mi.synthetic.pictures.render import Renderer
 
 
 def person(body, seed):
@@ -19,7 +19,7 @@ def person(body, seed):
 
 @pytest.fixture(scope="module")
 def dressed(body):
-    return draw_subject(body, person(body, 1))
+    return draw_surface(body, person(body, 1))
 
 
 def part(subject, *materials):
@@ -36,7 +36,7 @@ def closed(subject, faces):
 
 
 def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
-    bare, other, again = (draw_subject(body, person(body, k), bare=True) for k in (0, 1, 0))
+    bare, other, again = (draw_surface(body, person(body, k), bare=True) for k in (0, 1, 0))
     assert np.allclose(bare.vertices, body.rest(bare.shape).vertices.numpy(), atol=1e-6)
     assert np.array_equal(bare.faces, body.faces.numpy())
     assert set(bare.material) == {int(Material.SKIN)}
@@ -48,7 +48,7 @@ def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body, dress
     from scipy.ndimage import maximum_filter, minimum_filter
 
     subject = dressed
-    pose = motion.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
+    pose = motions.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
     surface = subject.skinned(body, pose)[0]
     camera = camera_around(surface, 96)
     seen = Renderer(subject)(surface, camera, 4)

@@ -17,7 +17,7 @@ from gva_mi.subject.pictures import read_image
 from gva_mi.subject.video import load_video
 from gva_mi.subject.video_file import VideoFile
 from gva_mi.synthetic import SynthOptions, degrade, make_subject
-from gva_mi.synthetic.error_models import draw_errors
+from gva_mi.synthetic.errors.models import draw_errors
 
 pytest.importorskip("mitsuba")
 HELD = {"error_model": "none", "scene": "room", "camera": "held"}

@@ -21,7 +21,7 @@ import numpy as np
 
 from gva_mi.body.body_file import SHAPES
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
-from gva_mi.synthetic.rest_body import smoothstep
+from gva_mi.synthetic.person.level_sets import smoothstep
 from tools.body_generator.anatomy import (
     EYE_RADIUS,
     EYE_SLIT,

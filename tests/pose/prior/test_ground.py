@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.prior.ground import Ground, Soles
-from gva_mi.synthetic.motion import perform, times
+from gva_mi.synthetic.motion.motions import perform, times
 
 MEAN = Shape(torch.zeros(10))
 FRAMES = 48

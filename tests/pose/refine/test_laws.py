@@ -14,8 +14,8 @@ from gva_mi.prior.ground import Soles
 from gva_mi.refine import SequenceOptions
 from gva_mi.refine.optimize import descend, lever_arms
 from gva_mi.splat import Camera, look_at
-from gva_mi.synthetic.motion import perform, times
-from gva_mi.synthetic.pose_errors import CameraTilt, tilted
+from gva_mi.synthetic.errors.poses import CameraTilt, tilted
+from gva_mi.synthetic.motion.motions import perform, times
 
 N = 48
 BODY = slice(1, 22)  # joints with errors

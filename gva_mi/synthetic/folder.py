@@ -31,12 +31,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, partial
+from functools import partial
 from itertools import count
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
@@ -51,139 +50,21 @@ from gva_mi.subject.folder import FRAMES, SPLITS, SYNTH, TRUTH, VIDEO, SubjectWr
 from gva_mi.subject.ground_truth import TRUE_BODY, load_ground_truth
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video_file import write_video
-from gva_mi.synthetic import motion
-from gva_mi.synthetic.cameras import PhoneCamera, camera_around, held_by_hand, write_phone_video
-from gva_mi.synthetic.estimates import PictureErrors, Pipeline, write_estimates, write_pictures
-from gva_mi.synthetic.foreign_body import Closest, closest
-from gva_mi.synthetic.options import (
-    BLUR,
-    CAMERA,
-    MOTION,
-    NOVEL_POSE,
-    NOVEL_VIEW,
-    RECORDING,
-    RENDER,
-    ROOM,
-    SynthOptions,
+from gva_mi.synthetic.errors.closest_pose import Closest, closest
+from gva_mi.synthetic.errors.pipeline import (
+    PictureErrors,
+    Pipeline,
+    write_estimates,
+    write_pictures,
 )
-from gva_mi.synthetic.render import Moment, Renderer
-from gva_mi.synthetic.room import Room, draw_room
-from gva_mi.synthetic.subject import MEMORY, Subject
-
-THINNED = 11  # every 11th vertex is enough to find the ground and to place a camera
-
-
-@dataclass(frozen=True)
-class Staging:
-    """A subject's video before it is rendered. Moments are in rounds of the motion."""
-
-    options: SynthOptions
-    body: BodyModel  # that the subject is drawn on
-    subject: Subject
-
-    def points(self, pose: Pose) -> np.ndarray:
-        """Return some points of the surface without folds, (T, n, 3), metres."""
-        index = np.arange(0, len(self.subject.vertices), THINNED)
-        return self.subject.skinned(self.body, pose, index)
-
-    @cached_property
-    def poses(self) -> list[Pose]:
-        """The video's poses, and those one step, two steps, ... before its frames."""
-        return self.poses_at(motion.times(self.options.frames))
-
-    @cached_property
-    def _lowest(self) -> np.ndarray:
-        """The height of the lowest point of each frame before it is put on the ground, (T,)."""
-        lowest = self.points(self._performed(motion.times(self.options.frames)))[..., 1].min(1)
-        if self.options.motion == "turn":  # stands on the ground in all frames together
-            lowest = np.full_like(lowest, lowest.min())
-        return lowest
-
-    def _performed(self, t: np.ndarray) -> Pose:
-        joints = self.body.rest(self.subject.shape).joints.numpy()
-        options, expressions = self.options, self.body.num_expressions
-        return motion.perform(options.motion, t, joints, expressions, options.random(MOTION))
-
-    def poses_at(self, t: np.ndarray) -> list[Pose]:
-        """Return the poses at moments (T,), and those one step, two steps, ... before."""
-        frames, found = motion.times(self.options.frames), []
-        for k in range(MEMORY + 1):
-            at = motion.before(t, k)
-            drop = np.interp(at, frames, self._lowest, period=1)
-            found.append(lowered(self._performed(at), drop.astype("f4")))
-        return found
-
-    @cached_property
-    def phone(self) -> PhoneCamera:
-        """The phone of a video in a room."""
-        rng, points = self.options.random(CAMERA), self.points(self.poses[0])
-        return PhoneCamera.draw(rng, points, self.options.size)
-
-    def cameras_at(self, t: np.ndarray) -> list[Camera]:
-        """Return the cameras at moments (T,): all the same, held by hand, or on a circle."""
-        options = self.options
-        if options.camera == "held":
-            hand = held_by_hand(np.random.default_rng([*options.entropy(CAMERA), 1]))
-            return [self.phone.camera(*hand(seconds)) for seconds in t * motion.DURATION]
-        if options.scene == "room":
-            return [self.phone.camera()] * len(t)
-        points = self.points(self.poses[0])
-        if options.camera == "circles":
-            return [camera_around(points, options.size, 2 * np.pi * turn) for turn in t % 1.0]
-        return [camera_around(points, options.size)] * len(t)
-
-    @cached_property
-    def cameras(self) -> list[Camera]:
-        """The video's cameras, one a frame."""
-        return self.cameras_at(motion.times(self.options.frames))
-
-    def room(self) -> Room | None:
-        """Draw the room around the subject; None for a video on white."""
-        if self.options.scene == "white":
-            return None
-        points, rng = self.points(self.poses[0]), self.options.random(ROOM)
-        return draw_room(rng, self.subject.look.person, points, self.cameras)
-
-    @property
-    def height(self) -> float:
-        """The person's height at rest, metres."""
-        rest = self.body.rest(self.subject.shape).vertices[:, 1]
-        return float(rest.max() - rest.min())
-
-    def exposures(self) -> Iterator[tuple[Moment, ...]]:
-        """Yield the moments of each frame of the video: several while the shutter is open."""
-        share = self.options.shutter / self.options.frames
-        if share == 0:
-            yield from self.still(self.poses, self.cameras)
-            return
-        t, steps = motion.times(self.options.frames), (np.arange(BLUR) + 0.5) / BLUR
-        opens, closes = (self.poses_at(t + 0.5 * side * share) for side in (-1, 1))
-        cameras = [self.cameras_at(t + (step - 0.5) * share) for step in steps]
-        for k in range(len(t)):
-            first, last = (self._surface(poses, k) for poses in (opens, closes))
-            between = [first + np.float32(step) * (last - first) for step in steps]
-            seen = zip(between, cameras, strict=True)
-            yield tuple(Moment(surface, of_step[k]) for surface, of_step in seen)
-
-    def still(self, poses: Sequence[Pose], cameras: Sequence[Camera]) -> Iterator[tuple[Moment]]:
-        """Yield the one moment of each frame of poses as :meth:`poses_at` returns them."""
-        for k, camera in enumerate(cameras):
-            yield (Moment(self._surface(poses, k), camera),)
-
-    def _surface(self, poses: Sequence[Pose], k: int) -> np.ndarray:
-        """Return the surface of frame k, (N, 3) float32, metres."""
-        now, *past = (pose[k] for pose in poses)
-        return self.subject.posed(self.body, now, past)[0]
-
-
-def lowered(pose: Pose, drop: np.ndarray) -> Pose:
-    """Move poses down by ``drop`` (T,), metres."""
-    transl = pose.transl.clone()
-    transl[:, 1] -= torch.from_numpy(drop)
-    return replace(pose, transl=transl)
-
-
-PHONE_VIDEO = "phone.mp4"
+from gva_mi.synthetic.motion import motions
+from gva_mi.synthetic.options import SubjectStream, SynthOptions
+from gva_mi.synthetic.person.surface import PersonSurface
+from gva_mi.synthetic.pictures.cameras import camera_around
+from gva_mi.synthetic.pictures.phone_video import PHONE_VIDEO, write_phone_video
+from gva_mi.synthetic.pictures.render import Moment, Renderer
+from gva_mi.synthetic.pictures.room import Room
+from gva_mi.synthetic.staging import Staging, lowered
 
 
 @dataclass(frozen=True)
@@ -285,7 +166,7 @@ def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyMod
         write_json(folder / SYNTH, about | {"options": options.recorded()})
 
 
-def remake_subject(subject: Path, body: BodyModel) -> tuple[Subject, BodyModel]:
+def remake_subject(subject: Path, body: BodyModel) -> tuple[PersonSurface, BodyModel]:
     """Make the person of a folder again, with materials and binding, and the body drawn on.
 
     ``body`` is that of its stage-1 poses.
@@ -334,7 +215,7 @@ class _Recording:
         """
         options = self.staging.options
         for k, moments in enumerate(exposures):
-            seed = (*options.entropy(RENDER), stream, k)
+            seed = (*options.entropy(SubjectStream.RENDER), stream, k)
             of_frame = errors[k] if errors else None
             yield RenderJob(folder, k, moments, options.samples, seed, of_frame)
 
@@ -348,12 +229,14 @@ class _Recording:
         if staging.body is not self.fitted:
             write_arrays(truth.folder / TRUE_BODY, **staging.body.arrays())
         pipeline = Pipeline(options, self.fitted, cameras, self._closest(pose))
-        jobs = self._jobs(folder, staging.exposures(), MOTION, pipeline.pictures())
+        jobs = self._jobs(folder, staging.exposures(), SubjectStream.MOTION, pipeline.pictures())
         colors = list(self.render(jobs))
         write_video(folder / VIDEO, colors)
         if options.scene == "room":
-            fps = Fraction(options.frames) / Fraction(motion.DURATION)
-            write_phone_video(folder / PHONE_VIDEO, colors, fps, options.random(RECORDING))
+            fps = Fraction(options.frames) / Fraction(motions.ROUND_SECONDS)
+            write_phone_video(
+                folder / PHONE_VIDEO, colors, fps, options.random(SubjectStream.PHONE_VIDEO)
+            )
             write_json(truth.folder / "person.json", {"height_m": staging.height})
         pipeline.write(folder)
 
@@ -362,18 +245,18 @@ class _Recording:
         options, staging = self.staging.options, self.staging
         if options.novel_poses == 0:
             return
-        expressions, rng = staging.body.num_expressions, options.random(NOVEL_POSE)
-        pose = motion.novel(options.novel_poses, expressions, rng)  # static: nothing lags behind
+        expressions, rng = staging.body.num_expressions, options.random(SubjectStream.NOVEL_POSE)
+        pose = motions.novel(options.novel_poses, expressions, rng)  # static: nothing lags behind
         pose = lowered(pose, staging.points(pose)[..., 1].min(1))
         cameras = [camera_around(points, options.size) for points in staging.points(pose)]
-        self._write_truth(folder, [pose], cameras, NOVEL_POSE)
+        self._write_truth(folder, [pose], cameras, SubjectStream.NOVEL_POSE)
 
     def write_novel_views(self, folder: Path, views: int) -> list[int]:
         """Write some frames of the video from other sides and heights; return which."""
         if views == 0:
             return []
         options, staging = self.staging.options, self.staging
-        rng = options.random(NOVEL_VIEW)
+        rng = options.random(SubjectStream.NOVEL_VIEW)
         seen = [k * options.frames // views for k in range(views)]
         poses = [pose[seen] for pose in staging.poses]
         cameras = []
@@ -381,7 +264,7 @@ class _Recording:
             azimuth = rng.choice([-1, 1]) * rng.uniform(0.4, 2.6)
             elevation = rng.uniform(-0.05, 0.45)
             cameras.append(camera_around(points, options.size, azimuth, elevation))
-        self._write_truth(folder, poses, cameras, NOVEL_VIEW)
+        self._write_truth(folder, poses, cameras, SubjectStream.NOVEL_VIEW)
         return seen
 
     def _write_truth(
@@ -396,7 +279,9 @@ class _Recording:
 
 
 @contextmanager
-def _rendering(subject: Subject, room: Room | None, light: str, workers: int) -> Iterator[Render]:
+def _rendering(
+    subject: PersonSurface, room: Room | None, light: str, workers: int
+) -> Iterator[Render]:
     """Yield a function that renders jobs, writes their files and yields results in order.
 
     ``light`` is one of LIGHTS; one of ``workers`` is this process.
@@ -431,7 +316,7 @@ def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
 _renderer: Renderer | None = None  # of a worker process
 
 
-def _start_worker(subject: Subject, room: Room | None, light: str) -> None:
+def _start_worker(subject: PersonSurface, room: Room | None, light: str) -> None:
     global _renderer
     _renderer = Renderer(subject, room, light)
 

@@ -28,10 +28,11 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
-from gva_mi.synthetic.dressing import Piece, covered, dress
-from gva_mi.synthetic.people import SyntheticPerson
-from gva_mi.synthetic.rest_body import RestBody, face_landmarks, vertex_normals
-from gva_mi.synthetic.texture import Look, Material
+from gva_mi.synthetic.person.dressing import Piece, covered, dress
+from gva_mi.synthetic.person.identity import SyntheticPerson
+from gva_mi.synthetic.person.level_sets import vertex_normals
+from gva_mi.synthetic.person.rest_body import RestBody, face_landmarks
+from gva_mi.synthetic.person.texture import Look, Material
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -41,11 +42,12 @@ BONES: Mapping[str, str] = {  # joint -> the end of its bone
     "right_shoulder": "right_elbow", "left_knee": "left_ankle", "right_knee": "right_ankle",
     "left_hip": "left_knee", "right_hip": "right_knee", "spine1": "spine2", "spine2": "spine3",
 }  # fmt: skip
-WAVELENGTH = 0.04  # m, from crease to crease
-ALONG, ACROSS = 0.075, 0.15  # m, extent of creases along the bone and across it
-HALF = 0.5  # rad, bend at which a crease has half its height
-MEMORY = 5  # time steps that a lag depends on
-INWARD = 0.6  # fraction removed from a lag into the body
+# Folds, chosen by eye.
+CREASE_WAVELENGTH = 0.04  # m, from crease to crease
+CREASE_LENGTH, CREASE_RADIUS = 0.075, 0.15  # m, extent of creases along the bone and across it
+HALF_BEND = 0.5  # rad, bend at which a crease has half its height (eq. 1)
+LAG_STEPS = 5  # of motions.LAG_TIME_STEP, that a lag depends on: earlier ones weigh under a tenth
+INWARD_DAMPING = 0.6  # fraction removed from a lag into the body
 
 
 @dataclass(frozen=True)
@@ -65,12 +67,12 @@ class Crease:
         if bend < 1e-6:
             return np.zeros_like(self.height)
         inner = np.cross(across / bend, self.bone)
-        strength = bend**2 / (bend**2 + HALF**2)
+        strength = bend**2 / (bend**2 + HALF_BEND**2)
         return self.height * strength * (0.5 + 0.5 * (self.around @ inner))
 
 
 @dataclass(frozen=True)
-class Subject:
+class PersonSurface:
     """A person's outer surface in the rest pose, without the skin under clothes."""
 
     vertices: np.ndarray  # (N, 3) float32 metres
@@ -126,7 +128,7 @@ class Subject:
 
 
 @lru_cache(maxsize=1)  # a program that made a subject often measures it next
-def draw_subject(body: BodyModel, person: SyntheticPerson, bare: bool = False) -> Subject:
+def draw_surface(body: BodyModel, person: SyntheticPerson, bare: bool = False) -> PersonSurface:
     """Make the surface of a person on a body: dressed, or ``bare``, bald and in a swimsuit."""
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
@@ -140,7 +142,7 @@ def draw_subject(body: BodyModel, person: SyntheticPerson, bare: bool = False) -
 
 def _joined(
     rest: RestBody, pieces: list[Piece], look: Look, shape: Shape, rng: np.random.Generator
-) -> Subject:
+) -> PersonSurface:
     """Join the visible skin and all pieces to one surface."""
     from scipy.sparse import csr_array, vstack
 
@@ -159,7 +161,7 @@ def _joined(
     per_vertex = lambda of: np.concatenate(
         [np.zeros(len(used)), *(np.broadcast_to(of(p), len(p.mesh.vertices)) for p in pieces)]
     )
-    return Subject(
+    return PersonSurface(
         vertices=vertices.astype(np.float32),
         faces=np.concatenate([skin, *(m.faces + k for m, k in zip(meshes, starts, strict=False))]),
         binding=bound.tocsr(),
@@ -195,10 +197,10 @@ def creases(
         along = away @ bone
         radial = away - along[:, None] * bone
         radius = np.linalg.norm(radial, axis=1)
-        window = np.exp(-((along / ALONG) ** 2) - (radius / ACROSS) ** 4)
+        window = np.exp(-((along / CREASE_LENGTH) ** 2) - (radius / CREASE_RADIUS) ** 4)
         near = window > 0.02
         slant = rng.normal(0, 22, 3)  # rad/m
-        phase = 2 * np.pi * along / WAVELENGTH + away @ slant + rng.uniform(0, 2 * np.pi)
+        phase = 2 * np.pi * along / CREASE_WAVELENGTH + away @ slant + rng.uniform(0, 2 * np.pi)
         height = amplitude[cloth] * window * np.cos(phase)
         around = radial / np.maximum(radius, 1e-6)[:, None]
         found.append(Crease(JOINTS.index(name), bone, cloth[near], height[near], around[near]))
@@ -208,12 +210,12 @@ def creases(
 def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:
     """Return displacements (n, 3) of loose ends (eq. 4), metres.
 
-    ``now`` (n, 3) and ``past`` (MEMORY, n, 3), the latest first, are skinned positions; ``slack``
-    (n,) is the largest displacement, metres, and ``away`` (n, 3) points from the body to the
-    vertex.
+    ``now`` (n, 3) and ``past`` (LAG_STEPS, n, 3), the latest first, are skinned positions.
+    ``slack`` (n,) is the largest displacement, metres, and ``away`` (n, 3) points from the body to
+    the vertex.
     """
-    weights = np.exp(-np.arange(1, MEMORY + 1) / 2)
+    weights = np.exp(-np.arange(1, LAG_STEPS + 1) / 2)
     behind = np.tensordot(weights / weights.sum(), past, axes=1) - now
     bounded = behind * (slack / np.sqrt(slack**2 + (behind**2).sum(1)))[:, None]
     inward = np.minimum((bounded * away).sum(1), 0)
-    return bounded - INWARD * inward[:, None] * away
+    return bounded - INWARD_DAMPING * inward[:, None] * away

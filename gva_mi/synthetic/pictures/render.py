@@ -28,18 +28,21 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.furniture import finish_color
-from gva_mi.synthetic.people import Color
-from gva_mi.synthetic.rest_body import vertex_normals
-from gva_mi.synthetic.room import INDIRECT, SKY, Room, smoothly_lit
-from gva_mi.synthetic.subject import Subject
-from gva_mi.synthetic.texture import Material, Point, albedo
+from gva_mi.synthetic.person.identity import Color
+from gva_mi.synthetic.person.level_sets import vertex_normals
+from gva_mi.synthetic.person.surface import PersonSurface
+from gva_mi.synthetic.person.texture import Material, Point, albedo
+from gva_mi.synthetic.pictures.finishes import finish_color
+from gva_mi.synthetic.pictures.room import INDIRECT_LIGHT, SKY_RADIANCE, Room, smoothly_lit
 
 VARIANT = "llvm_ad_rgb"
-OFFSET = 1e-4  # m, distance of secondary rays' origins from the surface
-FEWER = 4  # times fewer samples beside the person
-MATERIALS = len(Material)  # of the person; finishes of a room have the numbers from here on
-EARTH = (0.30, 0.29, 0.28)  # ambient radiance from below, on white
+RAY_OFFSET = 1e-4  # m, of secondary rays' origins from the surface; chosen: above float32's error
+FEWER_SAMPLES = 4  # times fewer beside the person; chosen: eq. 6 smooths the light there
+PERSON_MATERIALS = len(Material)  # finishes of a room have the numbers from here on
+GROUND_RADIANCE = (0.30, 0.29, 0.28)  # ambient, from below, on white; chosen: half of the sky's
+# Columns of what a ray finds; ALBEDO is there in a room that is shown.
+RADIANCE, NORMAL, DEPTH, HIT, ALBEDO = slice(0, 3), slice(3, 6), 6, slice(7, 8), slice(8, 11)
+OF_PERSON, OF_ROOM = slice(0, 7), np.r_[RADIANCE, ALBEDO]
 
 
 @dataclass(frozen=True)
@@ -84,21 +87,25 @@ class Moment:
 class Renderer:
     """Render one subject in any number of poses, on white or in a room, under one of LIGHTS."""
 
-    def __init__(self, subject: Subject, room: Room | None = None, light: str = "usual") -> None:
+    def __init__(
+        self, subject: PersonSurface, room: Room | None = None, light: str = "usual"
+    ) -> None:
         import mitsuba as mi
 
         mi.set_variant(VARIANT)
         self._look, self._room, self._lights = subject.look, room, LIGHTS[light]
         vertices, faces, material = subject.vertices, subject.faces, subject.material
         rest, tint = subject.vertices, subject.tint
-        emission = INDIRECT * np.array([subject.look.mean_color(p) for p in Material])
+        emission = INDIRECT_LIGHT * np.array([subject.look.mean_color(p) for p in Material])
         if room is not None:  # its furniture follows the subject, in one mesh
             faces = np.concatenate([faces, room.faces + len(vertices)])
-            material = np.concatenate([material, (room.finish + MATERIALS).astype(np.uint32)])
+            material = np.concatenate(
+                [material, (room.finish + PERSON_MATERIALS).astype(np.uint32)]
+            )
             rest = np.concatenate([rest, np.pad(room.uv, ((0, 0), (0, 1)))])
             tint = np.concatenate([tint, np.ones_like(room.vertices)])
             colors = [finish.mean_color() for finish in room.finishes]
-            emission = np.concatenate([emission, INDIRECT * np.array(colors)])
+            emission = np.concatenate([emission, INDIRECT_LIGHT * np.array(colors)])
             self._finishes = mi.Float(np.ravel([f.row() for f in room.finishes]).astype("f4"))
             vertices = np.concatenate([vertices, room.vertices])
         self._faces, mesh = faces, mi.Mesh("subject", len(vertices), len(faces))
@@ -135,7 +142,7 @@ class Renderer:
         camera, shown = moments[0].camera, shown and self._room is not None
         shape = camera.height, camera.width
         total, count, room = (np.zeros((*shape, n)) for n in (7, 1, 6))
-        fewer = max(1, round((samples / FEWER) ** 0.5)) ** 2
+        fewer = max(1, round((samples / FEWER_SAMPLES) ** 0.5)) ** 2
         for k, moment in enumerate(moments):
             self._place(moment.surface, shown)
             window = window_of(moment.surface, moment.camera)
@@ -146,21 +153,21 @@ class Renderer:
                 values = self._trace(part, rays, seed + 7 * k + number, person, shown)
                 values = values.reshape(height, width, rays, -1).astype(np.float64)
                 at = (slice(top, top + height), slice(left, left + width))
-                hit = values[..., 7:8]
+                hit = values[..., HIT]
                 if person:
                     count[at] += hit.sum(2)
-                    total[at] += (values[..., :7] * hit).sum(2)
+                    total[at] += (values[..., OF_PERSON] * hit).sum(2)
                 if shown:
-                    room[at] += (values[..., [0, 1, 2, 8, 9, 10]] * (1 - hit)).mean(2)
+                    room[at] += (values[..., OF_ROOM] * (1 - hit)).mean(2)
         mean, most = total / np.maximum(count, 1), samples * len(moments)
         mask = count / most
-        color = mask * encode(mean[..., :3]) + (1 - mask)
+        color = mask * encode(mean[..., RADIANCE]) + (1 - mask)
         if shown:
-            color = encode(total[..., :3] / most + smoothly_lit(room) / len(moments))
-        normal = mean[..., 3:6] @ camera.T_camera_world[:3, :3].T
+            color = encode(total[..., RADIANCE] / most + smoothly_lit(room) / len(moments))
+        normal = mean[..., NORMAL] @ camera.T_camera_world[:3, :3].T
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         normal = np.where(length > 1e-3, normal / np.maximum(length, 1e-3), 0)
-        found = color, mask[..., 0], normal, mean[..., 6]
+        found = color, mask[..., 0], normal, mean[..., DEPTH]
         return Rendering(*(image.astype(np.float32) for image in found))
 
     def _place(self, surface: np.ndarray, shown: bool) -> None:
@@ -206,7 +213,7 @@ class Renderer:
         if shown:
             t, hit, color, n_shading = self._in_room(ray, t, hit, material, rest, color, n_shading)
             lit = mi.Bool(True)
-        start = ray(t) + n_shading * OFFSET - ray.d * OFFSET
+        start = ray(t) + n_shading * RAY_OFFSET - ray.d * RAY_OFFSET
 
         light = mi.Color3f(0)
         for source in self._lights:
@@ -229,8 +236,8 @@ class Renderer:
         import mitsuba as mi
 
         far, side, u, v = self._room.exit(ray.o, ray.d)
-        person = hit & (material < MATERIALS)
-        finish = dr.select(hit, dr.maximum(material, MATERIALS) - MATERIALS, side)
+        person = hit & (material < PERSON_MATERIALS)
+        finish = dr.select(hit, dr.maximum(material, PERSON_MATERIALS) - PERSON_MATERIALS, side)
         u, v = dr.select(hit, rest.x, u), dr.select(hit, rest.y, v)
         axis = [dr.select(side // 2 == k, 1.0, 0.0) for k in range(3)]
         normal = dr.select(hit, normal, mi.Vector3f(*axis))
@@ -281,7 +288,9 @@ class Renderer:
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
         emission = dr.gather(mi.Color3f, self._emission, material, active & blocked)
         if self._room is None:
-            sky = dr.lerp(mi.Color3f(*EARTH), mi.Color3f(*SKY), 0.5 + 0.5 * direction.y)
+            sky = dr.lerp(
+                mi.Color3f(*GROUND_RADIANCE), mi.Color3f(*SKY_RADIANCE), 0.5 + 0.5 * direction.y
+            )
             return dr.select(blocked, emission, sky)
         # Every direction that nothing blocks gives the mean of all, which leaves little to chance.
         below, above = (mi.Color3f(c.tolist()) for c in self._room.ambient)

@@ -14,17 +14,19 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.furniture import PIECES, Finish, Solid, floor, picture, wall
-from gva_mi.synthetic.people import Color, SyntheticPerson
+from gva_mi.synthetic.person.identity import Color, SyntheticPerson
+from gva_mi.synthetic.pictures.finishes import Finish, floor, wall
+from gva_mi.synthetic.pictures.furniture import PIECES, Solid, picture
 
-SKY = (0.58, 0.60, 0.63)  # ambient radiance from above
-INDIRECT = 0.55  # light that a wall sends back, over its albedo, as of other surfaces
-CEILING = 1.25 * np.array(SKY)  # radiance: it is lit by all that falls on the floor
-EXPOSED = 0.95  # a camera's gain
-FAIR = 0.7  # albedo that is not overexposed at this gain
+# Light, linear, chosen by eye: pictures are exposed as a phone's.
+SKY_RADIANCE = (0.58, 0.60, 0.63)  # ambient, from above
+INDIRECT_LIGHT = 0.55  # light that a surface sends back, over its albedo
+CEILING_RADIANCE = 1.25 * np.array(SKY_RADIANCE)  # lit by all that falls on the floor
+CAMERA_GAIN = 0.95
+BRIGHT_ALBEDO = 0.7  # is not overexposed at this gain
+LIGHT_WINDOW = 5  # pixels, side of the squares of eq. 6; chosen: smooths noise, keeps shadows
 BOX_SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
-AROUND = 5  # pixels, side of the squares in which light is smooth
-DEEPEST = 0.8  # m, of all furniture
+LARGEST_DEPTH = 0.8  # m, of all pieces of furniture: a sofa's 0.75 and some room
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Room:
     @property
     def ambient(self) -> tuple[np.ndarray, np.ndarray]:
         """Radiance (3,) from below and from above; from the walls it lies between."""
-        return INDIRECT * np.array(self.finishes[2].mean_color()), CEILING
+        return INDIRECT_LIGHT * np.array(self.finishes[2].mean_color()), CEILING_RADIANCE
 
     def exit(self, origin: Array, direction: Array) -> tuple[Array, Array, Array, Array]:
         """Return where rays from inside meet the box: distance, side, u and v in metres."""
@@ -88,8 +90,8 @@ def draw_room(
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     join = lambda parts: np.concatenate([*parts])
     bright = np.mean([papered.mean_color(), finishes[2].mean_color()])
-    gain = EXPOSED * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
-    gain = min(gain, EXPOSED * FAIR / max(person.skin)) * (1 + rng.normal(0, 0.03, 3))
+    gain = CAMERA_GAIN * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
+    gain = min(gain, CAMERA_GAIN * BRIGHT_ALBEDO / max(person.skin)) * (1 + rng.normal(0, 0.03, 3))
     return Room(
         low, high,
         join(solid.vertices for solid in solids).astype(np.float32),
@@ -117,7 +119,7 @@ def _furnished(
         reach = np.abs((high - low) / 2)
         length, depth = np.abs(x) @ reach, np.abs(z) @ reach
         corner = np.array([middle[0], 0, middle[2]]) - length * x - depth * z
-        corners = DEEPEST * (quarter % 2)  # which the other walls' furniture fills
+        corners = LARGEST_DEPTH * (quarter % 2)  # which the other walls' furniture fills
         at = corners + rng.uniform(0.1, 0.6)
         while True:
             piece = PIECES[int(rng.integers(len(PIECES)))](rng, like)
@@ -129,7 +131,7 @@ def _furnished(
             at += width + rng.uniform(0.05, 0.9)
             place = (eyes - corner) @ np.stack([x, z], axis=1)
             near = (np.abs(place[:, 0] - start - width / 2) < width / 2 + 0.3) & (
-                place[:, 1] < DEEPEST + 0.3
+                place[:, 1] < LARGEST_DEPTH + 0.3
             )
             if near.any() or rng.random() < 0.15:
                 continue
@@ -150,9 +152,11 @@ def _moved(solid: Solid, turn: np.ndarray, shift: np.ndarray) -> Solid:
 def smoothly_lit(room: np.ndarray) -> np.ndarray:
     """Return the radiance (H, W, 3) of a room from its noisy radiance and albedo (H, W, 6).
 
-    See eq. 6 of :mod:`gva_mi.synthetic.render`.
+    See eq. 6 of :mod:`gva_mi.synthetic.pictures.render`.
     """
     from scipy.ndimage import uniform_filter
 
-    light, albedo = (uniform_filter(x, (AROUND, AROUND, 1)) for x in np.split(room, 2, axis=-1))
+    light, albedo = (
+        uniform_filter(x, (LIGHT_WINDOW, LIGHT_WINDOW, 1)) for x in np.split(room, 2, axis=-1)
+    )
     return room[..., 3:] * light / np.maximum(albedo, 1e-6)

@@ -18,13 +18,18 @@ from gva_mi.splat import Camera
 from gva_mi.subject.folder import MASKS, NORMALS, TRUTH, SubjectWriter, frame_name
 from gva_mi.subject.normals import NormalMaps, in_convention
 from gva_mi.subject.pictures import read_image
-from gva_mi.synthetic.error_models import USUAL, ErrorParameters, draw_errors
-from gva_mi.synthetic.foreign_body import Closest
-from gva_mi.synthetic.options import MISSING, MISTAKEN, MOTION, NOISE, RENDER, SynthOptions
-from gva_mi.synthetic.picture_errors import Confusion, confusions, noisy_mask, noisy_normals
-from gva_mi.synthetic.pose_errors import estimated_camera, noisy_poses, runs
+from gva_mi.synthetic.errors.closest_pose import Closest
+from gva_mi.synthetic.errors.masks_and_normals import (
+    Confusion,
+    confusions,
+    noisy_mask,
+    noisy_normals,
+)
+from gva_mi.synthetic.errors.models import BURSTS, ErrorParameters, draw_errors
+from gva_mi.synthetic.errors.poses import estimated_camera, noisy_poses, runs
+from gva_mi.synthetic.options import SubjectStream, SynthOptions
 
-MISSING_FRAMES = 3.0  # mean number of consecutive frames without normals
+MISSING_NORMALS_FRAMES = 3.0  # frames, mean length of a run without normals; chosen: short gaps
 
 
 @dataclass(frozen=True)
@@ -68,16 +73,19 @@ class Pipeline:
     def pictures(self) -> list[PictureErrors]:
         """Draw the errors of mask and normals of each frame."""
         options, errors = self.options, self.errors
-        seed = (*options.entropy(RENDER, errors=True), MOTION)
+        seed = (*options.entropy(SubjectStream.RENDER, errors=True), SubjectStream.MOTION)
         if errors is None:
             return [PictureErrors(None, camera, seed, as_rendered=True) for camera in self.cameras]
         confused = confusions(
             self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask,
-            options.random(MISTAKEN, errors=True),
+            options.random(SubjectStream.SEGMENTATION_ERRORS, errors=True),
         )  # fmt: skip
-        rng, share = options.random(MISSING, errors=True), errors.normal.missing
-        missing = runs(rng, len(confused), share, MISSING_FRAMES)
-        exact = options.error_model == USUAL
+        rng, share = (
+            options.random(SubjectStream.MISSING_NORMALS, errors=True),
+            errors.normal.missing,
+        )
+        missing = runs(rng, len(confused), share, MISSING_NORMALS_FRAMES)
+        exact = options.error_model == BURSTS
         return [
             PictureErrors(errors, camera, (*seed, k), seen, bool(gone), exact)
             for k, (camera, seen, gone) in enumerate(
@@ -90,7 +98,7 @@ class Pipeline:
         options, errors, near, cameras = self.options, self.errors, self.near, self.cameras
         writer, found = SubjectWriter(folder), (near.pose, near.shape)
         if errors is not None:
-            rng = options.random(NOISE, errors=True)
+            rng = options.random(SubjectStream.POSE_ERRORS, errors=True)
             found = noisy_poses(self.body, *found, cameras[0], errors.pose, rng)
             cameras = [estimated_camera(camera, errors.pose) for camera in cameras]
             if errors.normal.convention != "perspective":

@@ -16,9 +16,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import (
-    RestBody,
+from gva_mi.synthetic.person.identity import Outfit
+from gva_mi.synthetic.person.level_sets import (
     RestMesh,
     VoxelGrid,
     smax,
@@ -26,15 +25,17 @@ from gva_mi.synthetic.rest_body import (
     smoothstep,
     surface_of,
 )
-from gva_mi.synthetic.texture import SkirtCone
+from gva_mi.synthetic.person.rest_body import RestBody
+from gva_mi.synthetic.person.texture import SkirtCone
 
-CLOTH_CELL = 0.0075  # m, grid of clothes: about two pixels of a 512² picture
-SHOE_CELL = 0.005  # m, grid of shoes
-PLEAT = 0.055  # m, depth of a skirt's pleats per metre below the hips
-WIDE = 0.03  # m, flare of trousers beyond which the legs may touch
-SLIT = 0.02  # m, gap that is then kept between the legs
-WALL = 0.012  # m, thickness of the cloth at an opening
-WELT, UPPER = 0.006, 0.008  # m, how far a shoe's sole and upper stand off the foot
+# All in metres, chosen by eye; cells are a compromise of detail and time.
+CLOTH_CELL = 0.0075  # grid of clothes: about two pixels of a 512² picture
+SHOE_CELL = 0.005  # grid of shoes
+PLEAT_DEPTH = 0.055  # of a skirt's pleats, per metre below the hips
+WIDE_FLARE = 0.03  # of trousers, beyond which the legs may touch
+LEG_GAP = 0.02  # that is then kept between the legs
+CLOTH_THICKNESS = 0.012  # at an opening; more than a cell
+SHOE_WELT, SHOE_UPPER = 0.006, 0.008  # how far a shoe's sole and upper stand off the foot
 
 Joints = Mapping[str, np.ndarray]
 
@@ -47,7 +48,11 @@ def _drape(d: np.ndarray, grid: VoxelGrid) -> np.ndarray:
 
 
 def _with_opening(
-    field: np.ndarray, uncut: np.ndarray, cut: np.ndarray, wall: float = WALL, depth: float = 0.04
+    field: np.ndarray,
+    uncut: np.ndarray,
+    cut: np.ndarray,
+    wall: float = CLOTH_THICKNESS,
+    depth: float = 0.04,
 ) -> np.ndarray:
     """Cut a field where ``cut`` > 0, and hollow it out behind the cut, ``depth`` metres inwards.
 
@@ -130,7 +135,7 @@ def trousers(grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit) -> 
     uncut = draped - (0.009 + loose * smoothstep(hip[1] - y, 0.05, hip[1] - end))
     field = smax(_with_opening(uncut, uncut, end - y), y - top)
     field = smax(field, np.abs(grid.x) - 0.42 * joints["left_elbow"][0] - 0.1)
-    if loose > WIDE:
+    if loose > WIDE_FLARE:
         field = smax(field, _between_legs(grid, d), 0.004)
     return surface_of(grid, field, uncut)
 
@@ -139,7 +144,7 @@ def _between_legs(grid: VoxelGrid, d: np.ndarray) -> np.ndarray:
     """Cut a slit below the crotch, where wide trouser legs would merge."""
     middle = int(np.clip(round(-grid.lo[0] / grid.cell), 0, grid.shape[0] - 1))
     crotch = grid.y[0, (d[middle] < 0).any(1), 0].min() - 0.03
-    return -np.maximum(np.abs(grid.x) - SLIT / 2, grid.y - crotch)
+    return -np.maximum(np.abs(grid.x) - LEG_GAP / 2, grid.y - crotch)
 
 
 def skirt(
@@ -160,7 +165,7 @@ def skirt(
     drop = np.maximum(hip[1] - y, 0)
     angle = np.arctan2(z - mid_z, x)
     pleats = np.cos(13 * angle + rng.uniform(0, 6)) + 0.6 * np.cos(7 * angle + rng.uniform(0, 6))
-    grow = (flare + PLEAT * pleats) * drop
+    grow = (flare + PLEAT_DEPTH * pleats) * drop
     outline = np.sqrt((x / half_x) ** 2 + ((z - mid_z) / half_z) ** 2)
     outline = (outline - 1) * min(half_x, half_z) - grow
     yoke = smax(d - 0.011, (hip[1] - 0.06) - y, 0.03)
@@ -188,7 +193,7 @@ def _skirt_ellipse(
     half_x = np.abs(grid.x[:, 0, 0])[hips.any(1)].max() + 0.014
     zs = grid.z[0, 0][hips.any(0)]
     half_z, mid_z = np.ptp(zs) / 2 + 0.014, (zs.max() + zs.min()) / 2
-    least = flare - 1.6 * PLEAT  # growth where a pleat is deepest
+    least = flare - 1.6 * PLEAT_DEPTH  # growth where a pleat is deepest
     for level in range(row(end), row(hip[1])):
         out = np.abs(grid.z[0, 0][body[:, level].any(0)] - mid_z).max() + 0.014
         half_z = max(half_z, out - least * (hip[1] - grid.y[0, level, 0]))
@@ -210,8 +215,8 @@ def shoe(rest: RestBody, side: str, sole: float) -> RestMesh:
     level = int((sole_top - grid.lo[1]) / grid.cell)
     # Below its top the sole has the outline of the foot at that height.
     d = np.where(y < sole_top, d[:, level : level + 1], d)
-    welt = (1 - smoothstep(y, sole_top - 0.006, sole_top + 0.001)) * WELT
-    uncut = d - UPPER - welt
+    welt = (1 - smoothstep(y, sole_top - 0.006, sole_top + 0.001)) * SHOE_WELT
+    uncut = d - SHOE_UPPER - welt
     field = smax(uncut, (ground - 0.014 - sole) - y, 0.008)
     top = ankle[1] + 0.012 + 0.25 * (ankle[2] - grid.z)  # higher at the heel
     return surface_of(grid, _with_opening(field, uncut, y - top, 0.006, 0.02), uncut)

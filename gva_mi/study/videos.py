@@ -36,11 +36,11 @@ from gva_mi.subject.pictures import in_8_bits
 from gva_mi.synthetic import degrade, make_subject
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
-ALL = 240.0  # pictures a second, more than any of these videos has: every picture is used
+ALL_FPS = 240.0  # pictures a second; chosen: more than any of these videos has, so all are used
 
 
 class Work(NamedTuple):
-    """A piece of a study's work: a Task. For the progress bar all pieces are alike."""
+    """A piece of a study's work: a Task. The progress bar counts all pieces alike."""
 
     call: Callable[..., Any]  # a partial function that can be pickled; takes ``progress``
     steps: int = 100
@@ -56,12 +56,13 @@ class VideoOptions:
 
     frames: VideoFrames = 64  # frames of each video
     size: PictureSide = 512  # pixels, width and height of the pictures
-    lens: bool = True  # of videos, the focal length is given, as most phones record it
+    # Error model video: the focal length is given, as most phones record it.
+    lens: bool = True
     novel: PythonOnly[NovelPictures] = 0  # pictures of novel poses, and as many of novel views
 
 
 @dataclass(frozen=True)
-class Filming:
+class StudyVideos:
     """The videos of a study in its folder."""
 
     folder: Path
@@ -77,7 +78,7 @@ class Filming:
             made += f"{RESULTS_VERSIONS['refine']}{'' if self.options.lens else '-anylens'}"
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
-    def recording(
+    def make(
         self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
     ) -> None:
         """Make the videos of some cases that are missing."""
@@ -94,11 +95,11 @@ class Filming:
             require_same_body(subject, body)
 
     def work(self, cases: Iterable[StudyCase], body: BodyModel) -> list[Work]:
-        """Return the work of filming cases, a piece for each take: no two workers render it."""
+        """Return the work of making cases, a piece for each take, so no two workers render it."""
         cases = list(dict.fromkeys(cases))
         takes = dict.fromkeys(case.take for case in cases)
         several = ([case for case in cases if case.take == take] for take in takes)
-        return [Work(partial(self.recording, own, body)) for own in several]
+        return [Work(partial(self.make, own, body)) for own in several]
 
     def _name(self, take: Take) -> str:
         frames, size = take.frames or self.options.frames, take.size or self.options.size
@@ -133,7 +134,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         seen: dict[int, np.ndarray] = {}
         motion = motion_of_video(
             take / "phone.mp4",
-            RecordingOptions(height=height_of(truth), fps=ALL),
+            RecordingOptions(height=height_of(truth), fps=ALL_FPS),
             body,
             lens=str(camera.fx) if lens else None,
             on_silhouette=lambda k, silhouette: seen.update({k: in_8_bits(silhouette)}),

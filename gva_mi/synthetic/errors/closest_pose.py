@@ -1,26 +1,14 @@
-"""Persons whom the fitted body does not span: how one is made, and the pose that comes closest.
+"""The poses and betas of the fitted body that come closest to a person with another body.
 
-**A stretched body** has each segment longer or shorter, thicker or thinner. It keeps joints, faces
-and skinning weights of the body that it is made from, but has lengths, girths, hands and feet that
-no betas of that body give. With the rest joints J and one linear map A_j for all that is attached
-to joint j,
+They are the ground truth of stage 1 for such a person, to which errors are added: rotations of the
+*fitted* body's joints. With the rest joints J of the fitted body and J* of the true one, at true
+rotations W*_j (world):
 
-    1. A = t 1 + (l − t) a aᵀ                        l along the bone's direction a, t across it
-    2. J'_j = J'_p + A_p (J_j − J_p)                 p the parent of j; the root stays
-    3. v' = Σ_j w_j [A_j (v − J_j) + J'_j]           w the skinning weights
-
-Equations 2 and 3 are linear in (v, J). Applied to a shape direction and its effect on the joints,
-they give the shape directions of the new body, so betas keep their meaning.
-
-**The closest poses and betas** of the fitted body are the ground truth of stage 1 for such a
-person: rotations of the *fitted* body's joints. With the rest joints J of the fitted body and J* of
-the true one, at true rotations W*_j (world):
-
-    4. C_j    turns the fitted body's bones at j into the true ones: C_j (J_c − J_j) ∥ J*_c − J*_j
-    5. R_j    = C_pᵀ R*_j C_j,  so that W_j = W*_j C_j: every bone has the true bone's direction
-    6. betas  least squares of limbs' joints and surface (point to plane), both in the rest pose
-    7. Gauss-Newton steps on rotations and translation match the limbs' joints; a rotation by
-       ``TURN`` costs as much as a distance of ``REACH``
+    1. C_j    turns the fitted body's bones at j into the true ones: C_j (J_c − J_j) ∥ J*_c − J*_j
+    2. R_j    = C_pᵀ R*_j C_j,  so that W_j = W*_j C_j: every bone has the true bone's direction
+    3. betas  least squares of limbs' joints and surface (point to plane), both in the rest pose
+    4. Gauss-Newton steps on rotations and translation match the limbs' joints; a rotation by
+       ``TURN_SCALE`` costs as much as a distance of ``DISTANCE_SCALE``
 
 Only joints of the limbs are matched, because spines of different bodies have their joints at
 arbitrary, invisible places. The remaining distances are a lower bound for any refinement with the
@@ -29,10 +17,8 @@ fitted body. A person within its span is found exactly: all C are 1 and no dista
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 import torch
@@ -40,36 +26,19 @@ from torch import Tensor
 
 from gva_mi.body import so3
 from gva_mi.body.kinematics import joint_places, joint_transforms
-from gva_mi.body.pose import JOINTS, PARENTS, SIDES, Pose, Shape
+from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.synthetic.rest_body import vertex_normals
+from gva_mi.synthetic.person.level_sets import vertex_normals
 
-ASYMMETRY = 0.005  # difference of the factors of left and right
-_FINGERS = ("index", "middle", "ring", "pinky", "thumb")
-_X, _Y, _Z = np.eye(3)
-# Parts of the body with one stretch, whose factors lie within 1 ± spread.
-SEGMENTS: tuple[tuple[float, np.ndarray | None, tuple[str, ...]], ...] = (
-    # spread; direction of the length, None: joint to joint; joints, without the side of paired ones
-    (0.05, _Y, ("pelvis", "spine1", "spine2", "spine3")),  # torso
-    (0.05, None, ("collar",)),
-    (0.05, None, ("neck",)),
-    (0.03, _Y, ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")),
-    (0.05, None, ("hip",)),  # thigh
-    (0.05, None, ("knee",)),  # shin
-    (0.08, _Z, ("ankle", "foot")),
-    (0.05, None, ("shoulder",)),  # upper arm
-    (0.05, None, ("elbow",)),  # forearm
-    (0.08, _X, ("wrist",)),  # hand
-    (0.08, None, tuple(f"{f}{k}" for f in _FINGERS for k in (1, 2, 3))),
-)
-REACH, TURN = 0.01, 0.1  # m, rad: eq. 7
-STEPS, ROUNDS = 4, 8  # steps of eq. 7; rounds of eq. 6, each with new pairs of points
-THINNED = 5  # eq. 6 uses every fifth vertex
-PAIRED = 0.04  # m, largest distance of paired points
-LARGEST = 3.0  # standard deviations, bound of the betas
-RIDGE = 1e-9  # m², on squared betas: keeps undetermined betas at zero
+DISTANCE_SCALE, TURN_SCALE = 0.01, 0.1  # m, rad of eq. 4; chosen: the lengths of limbs hardly vary
+POSE_STEPS = 4  # of eq. 4; chosen: Gauss-Newton has converged
+SHAPE_ROUNDS = 8  # of eq. 3, each with new pairs of points; chosen: betas no longer change
+VERTEX_STRIDE = 5  # eq. 3 uses every fifth vertex; chosen: thousands of points for tens of unknowns
+PAIR_DISTANCE = 0.04  # m, largest distance of paired points; chosen: about a limb's radius
+LARGEST_BETA = 3.0  # standard deviations; chosen: beyond it bodies are no people
+RIDGE = 1e-9  # m², on squared betas; chosen: only keeps undetermined betas at zero
 # Joints with the same orientation in every rest pose: level soles, an upright head.
 LEVEL = tuple(
     JOINTS.index(name)
@@ -81,44 +50,6 @@ LIMBS = tuple(
     if name.endswith(("knee", "ankle", "foot", "shoulder", "elbow", "wrist", "1", "2", "3"))
     and not name.startswith("spine")
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class BodyStretch:
-    """Factors on length and thickness, by joint name."""
-
-    length: Mapping[str, float]
-    thickness: Mapping[str, float]
-
-    @staticmethod
-    def draw(rng: np.random.Generator) -> BodyStretch:
-        """Draw proportions, left and right nearly alike."""
-        length, thickness = {}, {}
-        for spread, _, joints in SEGMENTS:
-            both, sides = spread * rng.uniform(-1, 1, 2), _sides(joints)
-            for names in sides:
-                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
-                for joint in names:
-                    length[joint], thickness[joint] = (1 + (both + own)).tolist()
-        return BodyStretch(length, thickness)
-
-
-def stretched(body: BodyModel, stretch: BodyStretch) -> BodyModel:
-    """Stretch a whole body; the result has at most ten betas and ten expressions."""
-    arrays = {name: np.asarray(array) for name, array in body.arrays().items()}
-    weights = arrays["weights"].astype(np.float64)
-    regressor = arrays["J_regressor"].astype(np.float64)
-    template = arrays["v_template"].astype(np.float64)
-    maps = _maps(regressor @ template, stretch)
-    moved = lambda vertices: _stretched(vertices, regressor @ vertices, maps, weights)
-    of_shape = [moved(d) for d in arrays["shapedirs"].astype(np.float64).transpose(2, 0, 1)]
-    A = np.einsum("vj,jab->vab", weights, maps)
-    changed = {
-        "v_template": moved(template),
-        "shapedirs": np.stack(of_shape, axis=2),
-        "posedirs": np.einsum("vab,vbk->vak", A, arrays["posedirs"]),
-    }
-    return BodyModel(arrays | changed, body.v_template.dtype)
 
 
 @dataclass(frozen=True)
@@ -154,7 +85,7 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     T_true = joint_transforms(pose.rotations, goal.joints, PARENTS, pose.transl)
     targets = joint_places(T_true, goal.joints)
     transl = pose.transl.clone()
-    for _ in range(STEPS):
+    for _ in range(POSE_STEPS):
         rotations, transl = _step(rotations, transl, joints, targets)
     reached = joint_places(joint_transforms(rotations, joints, PARENTS, transl), joints)
     left = 1000 * (reached - targets).norm(dim=-1).mean(0)
@@ -163,49 +94,8 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     return Closest(near, found, float(left.mean()), float(left[list(LIMBS)].mean()))
 
 
-def _sides(joints: tuple[str, ...]) -> list[list[str]]:
-    """Return the joints of a segment on each side; those of the middle once."""
-    if joints[0] in JOINTS:
-        return [list(joints)]
-    return [[f"{side}_{name}" for name in joints] for side in SIDES]
-
-
-def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
-    """Return A of eq. 1, (55, 3, 3), for rest joints (55, 3)."""
-    maps = np.zeros((len(JOINTS), 3, 3))
-    for _, axis, names in SEGMENTS:
-        for joint in chain(*_sides(names)):
-            a = _bone(joints, joint) if axis is None else axis
-            length, thickness = stretch.length[joint], stretch.thickness[joint]
-            along = (length - thickness) * np.outer(a, a)
-            maps[JOINTS.index(joint)] = thickness * np.eye(3) + along
-    return maps
-
-
-def _bone(joints: np.ndarray, joint: str) -> np.ndarray:
-    """Return the unit direction of the bone at a joint; at a fingertip, that of the bone before."""
-    end = JOINTS.index(joint)
-    begin = PARENTS[end]
-    if end in PARENTS:  # it has a child
-        begin, end = end, PARENTS.index(end)
-    along = joints[end] - joints[begin]
-    return along / np.linalg.norm(along)
-
-
-def _stretched(
-    vertices: np.ndarray, joints: np.ndarray, maps: np.ndarray, weights: np.ndarray
-) -> np.ndarray:
-    """Return v' of eq. 3, (V, 3), for vertices (V, 3) and joints (55, 3) or directions of both."""
-    moved = joints.copy()
-    for joint, parent in enumerate(PARENTS):
-        if parent >= 0:
-            moved[joint] = moved[parent] + maps[parent] @ (joints[joint] - joints[parent])
-    constant = moved - np.einsum("jab,jb->ja", maps, joints)
-    return np.einsum("vj,jab,vb->va", weights, maps, vertices, optimize=True) + weights @ constant
-
-
 def _bones(joints: Tensor, goal: Tensor) -> Tensor:
-    """Return C of eq. 4, (55, 3, 3), for rest joints (55, 3) of both bodies."""
+    """Return C of eq. 1, (55, 3, 3), for rest joints (55, 3) of both bodies."""
     C = torch.eye(3, dtype=joints.dtype).repeat(len(JOINTS), 1, 1)
     for joint in range(len(JOINTS)):
         children = [k for k, parent in enumerate(PARENTS) if parent == joint]
@@ -222,7 +112,7 @@ def _bones(joints: Tensor, goal: Tensor) -> Tensor:
 
 
 def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
-    """Solve eq. 6 for the betas.
+    """Solve eq. 3 for the betas.
 
     For fixed bone directions, vertices and joints are linear in betas and translation, so every
     round is a bounded linear least-squares problem.
@@ -231,17 +121,17 @@ def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
     from scipy.spatial import cKDTree
 
     tree, normals = cKDTree(goal.vertices), vertex_normals(goal.vertices.numpy(), faces.numpy())
-    some = torch.arange(0, len(body.v_template), THINNED)
+    some = torch.arange(0, len(body.v_template), VERTEX_STRIDE)
     area = torch.from_numpy(_areas(body.v_template.numpy(), body.faces.numpy()))[some]
     body, count = body.on(some, body.faces[:0]), body.num_betas
     solution = np.zeros(count + 3)
-    bound = np.array([LARGEST] * count + [np.inf] * 3)
-    for round_ in range(ROUNDS):
+    bound = np.array([LARGEST_BETA] * count + [np.inf] * 3)
+    for round_ in range(SHAPE_ROUNDS):
         C = _bones(body.rest(Shape(torch.from_numpy(solution[:count]))).joints, goal.joints)
         surface, joints = _linear(body, C)
         distance, index = tree.query(surface[0] + np.tensordot(solution, surface[1:], axes=1))
         # First joints alone, because the bodies are still apart.
-        weight = area.numpy() * (distance < PAIRED) if round_ else np.zeros(len(some))
+        weight = area.numpy() * (distance < PAIR_DISTANCE) if round_ else np.zeros(len(some))
         weight = np.sqrt(weight / max(weight.sum(), 1e-12))
         n, apart = normals[index] * weight[:, None], goal.vertices.numpy()[index] - surface[0]
         rows = [
@@ -289,7 +179,7 @@ def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _step(
     rotations: Tensor, transl: Tensor, joints: Tensor, targets: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Move rotations (T, 55, 3) and translations (T, 3) one step of eq. 7 to targets (T, 55, 3).
+    """Move rotations (T, 55, 3) and translations (T, 3) one step of eq. 4 to targets (T, 55, 3).
 
     A rotation vector ω of joint k in the world moves a descendant j by ω × (p_j − p_k).
     """
@@ -304,9 +194,9 @@ def _step(
     moved = torch.stack([zero, z, -y, -z, zero, x, y, -x, zero], dim=-1).unflatten(-1, (3, 3))
     moved = moved.permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)  # (T, 3 j, 3 k)
     shift = torch.eye(3, dtype=moved.dtype).repeat(len(limbs), 1)
-    J = torch.cat([moved, shift.expand(len(moved), -1, -1)], dim=2) / REACH
-    r = (targets - places)[:, limbs].flatten(1) / REACH
-    damping = torch.full((J.shape[2],), TURN**-2, dtype=J.dtype)
+    J = torch.cat([moved, shift.expand(len(moved), -1, -1)], dim=2) / DISTANCE_SCALE
+    r = (targets - places)[:, limbs].flatten(1) / DISTANCE_SCALE
+    damping = torch.full((J.shape[2],), TURN_SCALE**-2, dtype=J.dtype)
     damping[-3:] = 0
     normal = J.mT @ J + torch.diag(damping)
     factor = torch.linalg.cholesky(normal)

@@ -5,7 +5,7 @@ Each vertex of a piece follows vertices of the body by sparse weights that sum t
     follow_nearest    weights ~ exp( -distance² / 2 smooth² ), for clothes and hair
     hang_from_hips    a skirt follows the nearest vertices at its waist and both thighs below it:
 
-        thighs   t = REACH · smoothstep(distance below the hips)
+        thighs   t = THIGH_WEIGHT · smoothstep(distance below the hips)
         left     s = smoothstep(x / half the body's width)
         weights  (1 - t) nearest,  t s of the left thigh's mean,  t (1 - s) of the right one's
 
@@ -23,28 +23,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gva_mi.body.pose import JOINTS, SIDES
-from gva_mi.synthetic.garments import CLOTH_CELL, shirt, shoe, skirt, trousers
-from gva_mi.synthetic.hair import hair_mesh
-from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import (
-    BAND,
+from gva_mi.synthetic.person.garments import CLOTH_CELL, shirt, shoe, skirt, trousers
+from gva_mi.synthetic.person.hair import hair_mesh
+from gva_mi.synthetic.person.identity import Outfit
+from gva_mi.synthetic.person.level_sets import (
+    EXACT_BAND,
     BodySurface,
-    RestBody,
     RestMesh,
     VoxelGrid,
     smoothstep,
     vertex_normals,
 )
-from gva_mi.synthetic.texture import Material, SkirtCone
+from gva_mi.synthetic.person.rest_body import RestBody
+from gva_mi.synthetic.person.texture import Material, SkirtCone
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-NEIGHBOURS = 24  # vertices of the body that one vertex of a garment follows
-GROUP = 200  # vertices of the body whose mean represents a joint
-REACH = 0.9  # weight of the thighs at a skirt's hem
-WAIST, SPREAD = -0.02, 0.08  # m below the hips where that begins; smoothing of the neighbours
-BETWEEN = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh alone
+BOUND_VERTICES = 24  # of the body, that a vertex of a garment follows; chosen: cover ``smooth``
+# How a skirt hangs; chosen by eye: it follows both legs, and does not tear between them.
+THIGH_VERTICES = 200  # of the body, whose mean represents a thigh
+THIGH_WEIGHT = 0.9  # of the thighs at the hem
+SKIRT_WAIST = -0.02  # m below the hips where the weight of the thighs begins
+SKIRT_SMOOTHING = 0.08  # m, over which nearest vertices are weighted
+SKIRT_BLEND = 0.75  # of the hips' half width: beyond it, a skirt follows one thigh alone
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def _clothes(
     reach = np.array([0.09, 0.09, 0.22 if outfit.bottom == "skirt" else 0.09])
     grid = VoxelGrid.around(vertices.min(0) - reach, vertices.max(0) + reach, CLOTH_CELL)
     wide = outfit.flare + 0.02 if outfit.bottom != "skirt" else 0.0
-    d = rest.surface.sample(grid, max(BAND, wide))
+    d = rest.surface.sample(grid, max(EXACT_BAND, wide))
     top = shirt(grid, d, joints, outfit, rng)
     if outfit.bottom == "skirt":
         bottom, cone = skirt(grid, d, joints, outfit, rng)
@@ -143,10 +145,10 @@ def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> c
     from scipy.sparse import csr_array
     from scipy.spatial import cKDTree
 
-    distance, index = cKDTree(vertices).query(points, k=NEIGHBOURS, workers=-1)
+    distance, index = cKDTree(vertices).query(points, k=BOUND_VERTICES, workers=-1)
     share = np.exp(-(distance**2 - distance[:, :1] ** 2) / (2 * smooth**2))
     share /= share.sum(1, keepdims=True)
-    rows = np.repeat(np.arange(len(points)), NEIGHBOURS)
+    rows = np.repeat(np.arange(len(points)), BOUND_VERTICES)
     return csr_array((share.ravel(), (rows, index.ravel())), shape=(len(points), len(vertices)))
 
 
@@ -156,12 +158,19 @@ def hang_from_hips(points: np.ndarray, rest: RestBody) -> csr_array:
 
     hip, knee = rest.joints["left_hip"], rest.joints["left_knee"]
     middle = rest.joints["pelvis"][0]
-    half = 2 * BETWEEN * abs(hip[0] - middle)
-    thighs = REACH * smoothstep(hip[1] - points[:, 1], WAIST, 0.75 * (hip[1] - knee[1]))
+    half = 2 * SKIRT_BLEND * abs(hip[0] - middle)
+    thighs = THIGH_WEIGHT * smoothstep(
+        hip[1] - points[:, 1], SKIRT_WAIST, 0.75 * (hip[1] - knee[1])
+    )
     left = smoothstep(points[:, 0] - middle, -half, half)
     shares = np.stack([thighs * left, thighs * (1 - left)], axis=1)
     moved = [rest.weights[:, JOINTS.index(f"{side}_hip")] for side in SIDES]
-    groups = [np.argsort(-weights, kind="stable")[:GROUP] for weights in moved]
-    entries = (np.full(2 * GROUP, 1 / GROUP), (np.repeat([0, 1], GROUP), np.concatenate(groups)))
+    groups = [np.argsort(-weights, kind="stable")[:THIGH_VERTICES] for weights in moved]
+    entries = (
+        np.full(2 * THIGH_VERTICES, 1 / THIGH_VERTICES),
+        (np.repeat([0, 1], THIGH_VERTICES), np.concatenate(groups)),
+    )
     legs = csr_array(shares) @ csr_array(entries, shape=(2, len(rest.vertices)))
-    return (diags_array(1 - thighs) @ follow_nearest(points, rest.vertices, SPREAD) + legs).tocsr()
+    return (
+        diags_array(1 - thighs) @ follow_nearest(points, rest.vertices, SKIRT_SMOOTHING) + legs
+    ).tocsr()

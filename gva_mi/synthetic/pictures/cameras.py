@@ -1,44 +1,29 @@
 """Cameras of a synthetic subject: one around the person on white, or a phone in a room.
 
 The phone stands at eye height and looks down, with the whole person in view. One tilt and one focal
-length hold for a video. Held by hand, it sways slowly and trembles. Its video has the noise of a
-sensor,
-
-1. ``noisy = picture + N(0, σ²)``,  ``σ = σ₀ · (1 − 0.5 · picture)``
-
-in encoded values: noise of photons, on sRGB's curve, is weaker where it is bright. H.264 follows,
-at the bits per pixel of phones.
+length hold for a video. Held by hand, it sways slowly and trembles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
-from gva_mi.core.atomic import atomic_write
 from gva_mi.splat import Camera, look_at
 
-# On white.
-FOCAL = 1.45  # focal length over the width of the picture
-MARGIN = 0.06  # share of the picture kept free around the person
-# Of a phone.
-HEIGHT = (1.2, 1.7)  # m above the floor
-FOCALS = (1.1, 1.5)  # focal length over the width of the picture
-TALL = (0.60, 0.86)  # height of the person over that of the picture, at most
-EDGE = 0.03  # share of the picture that is free around all places of the person
-TILT = np.radians(15)  # most that the phone looks down
-# Held by hand: slow sway of position (m) and direction (rad), and a tremor of 4 to 9 Hz (rad).
-SWAY, DRIFT, TREMOR = 0.015, 0.008, 0.0007
-# Of its video.
-SENSOR_NOISE = (1.0, 3.5)  # grey levels of 255: σ₀ of a video
-BITS_PER_PIXEL = 0.27  # as of 17 Mbit/s for 1920 x 1080 at 30 a second
-LEAST_BIT_RATE = 10_000  # bits a second that the encoder accepts
-# Always one thread; mbtree reads uninitialised memory: see gva_mi.subject.pictures.
-ENCODER = {"threads": "1", "mbtree": "0", "preset": "veryfast"}
+# On white; chosen: a moderate lens, and room for points that are left out of the measure.
+FOCAL_ON_WHITE = 1.45  # focal length over the width of the picture
+MARGIN_ON_WHITE = 0.06  # share of the picture kept free around the person
+# Ranges of a phone; chosen: how people prop up or hold one.
+PHONE_HEIGHTS = (1.2, 1.7)  # m above the floor
+PHONE_FOCALS = (1.1, 1.5)  # focal length over the width of the picture
+PERSON_SHARES = (0.60, 0.86)  # largest height of the person over that of the picture
+PHONE_MARGIN = 0.03  # share of the picture that is free around all places of the person
+MAX_TILT = np.radians(15)  # most that the phone looks down
+# Size of a hand's motion; chosen: a slow sway of some pixels, and a tremor of about one.
+HAND_SWAY, HAND_DRIFT, HAND_TREMOR = 0.015, 0.008, 0.0007  # m; rad; rad, at 4 to 9 Hz
 
 
 def camera_around(
@@ -56,11 +41,13 @@ def camera_around(
     flat = np.cos(elevation)
     away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
     centre = np.array([0.515, 0.485]) * size
-    free = (0.485 - MARGIN) * size
+    free = (0.485 - MARGIN_ON_WHITE) * size
     distance = 2.0
     for _ in range(30):  # move until it just fits; converges geometrically
         T_camera_world = look_at(middle + distance * away, middle)
-        camera = Camera(FOCAL * size, FOCAL * size, *centre, T_camera_world, size, size)
+        camera = Camera(
+            FOCAL_ON_WHITE * size, FOCAL_ON_WHITE * size, *centre, T_camera_world, size, size
+        )
         reach = np.abs(camera.project(points) - centre).max() / free
         distance *= max(reach, 0.2)
         if abs(reach - 1) < 1e-4:
@@ -100,17 +87,19 @@ class PhoneCamera:
         """Draw a phone that sees all points (T, n, 3) of a person."""
         flat = points.reshape(-1, 3)
         middle = (flat.min(0) + flat.max(0)) / 2 * [1, 0, 1]
-        height, focal, tall = (float(rng.uniform(*ends)) for ends in (HEIGHT, FOCALS, TALL))
+        height, focal, tall = (
+            float(rng.uniform(*ends)) for ends in (PHONE_HEIGHTS, PHONE_FOCALS, PERSON_SHARES)
+        )
         aim = float(rng.uniform(-0.03, 0.03))  # share of the picture, below its middle
         placed = PhoneCamera(middle, height, 3.0, 0.1, focal, size)
         for _ in range(40):  # until the person fits; converges geometrically
             seen = placed.camera().project(points) / size
             rows = seen[..., 1]
             tallest = np.ptp(rows, axis=-1).max() / tall
-            widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * EDGE)
+            widest = 2 * np.abs(seen - 0.5).max() / (1 - 2 * PHONE_MARGIN)
             distance = placed.distance * max(tallest, widest, 0.3) ** 0.8
             tilt = placed.tilt + 0.8 * ((rows.min() + rows.max()) / 2 - 0.5 - aim) / focal
-            tilt = float(np.clip(tilt, 0, TILT))
+            tilt = float(np.clip(tilt, 0, MAX_TILT))
             placed = PhoneCamera(middle, height, float(distance), tilt, focal, size)
         return placed
 
@@ -127,37 +116,10 @@ def held_by_hand(
             rng.uniform(size=(3, 4)),
         )
 
-    sway, drift, tremor = waves(SWAY, 0.1, 0.6), waves(DRIFT, 0.1, 0.7), waves(TREMOR, 4, 9)
+    sway, drift, tremor = (
+        waves(HAND_SWAY, 0.1, 0.6),
+        waves(HAND_DRIFT, 0.1, 0.7),
+        waves(HAND_TREMOR, 4, 9),
+    )
     at = lambda wave, t: (wave[0] * np.sin(2 * np.pi * (wave[1] * t + wave[2]))).sum(1)
     return lambda t: (at(sway, t), at(drift, t) + at(tremor, t))
-
-
-def write_phone_video(
-    path: Path, pictures: Iterable[np.ndarray], fps: Fraction, rng: np.random.Generator
-) -> None:
-    """Write pictures (H, W, 3) 8-bit, of even sides, as an .mp4 of H.264 with BT.709 colours."""
-    import av
-    from av.video.reformatter import ColorRange, Colorspace
-
-    strength = rng.uniform(*SENSOR_NOISE)
-    with atomic_write(path) as unfinished, av.open(str(unfinished), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=fps)
-        stream.pix_fmt, stream.options = "yuv420p", ENCODER
-        context = stream.codec_context
-        context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1
-        context.color_range = ColorRange.MPEG
-        for k, picture in enumerate(pictures):
-            if k == 0:
-                stream.height, stream.width = picture.shape[:2]
-                bits = int(BITS_PER_PIXEL * picture.shape[0] * picture.shape[1] * fps)
-                stream.bit_rate = max(bits, LEAST_BIT_RATE)
-            value = picture.astype(np.float32)
-            noise = rng.standard_normal(picture.shape, dtype=np.float32)
-            value += strength * (1 - value / 510) * noise
-            noisy = np.round(np.clip(value, 0, 255)).astype(np.uint8)
-            frame = av.VideoFrame.from_ndarray(noisy, "rgb24").reformat(
-                format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG
-            )
-            frame.pts = None
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())

@@ -28,10 +28,10 @@ from itertools import compress
 
 import numpy as np
 
-from gva_mi.synthetic.picture_errors import MaskErrors, NormalErrors
-from gva_mi.synthetic.pose_errors import CameraTilt, JointFactors, Outliers, PoseErrors
+from gva_mi.synthetic.errors.masks_and_normals import MaskErrors, NormalErrors
+from gva_mi.synthetic.errors.poses import CameraTilt, JointFactors, Outliers, PoseErrors
 
-NO_ERRORS, USUAL = "none", "bursts"  # these degrade pictures as rendered, others the 8-bit files
+NO_ERRORS, BURSTS = "none", "bursts"  # these degrade rendered pictures, others the 8-bit files
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def _anything(rng: np.random.Generator) -> ErrorParameters:
 
 
 ERROR_MODELS: Mapping[str, Callable[[np.random.Generator], ErrorParameters]] = {
-    USUAL: lambda rng: ErrorParameters(),
+    BURSTS: lambda rng: ErrorParameters(),
     "white": _white,
     "slow": lambda rng: _changed(
         _mixed(rng), "pose", memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)

@@ -7,7 +7,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.evaluate.pose_errors import means, pose_errors
 from gva_mi.splat.camera import Camera, look_at
-from gva_mi.study.filmed import steadied, watch_take
+from gva_mi.study.videos import steadied, watch_take
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject

@@ -1,13 +1,15 @@
 """Steps along any path: feet that do not slide in their stance, and legs that reach for them.
 
-A path gives position and yaw of the pelvis at any time. A foot stands for the fraction ``DUTY`` of
-a cycle of two steps, on the footprint that suits the path in the middle of this stance, and swings
-to the next footprint in the rest. It lands on the heel and leaves from the ball, with a pitch that
-grows with the length of the step; heel and ball stay in place while the foot pivots on them.
+A path gives position and yaw of the pelvis at any time. In a cycle of two steps, a foot stands for
+the fraction ``STANCE_SHARE``, on the footprint that suits the path in the middle of this stance,
+and swings to the next footprint in the rest. It lands on the heel and leaves from the ball, with a
+pitch that grows with the length of the step; heel and ball stay in place while the foot pivots on
+them.
 
 The pelvis is as high as both legs allow:
 
-    1. y(t) = min over legs of  a_y + √((STRETCH · l)² − d²)    a ankle, d its horizontal distance
+    1. y(t) = min over legs of  a_y + √((e l)² − d²)     a ankle, d its horizontal distance, l the
+       length of the leg, e = WALKING_EXTENSION
     2. smoothed over the round, below its own minimum over the same window
 
 A leg of two bones reaches for its foot in closed form. With the hip h, the ankle a, bones of length
@@ -30,16 +32,18 @@ import numpy as np
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.rotations import about, to_matrices, to_rotvecs
 
-DUTY = 0.6  # of a cycle, stance of a foot
-LIFT = 0.07  # m, lift of a swinging foot
-STRIKE, LEAVE = -0.3, 0.95  # rad, pitch at landing and leaving in a step of LONG
-LONG = 0.6  # m
-STRETCH = 0.996  # of its length, the largest extension of a leg; keeps the knee bent
-LONGEST = 0.999  # of its length, its largest extension where an ankle is out of reach
-SMOOTH = 0.004  # rounds, smoothing of the height of the pelvis
-DENSE = 960  # moments per round at which this height is computed
-TOES_OUT = 0.12  # rad
-HEEL = 0.05  # m, from the ankle back to the heel
+# Chosen: plausible for an adult who walks.
+STANCE_SHARE = 0.6  # of a cycle in which a foot stands
+SWING_HEIGHT = 0.07  # m, lift of a swinging foot
+LONG_STEP = 0.6  # m
+STRIKE_PITCH, LEAVE_PITCH = -0.3, 0.95  # rad, pitch at landing and leaving in a step of LONG_STEP
+TOES_OUT = 0.12  # rad, yaw of a foot outwards
+HEEL_LENGTH = 0.05  # m, from the ankle back to the heel
+# Chosen: the knee never locks, where its angle would jump.
+WALKING_EXTENSION = 0.996  # of a leg's length, the largest in eq. 1
+LARGEST_EXTENSION = 0.999  # of a leg's length, where an ankle is out of reach
+HEIGHT_SMOOTHING = 0.004  # rounds, smoothing of the height of the pelvis (eq. 2)
+HEIGHT_MOMENTS = 960  # per round at which this height is computed: four per HEIGHT_SMOOTHING
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Leg:
         away = ankle - hip
         d = np.linalg.norm(away, axis=1)
         u = away / d[:, None]
-        d = np.clip(d, abs(l1 - l2) + 1e-3, LONGEST * (l1 + l2))
+        d = np.clip(d, abs(l1 - l2) + 1e-3, LARGEST_EXTENSION * (l1 + l2))
         forward = R_foot[:, :, 2] * [1, 0, 1] + R_root[:, :, 2]  # the knee points between both
         p = _unit(forward - (forward * u).sum(1, keepdims=True) * u)
         cosine = np.clip((l1**2 + d**2 - l2**2) / (2 * l1 * d), -1, 1)[:, None]
@@ -118,7 +122,7 @@ def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray)
     """
     legs = [Leg.of(joints, side) for side in SIDES]
     pelvis = joints[0].astype(float)
-    dense = np.arange(DENSE) / DENSE
+    dense = np.arange(HEIGHT_MOMENTS) / HEIGHT_MOMENTS
     height = np.interp(t % 1.0, dense, _height(path, legs, pelvis, dense), period=1.0)
     R_root = root_rotations(path.yaw(t), path.lean(t))
     rotations[:, 0] = to_rotvecs(R_root)
@@ -149,11 +153,11 @@ def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> n
     for leg, foot in zip(legs, _feet(path, legs, t), strict=True):
         hip = R_root @ (leg.hip - pelvis)
         aside = hip[:, [0, 2]] + place - foot.ankle[:, [0, 2]]
-        square = (STRETCH * leg.length) ** 2 - (aside**2).sum(1)
+        square = (WALKING_EXTENSION * leg.length) ** 2 - (aside**2).sum(1)
         highest = np.minimum(
             highest, foot.ankle[:, 1] + np.sqrt(np.maximum(square, 0.01)) - hip[:, 1]
         )
-    window = SMOOTH * len(t)
+    window = HEIGHT_SMOOTHING * len(t)
     lowest = minimum_filter1d(highest, 2 * round(2 * window) + 1, mode="wrap")
     return gaussian_filter1d(lowest, window, mode="wrap") - path.low(t)
 
@@ -170,25 +174,27 @@ def _feet(path: Path, legs: list[Leg], t: np.ndarray) -> list[_Foot]:
 def _stepping(path: Path, leg: Leg, t: np.ndarray, phase: float) -> _Foot:
     """Return a foot at moments (T,) that lands at ``phase`` of every cycle."""
     cycle, u = np.divmod(t * path.cycles - phase, 1.0)
-    now = (cycle + phase + DUTY / 2) / path.cycles  # the middle of this stance
+    now = (cycle + phase + STANCE_SHARE / 2) / path.cycles  # the middle of this stance
     (here, yaw), (there, next_yaw) = (
         _print(path, leg, when) for when in (now, now + 1 / path.cycles)
     )
     (behind, _) = _print(path, leg, now - 1 / path.cycles)
     # Pitch at landing and leaving grows with the length of the steps before and after.
-    long = lambda a, b: np.minimum(np.linalg.norm(b - a, axis=1) / (2 * LONG), 1.2)
-    strike, leave = STRIKE * long(behind, here), LEAVE * long(here, there)
-    stand = np.clip(u / DUTY, 0, 1)
-    swing = np.clip((u - DUTY) / (1 - DUTY), 0, 1)
+    long = lambda a, b: np.minimum(np.linalg.norm(b - a, axis=1) / (2 * LONG_STEP), 1.2)
+    strike, leave = STRIKE_PITCH * long(behind, here), LEAVE_PITCH * long(here, there)
+    stand = np.clip(u / STANCE_SHARE, 0, 1)
+    swing = np.clip((u - STANCE_SHARE) / (1 - STANCE_SHARE), 0, 1)
     smooth = swing * swing * (3 - 2 * swing)
     pitch = strike * (1 - np.clip(stand / 0.22, 0, 1)) ** 2
     pitch = pitch + leave * np.clip((stand - 0.45) / 0.55, 0, 1) ** 1.5
-    pitch = np.where(u < DUTY, pitch, leave + (STRIKE * long(here, there) - leave) * smooth)
-    begin = _pivoted(leg, here, yaw, np.where(u < DUTY, pitch, leave))
-    end = _pivoted(leg, there, next_yaw, STRIKE * long(here, there))
+    pitch = np.where(
+        u < STANCE_SHARE, pitch, leave + (STRIKE_PITCH * long(here, there) - leave) * smooth
+    )
+    begin = _pivoted(leg, here, yaw, np.where(u < STANCE_SHARE, pitch, leave))
+    end = _pivoted(leg, there, next_yaw, STRIKE_PITCH * long(here, there))
     ankle = begin + smooth[:, None] * (end - begin)
-    far = np.linalg.norm(there - here, axis=1) / (2 * LONG)
-    ankle[:, 1] += LIFT * np.minimum(0.4 + far, 1) * np.sin(np.pi * swing) ** 2
+    far = np.linalg.norm(there - here, axis=1) / (2 * LONG_STEP)
+    ankle[:, 1] += SWING_HEIGHT * np.minimum(0.4 + far, 1) * np.sin(np.pi * swing) ** 2
     return _Foot(ankle, yaw + smooth * (next_yaw - yaw), pitch)
 
 
@@ -206,7 +212,7 @@ def _print(path: Path, leg: Leg, when: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _pivoted(leg: Leg, flat: np.ndarray, yaw: np.ndarray, pitch: np.ndarray) -> np.ndarray:
     """Return the ankle (T, 3) of a foot that pivots on its ball (heel up) or on its heel."""
     ball = leg.ball - leg.ankle
-    heel = np.array([0.0, ball[1], -HEEL])
+    heel = np.array([0.0, ball[1], -HEEL_LENGTH])
     pivot = np.where(pitch[:, None] > 0, ball, heel)
     turned = about(1, yaw), about(1, yaw) @ about(0, pitch)
     at, moved = ((R @ pivot[..., None])[..., 0] for R in turned)

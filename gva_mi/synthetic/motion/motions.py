@@ -18,13 +18,13 @@ import numpy as np
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.rotations import about, to_matrices, to_rotvecs
-from gva_mi.synthetic.actions import ACTIONS, GESTURING, POSES, act
-from gva_mi.synthetic.footwork import Path, follow, root_rotations
+from gva_mi.synthetic.motion.actions import ACTIONS, GESTURING, POSES, act
+from gva_mi.synthetic.motion.footwork import Path, follow, root_rotations
 
-DURATION = 6.0  # s, one round
-STEP = 0.04  # s, time step of lagging cloth
-CIRCLE = 2 * np.pi
-A_POSE = 0.98  # rad, angle of the arms below the T-pose
+ROUND_SECONDS = 6.0  # s, one round; chosen: a turn at the speed that own_video.md asks for
+LAG_TIME_STEP = 0.04  # s, of lagging cloth; chosen: about a frame of a video
+FULL_TURN = 2 * np.pi  # rad
+A_POSE_ANGLE = 0.98  # rad, of the arms below the T-pose; chosen: arms are free of the trunk
 SIGNED_SIDES = (("left", 1.0), ("right", -1.0))
 
 
@@ -52,8 +52,8 @@ def times(frames: int) -> np.ndarray:
 
 
 def before(t: np.ndarray, steps: int) -> np.ndarray:
-    """Return the moments some steps of ``STEP`` seconds earlier."""
-    return t - steps * STEP / DURATION
+    """Return the moments some steps of ``LAG_TIME_STEP`` seconds earlier."""
+    return t - steps * LAG_TIME_STEP / ROUND_SECONDS
 
 
 def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
@@ -67,7 +67,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     for k in range(count):
         action = POSES[names[k % len(names)]]
         for side, sign in SIGNED_SIDES:
-            rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE
+            rotations[k, JOINTS.index(f"{side}_shoulder"), 2] = -sign * A_POSE_ANGLE
             rotations[k, JOINTS.index(f"{side}_elbow"), 1] = -sign * 0.2
         for name, value in action.joints.items():
             rotations[k, JOINTS.index(name)] = np.array(value) * rng.uniform(0.9, 1.1)
@@ -94,7 +94,7 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
             rotations[:, JOINTS.index(name), axis] = wave(size)
     for side, sign in SIGNED_SIDES:
         of = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
-        lower = A_POSE + rng.normal(0, 0.04) + wave(0.06)
+        lower = A_POSE_ANGLE + rng.normal(0, 0.04) + wave(0.06)
         rotations[:, of("shoulder"), 2] = -sign * 0.88 * lower
         rotations[:, of("collar"), 2] = -sign * 0.12 * lower
         rotations[:, of("shoulder"), 1] = wave(0.05)
@@ -189,16 +189,16 @@ def _walk(
     """Walk around an oval of some metres: toward the camera, across its view, and away."""
     direction, start = rng.choice([-1.0, 1.0]), rng.uniform(0, 1)
     radii = np.array([rng.uniform(0.95, 1.15), rng.uniform(0.75, 0.95)])
-    angle = lambda t: direction * CIRCLE * (t + start)
+    angle = lambda t: direction * FULL_TURN * (t + start)
     cycles = 6
 
     def yaw(t: np.ndarray) -> np.ndarray:  # along the oval, growing with t beyond a round
         a = angle(t)
         ahead = np.arctan2(-radii[0] * np.sin(a), radii[1] * np.cos(a)) + np.pi * (direction < 0)
         turns = -a + np.pi * (direction < 0)  # on a circle: selects among equivalent angles
-        return ahead + CIRCLE * np.round((turns - ahead) / CIRCLE)
+        return ahead + FULL_TURN * np.round((turns - ahead) / FULL_TURN)
 
-    step = lambda t: CIRCLE * (cycles * t - 0.3)  # the left foot's stance is centred on 0
+    step = lambda t: FULL_TURN * (cycles * t - 0.3)  # the left foot's stance is centred on 0
     swing = 0.45 * np.sin(step(t))
     lower = 1.22  # rad below the T-pose
     for side, sign in SIGNED_SIDES:
@@ -225,7 +225,7 @@ def _dance(
 ) -> Path:
     """Dance: fast arms, quick wide steps, a twisting and bouncing trunk, while turning once."""
     direction, cycles = rng.choice([-1.0, 1.0]), 8
-    beat = lambda t, k=1.0, phase=0.0: np.sin(CIRCLE * (k * cycles * t + phase))
+    beat = lambda t, k=1.0, phase=0.0: np.sin(FULL_TURN * (k * cycles * t + phase))
     for name in ("spine1", "spine2", "spine3"):
         rotations[:, JOINTS.index(name), 1] += 0.13 * beat(t, 0.5, 0.25)
     phases = rng.uniform(0, 1, (2, 3))
@@ -241,9 +241,11 @@ def _dance(
         rotations[:, at("elbow"), 1] = -sign * bent
     return Path(
         place=lambda t: np.stack(
-            [0.16 * beat(t, 0.5) + 0.03 * beat(t), 0.14 * np.sin(CIRCLE * t)], axis=1
+            [0.16 * beat(t, 0.5) + 0.03 * beat(t), 0.14 * np.sin(FULL_TURN * t)], axis=1
         ),
-        yaw=lambda t: direction * CIRCLE * t + 0.5 * np.sin(2 * CIRCLE * t) + 0.15 * beat(t, 0.5),
+        yaw=lambda t: (
+            direction * FULL_TURN * t + 0.5 * np.sin(2 * FULL_TURN * t) + 0.15 * beat(t, 0.5)
+        ),
         low=lambda t: 0.03 + 0.03 * beat(t, 2.0),
         lean=lambda t: np.stack([0.05 * beat(t, 2.0), 0.10 * beat(t)], axis=1),
         cycles=cycles,

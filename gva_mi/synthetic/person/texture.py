@@ -13,7 +13,7 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.synthetic.people import Color, Fabric, SyntheticPerson
+from gva_mi.synthetic.person.identity import Color, Fabric, SyntheticPerson
 
 Point = tuple[float, float, float]  # metres
 

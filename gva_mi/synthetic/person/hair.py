@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gva_mi.synthetic.people import Outfit
-from gva_mi.synthetic.rest_body import (
+from gva_mi.synthetic.person.identity import Outfit
+from gva_mi.synthetic.person.level_sets import (
     BodySurface,
-    RestBody,
     RestMesh,
     VoxelGrid,
     smax,
@@ -27,11 +26,14 @@ from gva_mi.synthetic.rest_body import (
     smoothstep,
     surface_of,
 )
+from gva_mi.synthetic.person.rest_body import RestBody
 
-HAIR_CELL = 0.005  # m, grid of hair
-DRAPED = 0.014  # m, thickness of long hair on the back, over the cloth below it
-HAIRLINE, RISE = 0.007, 1.1  # m, thickness at the hairline; its growth per metre from there
-EAR = 0.034  # m, radius around an ear that short hair leaves free
+# In metres, chosen by eye on a head of usual size.
+HAIR_CELL = 0.005  # grid of hair; chosen: resolves locks
+LONG_HAIR_THICKNESS = 0.014  # on the back, over the cloth below it
+HAIRLINE_THICKNESS = 0.007
+HAIRLINE_GROWTH = 1.1  # of the largest thickness, per metre from the hairline
+EAR_RADIUS = 0.034  # around an ear that short hair leaves free
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def hair_mesh(
             volume = _long(head, thick, at, shirt.sample(grid))
         uncut = smin(smax(uncut, head.jaw - y), volume, 0.02)
         field = smax(uncut, ends + 0.006 * at.locks - y, 0.015)
-    rise = HAIRLINE + RISE * np.maximum(face, 0) + 0.8 * at.below
+    rise = HAIRLINE_THICKNESS + HAIRLINE_GROWTH * np.maximum(face, 0) + 0.8 * at.below
     field = smax(field, d - rise, 0.01)
     return surface_of(grid, smax(field, -face, 0.012), None if style == "short" else uncut)
 
@@ -152,7 +154,7 @@ def _long(head: _Head, thick: float, at: _Locks, shirt: np.ndarray) -> np.ndarra
     front = front + np.where(y > head.jaw, 10 * (y - head.jaw), 0)
     behind = at.z - front + 0.35 * head.half[2]
     volume = smax(volume, behind, 0.03)
-    lies = shirt - DRAPED * (1 + 0.3 * at.locks)
+    lies = shirt - LONG_HAIR_THICKNESS * (1 + 0.3 * at.locks)
     return smin(volume, smax(lies, smax(volume - 0.03, behind), 0.02), 0.02)
 
 
@@ -180,4 +182,4 @@ def _around_ears(surface: BodySurface, grid: VoxelGrid, head: _Head) -> np.ndarr
     ear = side[np.argsort(-np.abs(side[:, 0] - head.middle[0]))[:20]].mean(0)
     across = np.abs(side[:, 0] - head.middle[0]).max()
     x = np.abs(grid.x - head.middle[0]) - across
-    return np.sqrt(x**2 + (grid.y - ear[1]) ** 2 + (grid.z - ear[2]) ** 2) - EAR
+    return np.sqrt(x**2 + (grid.y - ear[1]) ** 2 + (grid.z - ear[2]) ** 2) - EAR_RADIUS

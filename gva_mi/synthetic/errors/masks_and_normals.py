@@ -13,6 +13,7 @@ Lengths in pixels refer to pictures 512 pixels wide and scale with the width.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +23,12 @@ from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 from gva_mi.subject.normals import Convention
-from gva_mi.synthetic.pose_errors import runs
+from gva_mi.synthetic.errors.poses import runs
 
-FEET_FRAMES = 6.0  # mean number of consecutive frames without a foot
-FOOT = 0.30  # m, length of a foot from the ankle
-FLESH = 0.09  # m, from the hip joint to the side of the body
+# Chosen: the size of an adult; feet that are lost stay lost for some frames.
+LOST_FOOT_FRAMES = 6.0  # frames, mean length of a run without a foot
+FOOT_LENGTH = 0.30  # m, from the ankle
+HIP_TO_SIDE = 0.09  # m, from the hip joint to the side of the body
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,22 @@ class NormalErrors:
 
 
 Pixel = tuple[float, float]
-HalfDisc = tuple[Pixel, Pixel, float]  # centre, unit vector to that half, radius in pixels
+
+
+class Disc(NamedTuple):
+    """A disc in a picture, pixels."""
+
+    u: float  # of its centre
+    v: float
+    radius: float
+
+
+class HalfDisc(NamedTuple):
+    """Half a disc in a picture, pixels."""
+
+    centre: Pixel
+    toward: Pixel  # unit vector to the half
+    radius: float
 
 
 @dataclass(frozen=True)
@@ -64,7 +81,7 @@ class Confusion:
     """What a segmenter confuses in one frame."""
 
     lost: tuple[HalfDisc, ...] = ()  # feet, beyond the ankle
-    bag: tuple[float, float, float] | None = None  # px, centre and radius
+    bag: Disc | None = None
 
 
 def confusions(
@@ -79,7 +96,7 @@ def confusions(
     frames, rest = len(pose), body.rest(shape).joints
     T_world_rest = joint_transforms(pose.rotations, rest, PARENTS, pose.transl).double()
     R, joints = T_world_rest[..., :3, :3].numpy(), joint_places(T_world_rest, rest.double()).numpy()
-    lost = {side: runs(rng, frames, noise.lost_feet, FEET_FRAMES) for side in SIDES}
+    lost = {side: runs(rng, frames, noise.lost_feet, LOST_FOOT_FRAMES) for side in SIDES}
     bags = _bags(joints, R[:, 0], camera, noise.bag, SIDES[rng.integers(2)])
     found = []
     for k in range(frames):
@@ -176,21 +193,22 @@ def _foot(joints: np.ndarray, camera: Camera, side: str) -> HalfDisc:
     knee, ankle = (joints[JOINTS.index(f"{side}_{name}")] for name in ("knee", "ankle"))
     start, end = camera.project(knee), camera.project(ankle)
     toward = (end - start) / max(float(np.linalg.norm(end - start)), 1e-6)
-    return tuple(end.tolist()), tuple(toward.tolist()), FOOT * _scale(camera, ankle)
+    radius = FOOT_LENGTH * _scale(camera, ankle)
+    return HalfDisc(tuple(end.tolist()), tuple(toward.tolist()), radius)
 
 
 def _bags(
     joints: np.ndarray, R_pelvis: np.ndarray, camera: Camera, radius: float, side: str
-) -> list[tuple[float, float, float] | None]:
-    """Return centre and radius, in pixels, of a ball beside a hip."""
+) -> list[Disc | None]:
+    """Return where a ball beside a hip is seen; None without a bag."""
     if radius == 0:
         return [None] * len(joints)
     outward = 1.0 if side == "left" else -1.0
-    beside = np.array([outward * (FLESH + radius / 2), -0.06, -0.02])
+    beside = np.array([outward * (HIP_TO_SIDE + radius / 2), -0.06, -0.02])
     centres = joints[:, JOINTS.index(f"{side}_hip")] + R_pelvis @ beside
     pixels = camera.project(centres)
     return [
-        (*map(float, pixel), radius * _scale(camera, centre))
+        Disc(*map(float, pixel), radius * _scale(camera, centre))
         for pixel, centre in zip(pixels, centres, strict=True)
     ]
 

@@ -35,26 +35,29 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.splat import Camera
 
 LEG = ("hip", "knee", "ankle", "foot")
-LOST_FRAMES, SWAPPED_FRAMES, JUMP_FRAMES = 5.0, 4.0, 4.0  # mean length of a run
-MEAN_FINGER = 0.3  # rad, curl of the fingers of the mean hand
-SPOILT = 5.0  # factor on the errors in a spoilt frame
+# Gross errors, chosen: they last a few frames and are plain to see.
+LOST_FRAMES, SWAPPED_FRAMES, JUMP_FRAMES = 5.0, 4.0, 4.0  # frames, mean length of a run
+MEAN_FINGER_CURL = 0.3  # rad, of each joint in the mean hand
+SPOILT_FACTOR = 5.0  # on the errors in a spoilt frame
 JUMP_AXES = np.array([0.6, 0.6, 1.5])  # of a jump: right, down, deep; their mean square is near 1
-# Root mean square rotation errors in radians, seen from the front. They grow along the limbs.
-ROTATION: Mapping[str, float] = {
+# Root mean square rotation errors, rad, seen from the front; chosen: they grow along the limbs.
+ROTATION_ERRORS: Mapping[str, float] = {
     "pelvis": 0.045, "spine1": 0.02, "spine2": 0.02, "spine3": 0.02, "neck": 0.05, "head": 0.07,
     "collar": 0.03, "shoulder": 0.055, "elbow": 0.095, "wrist": 0.16,
     "hip": 0.06, "knee": 0.085, "ankle": 0.15, "foot": 0.15,
 }  # fmt: skip
-FACE, FINGER = 0.02, 0.16  # jaw and eyes; every joint of the fingers
-PARTS: Mapping[str, Sequence[str]] = {  # of JointFactors; all other joints are the head's
+FACE_ERROR, FINGER_ERROR = 0.02, 0.16  # rad: jaw and eyes; every joint of the fingers
+JOINTS_OF_PART: Mapping[str, Sequence[str]] = {  # of JointFactors; all other joints are the head's
     "trunk": ("pelvis", "spine1", "spine2", "spine3"),
     "arms": ("collar", "shoulder", "elbow", "wrist"),
     "legs": LEG,
 }
 LIMBS: Sequence[Sequence[str]] = tuple(  # a burst affects one of them
-    tuple(f"{side}_{name}" for name in PARTS[part]) for part in ("arms", "legs") for side in SIDES
+    tuple(f"{side}_{name}" for name in JOINTS_OF_PART[part])
+    for part in ("arms", "legs")
+    for side in SIDES
 )
-BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # mean frames between bursts; half length of one
+BURST_EVERY, BURST_LENGTH = 25.0, 2.5  # frames between bursts on average; half length of one
 
 
 @dataclass(frozen=True)
@@ -158,13 +161,13 @@ def sideways(pose: Pose, camera: Camera) -> np.ndarray:
 
 def _sizes(noise: PoseErrors, frames: int, rng: np.random.Generator) -> np.ndarray:
     """Draw the root mean square error of each joint's rotation per frame, radians, (55, T)."""
-    part = {name: part for part, names in PARTS.items() for name in names}
+    part = {name: part for part, names in JOINTS_OF_PART.items() for name in names}
     sizes = []
     for name in (joint.split("_")[-1] for joint in JOINTS):
         factor = getattr(noise.sizes, part.get(name, "head"))
-        sizes.append(ROTATION.get(name, FACE) * factor)
+        sizes.append(ROTATION_ERRORS.get(name, FACE_ERROR) * factor)
     sizes = np.array(sizes)
-    sizes[LEFT_HAND] = sizes[RIGHT_HAND] = FINGER * noise.sizes.fingers
+    sizes[LEFT_HAND] = sizes[RIGHT_HAND] = FINGER_ERROR * noise.sizes.fingers
     sizes = sizes[:, None] * np.full(frames, 1.0)
     for limb in LIMBS:
         burst = bumps(rng, frames, noise.calm, noise.burst, BURST_EVERY, BURST_LENGTH)
@@ -241,7 +244,7 @@ def mean_hand(side: str) -> np.ndarray:
     """Return rotations (15, 3) of a relaxed hand."""
     sign = 1.0 if side == "left" else -1.0
     rotations = np.zeros((15, 3))
-    rotations[:12, 2] = -sign * MEAN_FINGER  # all but the thumb
+    rotations[:12, 2] = -sign * MEAN_FINGER_CURL  # all but the thumb
     return rotations
 
 
@@ -262,7 +265,7 @@ def spoil_frames(
     """
     where = rng.random(len(rotations)) < share
     error = rng.normal(size=rotations.shape) / np.sqrt(3)
-    rotations[where] += (SPOILT * sizes.T[..., None] * error)[where]
+    rotations[where] += (SPOILT_FACTOR * sizes.T[..., None] * error)[where]
 
 
 def jumps(frames: int, outliers: Outliers, rng: np.random.Generator) -> np.ndarray:

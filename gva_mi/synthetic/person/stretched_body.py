@@ -1,0 +1,132 @@
+"""A body of other proportions than the fitted one can have.
+
+Each segment is longer or shorter, thicker or thinner. The new body keeps joints, faces and skinning
+weights of the body that it is made from, but has lengths, girths, hands and feet that no betas of
+that body give. With the rest joints J and one linear map A_j for all that is attached to joint j,
+
+    1. A = t 1 + (l − t) a aᵀ                        l along the bone's direction a, t across it
+    2. J'_j = J'_p + A_p (J_j − J_p)                 p the parent of j; the root stays
+    3. v' = Σ_j w_j [A_j (v − J_j) + J'_j]           w the skinning weights
+
+Equations 2 and 3 are linear in (v, J). Applied to a shape direction and its effect on the joints,
+they give the shape directions of the new body, so betas keep their meaning.
+:mod:`gva_mi.synthetic.errors.closest_pose` finds the poses of the fitted body that come closest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+
+from gva_mi.body.pose import JOINTS, PARENTS, SIDES
+from gva_mi.body.smplx import BodyModel
+
+ASYMMETRY = 0.005  # difference of the factors of left and right; chosen: people are nearly alike
+_FINGERS = ("index", "middle", "ring", "pinky", "thumb")
+_X, _Y, _Z = np.eye(3)
+
+
+class Segment(NamedTuple):
+    """A part of the body with one stretch, whose factors lie within 1 ± spread."""
+
+    spread: float
+    axis: np.ndarray | None  # direction of the length; None: from joint to joint
+    joints: tuple[str, ...]  # without the side of paired ones
+
+
+SEGMENTS = (  # spreads are chosen: hands and feet differ more than limbs, heads less
+    Segment(0.05, _Y, ("pelvis", "spine1", "spine2", "spine3")),  # torso
+    Segment(0.05, None, ("collar",)),
+    Segment(0.05, None, ("neck",)),
+    Segment(0.03, _Y, ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")),
+    Segment(0.05, None, ("hip",)),  # thigh
+    Segment(0.05, None, ("knee",)),  # shin
+    Segment(0.08, _Z, ("ankle", "foot")),
+    Segment(0.05, None, ("shoulder",)),  # upper arm
+    Segment(0.05, None, ("elbow",)),  # forearm
+    Segment(0.08, _X, ("wrist",)),  # hand
+    Segment(0.08, None, tuple(f"{f}{k}" for f in _FINGERS for k in (1, 2, 3))),
+)
+
+
+@dataclass(frozen=True)
+class BodyStretch:
+    """Factors on length and thickness, by joint name."""
+
+    length: Mapping[str, float]
+    thickness: Mapping[str, float]
+
+    @staticmethod
+    def draw(rng: np.random.Generator) -> BodyStretch:
+        """Draw proportions, left and right nearly alike."""
+        length, thickness = {}, {}
+        for spread, _, joints in SEGMENTS:
+            both, sides = spread * rng.uniform(-1, 1, 2), _sides(joints)
+            for names in sides:
+                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
+                for joint in names:
+                    length[joint], thickness[joint] = (1 + (both + own)).tolist()
+        return BodyStretch(length, thickness)
+
+
+def stretched(body: BodyModel, stretch: BodyStretch) -> BodyModel:
+    """Stretch a whole body; the result has at most ten betas and ten expressions."""
+    arrays = {name: np.asarray(array) for name, array in body.arrays().items()}
+    weights = arrays["weights"].astype(np.float64)
+    regressor = arrays["J_regressor"].astype(np.float64)
+    template = arrays["v_template"].astype(np.float64)
+    maps = _maps(regressor @ template, stretch)
+    moved = lambda vertices: _stretched(vertices, regressor @ vertices, maps, weights)
+    of_shape = [moved(d) for d in arrays["shapedirs"].astype(np.float64).transpose(2, 0, 1)]
+    A = np.einsum("vj,jab->vab", weights, maps)
+    changed = {
+        "v_template": moved(template),
+        "shapedirs": np.stack(of_shape, axis=2),
+        "posedirs": np.einsum("vab,vbk->vak", A, arrays["posedirs"]),
+    }
+    return BodyModel(arrays | changed, body.v_template.dtype)
+
+
+def _sides(joints: tuple[str, ...]) -> list[list[str]]:
+    """Return the joints of a segment on each side; those of the middle once."""
+    if joints[0] in JOINTS:
+        return [list(joints)]
+    return [[f"{side}_{name}" for name in joints] for side in SIDES]
+
+
+def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
+    """Return A of eq. 1, (55, 3, 3), for rest joints (55, 3)."""
+    maps = np.zeros((len(JOINTS), 3, 3))
+    for _, axis, names in SEGMENTS:
+        for joint in chain(*_sides(names)):
+            a = _bone(joints, joint) if axis is None else axis
+            length, thickness = stretch.length[joint], stretch.thickness[joint]
+            along = (length - thickness) * np.outer(a, a)
+            maps[JOINTS.index(joint)] = thickness * np.eye(3) + along
+    return maps
+
+
+def _bone(joints: np.ndarray, joint: str) -> np.ndarray:
+    """Return the unit direction of the bone at a joint; at a fingertip, that of the bone before."""
+    end = JOINTS.index(joint)
+    begin = PARENTS[end]
+    if end in PARENTS:  # it has a child
+        begin, end = end, PARENTS.index(end)
+    along = joints[end] - joints[begin]
+    return along / np.linalg.norm(along)
+
+
+def _stretched(
+    vertices: np.ndarray, joints: np.ndarray, maps: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Return v' of eq. 3, (V, 3), for vertices (V, 3) and joints (55, 3) or directions of both."""
+    moved = joints.copy()
+    for joint, parent in enumerate(PARENTS):
+        if parent >= 0:
+            moved[joint] = moved[parent] + maps[parent] @ (joints[joint] - joints[parent])
+    constant = moved - np.einsum("jab,jb->ja", maps, joints)
+    return np.einsum("vj,jab,vb->va", weights, maps, vertices, optimize=True) + weights @ constant

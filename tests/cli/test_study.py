@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import pytest
 
 from gva_mi.evaluate.figures import Figure
-from gva_mi.study import engine
+from gva_mi.study.avatar_study import AvatarStudy
 from gva_mi.study.cases import HELD_OUT, LIMITS, StudyCase
+from gva_mi.study.refine_study import RefineStudy
 from gva_mi.study.variants import VARIANTS
 
 REFINED = [
@@ -40,7 +41,7 @@ class Work:
 def done(monkeypatch):
     """Cases and variants that were computed, in their order."""
     log = []
-    for study, figures in ((engine.RefineStudy, REFINED), (engine.AvatarStudy, FITTED)):
+    for study, figures in ((RefineStudy, REFINED), (AvatarStudy, FITTED)):
         rounds = lambda self, missing, f=figures: [[Work(f, log, pair) for pair in missing]]
         monkeypatch.setattr(study, "rounds", rounds)
     monkeypatch.setattr(StudyCase, "lacks", None)

@@ -26,7 +26,7 @@ from gva_mi.core.stamp import is_fresh, results_version, stamp, start_folder
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import CameraPath, CameraShot, over, render_shots, shots, to_rgba
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 from gva_mi.subject.cameras import load_cameras
 from gva_mi.subject.folder import VIDEO, frame_name
 from gva_mi.subject.pictures import read_background, read_image, write_image

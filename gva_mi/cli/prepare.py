@@ -19,7 +19,7 @@ from gva_mi.readers.datasets import DATASETS
 from gva_mi.readers.estimators import KINDS
 from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.readers.prepare import PrepareOptions, prepare_folder
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 from gva_mi.stage1.prepare import RecordingOptions, RecordingSource, motion_of_video
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import PREPARED

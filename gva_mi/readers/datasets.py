@@ -21,8 +21,9 @@ import numpy as np
 from gva_mi.body.rotations import nearest_rotations
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, require_keys
-from gva_mi.readers.estimators import read_source
-from gva_mi.readers.track import TargetBody, Track, make_track
+from gva_mi.readers.source_files import read_source
+from gva_mi.readers.target_body import TargetBody
+from gva_mi.readers.track import Track, make_track
 from gva_mi.splat import Camera
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.footage import Pictures, files_of, masks, pictures
@@ -108,9 +109,9 @@ def read_dataset(kind: str, folder: Path, camera: str | None, body: TargetBody) 
     record = DATASETS[kind]
     if not record.recognises(folder):
         raise InputError(
-            f"{folder}: not of the kind {kind}; expected a folder with {record.expects}"
+            f"{folder}: not a data set of {kind}; expected a folder with {record.expects}"
         )
-    with expecting(f"{folder} (of the kind {kind})", record.expects):
+    with expecting(f"{folder} (read as {kind})", record.expects):
         return record.read(folder, camera, body)
 
 

@@ -27,26 +27,14 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.readers.body_arrays import plain_name, unnested
 from gva_mi.readers.bvh import read_bvh
-from gva_mi.readers.estimators import (
-    KINDS,
-    WORLDS,
-    Estimator,
-    VideoInfo,
-    kind_of,
-    lens_by_name,
-    read_source,
-)
+from gva_mi.readers.estimator_layouts import VideoInfo, lens_by_name
+from gva_mi.readers.estimators import KINDS, WORLDS, Estimator, kind_of
 from gva_mi.readers.joints import HUMANML3D_FPS, joints_in, joints_track
 from gva_mi.readers.people import choose
 from gva_mi.readers.retarget import bvh_track
-from gva_mi.readers.track import (
-    TargetBody,
-    Track,
-    interpolate,
-    make_track,
-    median_betas,
-    through_lens,
-)
+from gva_mi.readers.source_files import read_source
+from gva_mi.readers.target_body import TargetBody
+from gva_mi.readers.track import Track, interpolate, make_track, median_betas, through_lens
 from gva_mi.readers.world import LEAN_NOTE_DEGREES, UP_AXES, Axis, Upward, upright
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.lens import is_one_lens, usual_lens
@@ -267,7 +255,7 @@ def _estimated(
             f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
             f"a motion in metres, or gva-mi prepare {kind} with its video"
         )
-    with expecting(f"{path} (of the kind {kind})", "a motion of one person at least"):
+    with expecting(f"{path} (read as {kind})", "a motion of one person at least"):
         # Of the size of its pictures nothing is known, nor of a lens that follows from it.
         tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, body))
         axes = "in the axes of the camera, which is taken to stand still"

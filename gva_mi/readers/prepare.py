@@ -35,10 +35,12 @@ from gva_mi.readers.datasets import (
     read_dataset,
     write_views,
 )
-from gva_mi.readers.estimators import KINDS, VideoInfo, read_estimator
+from gva_mi.readers.estimator_layouts import VideoInfo
+from gva_mi.readers.estimators import KINDS, read_estimator
 from gva_mi.readers.own_masks import MaskOptions, write_masks, write_normals
 from gva_mi.readers.people import choose, joints_in_masks, prompts_of
-from gva_mi.readers.track import TargetBody, Track, every_frame, filmed_with, median_betas
+from gva_mi.readers.target_body import TargetBody
+from gva_mi.readers.track import Track, every_frame, filmed_with, median_betas
 from gva_mi.readers.world import Upward, upright
 from gva_mi.splat import Camera
 from gva_mi.subject import footage
@@ -194,7 +196,7 @@ def _numbered(kind: str, capture: Capture) -> tuple[Capture, list[str]]:
     names = footage.files_of(capture.frames)
     frames = np.concatenate([track.frames for track in capture.tracks])
     count = footage.count_of(capture.frames)
-    first = footage.first_number(frames, count, KINDS[kind].first, names)
+    first = footage.first_number(frames, count, KINDS[kind].first_number, names)
     moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
     return replace(capture, tracks=moved), [f"frames are numbered from {first}"] if first else []
 

@@ -28,7 +28,8 @@ from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.readers.bvh import FINGER_WORDS, BvhClip, Humanoid, find_humanoid
-from gva_mi.readers.track import TargetBody, Track
+from gva_mi.readers.target_body import TargetBody
+from gva_mi.readers.track import Track
 from gva_mi.readers.world import unit
 
 _STRAIGHT_FACTOR, _REFERENCE_POSES = 1.5, 40  # times the least doubt, of as many reference poses

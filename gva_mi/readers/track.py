@@ -1,29 +1,28 @@
-"""``Track``: one person in a source, frame by frame, before a camera; and the body it is for.
+"""``Track``: one person in a source, frame by frame, as a camera sees them.
 
-A network that sees a crop assumes a long lens with its axis in the crop: focal length, axis and
-distance change with the detector's box, by metres while a person stands still. So places are
-compared, joined and interpolated before one usual lens (:mod:`gva_mi.subject.lens`, eq. 2).
+A network that sees a crop assumes a long lens with its axis in the crop. So focal length, axis and
+distance change with the detector's box, by metres for a person who stands still. Positions are
+therefore compared, joined and interpolated as one usual lens would see them
+(:mod:`gva_mi.subject.lens`, eq. 2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from gva_mi.body.body_file import BUILT_IN_BODY, SMPL, SMPLH, SMPLX, read_body
-from gva_mi.body.pose import LEFT_HAND, Shape
+from gva_mi.body.pose import LEFT_HAND
 from gva_mi.body.rotations import composed, nearest_rotations, shortest, to_rotvecs
-from gva_mi.body.smplx import BodyModel, body_name, resolve_body
 from gva_mi.body.so3 import compose
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
 from gva_mi.readers.body_arrays import NOT_BODY_NAMES, find_body
-from gva_mi.subject.fingerprint import belongs_to
+from gva_mi.readers.source_files import listed_names
+from gva_mi.readers.target_body import MEAN_PELVIS, TargetBody
 from gva_mi.subject.footage import Pictures
 from gva_mi.subject.lens import (
     RECORDED,
@@ -35,16 +34,9 @@ from gva_mi.subject.lens import (
     usual_lens,
 )
 
-LENS_NOTE_DIFFERENCE = (
-    0.1  # of a focal length's logarithm: a smaller difference is not worth a note
-)
-BETAS_NOTE_DEVIATION = 0.1  # standard deviation of betas over frames from which a note is given
-# The pelvis of the neutral mean person at rest, metres, as the public models regress it.
-MEAN_PELVIS = {
-    "SMPL": (-0.0018, -0.2233, 0.0282), "SMPL+H": (-0.0018, -0.2233, 0.0282),
-    "SMPL-X": (0.0031, -0.3514, 0.0120),
-}  # fmt: skip
-_PELVIS_TOLERANCE = 0.05  # metres of it are those of the male and of the female mean
+# Chosen: a smaller difference changes no step's result visibly, and a note would be noise.
+LENS_NOTE_DIFFERENCE = 0.1  # of the logarithms of two focal lengths
+BETAS_NOTE_DEVIATION = 0.1  # standard deviation of betas over frames
 
 
 @dataclass(frozen=True)
@@ -153,12 +145,6 @@ def make_track(
     )  # fmt: skip
 
 
-def listed_names(names: Sequence[str]) -> str:
-    """Return the first of some names, and how many more there are."""
-    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-    return ", ".join(names[:12]) + more
-
-
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
     """Fill a track so that it has each of a video's ``count`` frames.
 
@@ -233,67 +219,6 @@ def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
     spread = float(betas.std(0).max())
     note = f"betas differ by up to {spread:.2g} from frame to frame; their median is taken"
     return np.median(betas, axis=0), [note] if spread > BETAS_NOTE_DEVIATION else []
-
-
-@dataclass(frozen=True)
-class TargetBody:
-    """The body that poses are for."""
-
-    name: str
-    model: BodyModel
-    form: str  # "SMPL", "SMPL+H" or "SMPL-X"; "own" for another body in such a file
-    joints: np.ndarray  # (55, 3) at rest, of the mean shape, metres
-    mean_hands: np.ndarray  # (30, 3) left before right, relative to flat ones
-    of_source: bool = False  # the source's poses were made on this very body
-
-    @staticmethod
-    def read(path: Path | None) -> TargetBody:
-        """Read a body's file; the built-in body for the word ``built-in``, or for None."""
-        path = path or BUILT_IN_BODY
-        arrays = read_body(resolve_body(path))
-        hands = [arrays.get(f"hands_mean{side}", np.zeros(45)) for side in "lr"]
-        model = BodyModel(arrays)
-        joints = model.rest(Shape(torch.zeros(0))).joints.double().numpy()
-        # The model is known by the joints that move it and by its pelvis: other bodies come in
-        # SMPL-X's format, too, and have betas of their own.
-        moved = set(np.flatnonzero(arrays["weights"].any(0)).tolist())
-        form = next((f for f in (SMPL, SMPLH) if moved <= set(f.joints)), SMPLX).name
-        form = form if np.linalg.norm(joints[0] - MEAN_PELVIS[form]) < _PELVIS_TOLERANCE else "own"
-        hands = np.stack(hands).reshape(30, 3)
-        return TargetBody(body_name(path), model, form, joints, hands)
-
-    def for_source(self, source: Path) -> TargetBody:
-        """Return this body, marked if the subject's folder that poses lie in was made on it."""
-        folder = source if source.is_dir() else source.parent
-        return replace(self, of_source=belongs_to(folder, self.model))
-
-    def keeps_betas(self, form: str) -> bool:
-        """Whether betas and expressions of a source with this body model are this body's."""
-        return self.of_source or form == self.form
-
-    def pelvises(self, form: str, betas: np.ndarray | None) -> np.ndarray:
-        """Return the pelvis at rest, (3,) or (n, 3) metres, of a source's body with ``betas``.
-
-        They are (B,) or (n, B). Without that body at hand it is the mean person's, which betas
-        move by centimetres.
-        """
-        if not self.keeps_betas(form):
-            return np.array(MEAN_PELVIS[form])
-        betas = np.zeros(0) if betas is None else betas
-        moves = self.model.shape_joints[:, :3].double().numpy()
-        count = min(len(moves), betas.shape[-1])
-        return self.joints[0] + betas[..., :count] @ moves[:count]
-
-    def expression(self, form: str, given: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Return what of a source's expressions (T, E) is this body's, ten at most, and notes."""
-        if not self.keeps_betas(form):
-            if not given.any():
-                return np.zeros((len(given), 10)), []
-            note = f"the face's expression is left out: coefficients of {form} are not the body's"
-            return np.zeros((len(given), 10)), [f"{note} {self.name}"]
-        count = min(10, self.model.num_expressions, given.shape[1])
-        note = [f"the first {count} of {given.shape[1]} coefficients of the expression are kept"]
-        return given[:, :count], note if given[:, count:].any() else []
 
 
 def filmed_with(

@@ -9,7 +9,7 @@ from samples.rotations import matrices
 from gva_mi.body.pose import JOINTS, PARENTS
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 
 BODY = TargetBody.read(None)
 AS_IT_IS = MotionOptions(fps=30, hands="flat")

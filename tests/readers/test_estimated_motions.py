@@ -12,7 +12,7 @@ from samples.rotations import matrices, same
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 
 
 def turned(R, rotations):

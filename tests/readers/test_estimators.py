@@ -11,11 +11,14 @@ from samples.estimates import (
     WRITTEN,
     dumped,
     named,
+    of_smpl,
 )
 
 from gva_mi.core.errors import InputError
-from gva_mi.readers.estimators import VideoInfo, read_estimator
+from gva_mi.readers.estimator_layouts import VideoInfo, people_by_name, wham_lens
+from gva_mi.readers.estimators import KINDS, Estimator, read_estimator
 from gva_mi.readers.people import follow
+from gva_mi.readers.source_files import has_one
 from gva_mi.subject.lens import rescaled
 
 
@@ -52,9 +55,31 @@ def test_missing_or_encoded_parameters_are_named(tmp_path, seen):
 
 def test_arrays_without_names_other_bodies_and_damage_are_refused(tmp_path, refused):
     np.save(tmp_path / "flat.npy", np.zeros((5, 265)))
-    refused(r"of no known kind, holds one ndarray \(5, 265\) without names", tmp_path / "flat.npy")
+    refused(
+        r"unknown estimator format, holds one ndarray \(5, 265\) without names",
+        tmp_path / "flat.npy",
+    )
     res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
-    refused("\\(of the kind hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
+    refused("\\(read as hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
+
+
+def test_another_estimator_is_one_record(tmp_path, seen, monkeypatch):
+    """The example in the module's docstring."""
+    mine = Estimator(
+        expects="people with theta and camera_t",
+        recognises=lambda found: has_one(found, "theta", "camera_t"),
+        people=people_by_name("theta"),
+        arrays={"poses": "theta", "transl": "camera_t"},
+        lens=wham_lens,
+    )
+    monkeypatch.setitem(KINDS, "mine", mine)
+    rotations, places = seen
+    poses = of_smpl(rotations).reshape(-1, 72)
+    person = {"theta": poses, "camera_t": places, "frame_ids": np.arange(len(poses)) + 3}
+    file = dumped(tmp_path / "mine.pkl", {"0": person})
+    kind, (track,) = read_estimator("auto", file, VideoInfo((WIDTH, HEIGHT)))
+    assert kind == "mine" and track.frames.tolist() == list(range(3, 3 + len(poses)))
+    assert np.allclose(track.rotations[:, :22], rotations[:, :22])
 
 
 def test_the_nearest_person_keeps_the_name():

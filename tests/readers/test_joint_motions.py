@@ -7,7 +7,7 @@ from samples.rotations import matrices
 from gva_mi.body.pose import JOINTS
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 from gva_mi.subject.silhouettes import joints_in_world
 
 BODY = TargetBody.read(None)

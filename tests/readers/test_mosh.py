@@ -11,7 +11,7 @@ import pytest
 
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 
 AS_IT_IS = MotionOptions(fps=120, hands="flat")
 

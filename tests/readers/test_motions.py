@@ -13,7 +13,7 @@ from gva_mi.body.pose import Shape, load_poses
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 from gva_mi.subject.silhouettes import joints_in_world
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")

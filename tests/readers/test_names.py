@@ -10,7 +10,8 @@ from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.core.errors import InputError
 from gva_mi.readers.body_arrays import find_body
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody, make_track
+from gva_mi.readers.target_body import TargetBody
+from gva_mi.readers.track import make_track
 
 T = 6
 

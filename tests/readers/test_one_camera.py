@@ -46,7 +46,7 @@ def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):
     assert dataset_of(tmp_path / "x") is None
     for kind, words in (
         ("auto", "brings no frames of its own; give --frames"),
-        ("zju", "not of the kind zju; expected a folder with annots.npy"),
+        ("zju", "not a data set of zju; expected a folder with annots.npy"),
     ):
         err = cli.fails("prepare", kind, tmp_path / "x", tmp_path / "s", *filmed.BUILT_IN_BODY)
         assert words in err

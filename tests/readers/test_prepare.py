@@ -89,9 +89,15 @@ def test_bad_sources_are_refused_in_one_sentence(wham, tmp_path, cli, seen, foot
 
     file, out = tmp_path / "x.pkl", tmp_path / "s"
     file.write_bytes(pickle.dumps({"a": 1}))
-    refused("of no known kind, holds a; expected wham: people with", "auto", file, out, *footage)
     refused(
-        "not of the kind gvhmr, holds a; expected smpl_params_incam", "gvhmr", file, out, *footage
+        "unknown estimator format, holds a; expected one of wham: people with",
+        "auto",
+        file,
+        out,
+        *footage,
+    )
+    refused(
+        "not a source of gvhmr, holds a; expected smpl_params_incam", "gvhmr", file, out, *footage
     )
     refused("kind must be auto, video, wham", "mystery", file, out, *footage)
     file = wham(_0=seen)

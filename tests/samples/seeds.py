@@ -22,7 +22,7 @@ from gva_mi.evaluate.measure import Metrics
 from gva_mi.evaluate.refinement import load_refinement
 from gva_mi.fit import run_folder
 from gva_mi.readers.motions import MotionOptions, read_motion
-from gva_mi.readers.track import TargetBody
+from gva_mi.readers.target_body import TargetBody
 from gva_mi.splat.formats.ply import load_ply, save_ply
 from gva_mi.splat.scene import random_scene
 from gva_mi.study import report

@@ -55,7 +55,7 @@ DAMAGED = {
     "a small picture": (
         lambda s: write_image(s / "views/frames/000001.png", np.zeros((4, 5, 3), np.uint8)),
         "picture 1 is 5x4, expected 12x10"),
-    "no mask": (lambda s: (s / "views/masks/000000.png").unlink(), "has no mask 0; expected one for each picture"),
+    "no mask": (lambda s: (s / "views/masks/000000.png").unlink(), "has no mask 0; expected one"),
 }  # fmt: skip
 
 

@@ -12,17 +12,18 @@ Python code, during which another thread may run. If that thread frees an array,
 Dr.Jit's lock while this one waits for Python's: a deadlock. Lists are traversed without Python
 code. So ``dr.freeze`` gets flat lists of arrays, and the records are flattened and rebuilt here.
 
-Python's garbage collection is off while a function is traced. It may free objects of others, such
-as a Mitsuba scene whose ray tracer is destroyed on Dr.Jit's queue; during a recording that ends the
-process.
+Python's garbage collector is off during a call. A collection may free a Mitsuba scene, which
+releases its ray tracer by a function on Dr.Jit's queue. Dr.Jit cannot record that; it raises
+(``enqueue_host_func(): this function cannot be recorded!``) in a destructor, which ends the
+process. References of ours would not help, because the scene may belong to the caller.
 
 ``dr.freeze`` of Dr.Jit 1.5.0 is not made for threads: two that record or replay at once end the
 process (``jit_var(r14): unknown variable!``). So every pass, forward, adjoint or tangent, holds the
 lock :data:`exclusive` from its first array to its last. Nothing is lost, because the kernels use
 all cores themselves.
 
-Threads enter in the order in which they came, so that a viewer that draws all the time leaves a
-training beside it every other turn. Python's own locks let the thread that just left in again.
+Threads enter in the order in which they came. So a viewer that draws all the time leaves every
+other turn to a training beside it. Python's own locks would let the thread that just left in again.
 
 The lock covers this library. A program that freezes functions of its own, or runs Dr.Jit's autodiff
 or Mitsuba in another thread than the one that renders, holds it there too::
@@ -48,19 +49,32 @@ from typing import Any
 
 import drjit as dr
 
-LIMIT = 64  # sets of constants to keep, and recordings of each
+# Sets of constants to keep, and recordings of each. Chosen: it bounds the memory of a program that
+# changes a constant at every call.
+MAX_RECORDINGS = 64
 
 Shape = tuple[type, Any] | None  # of nested records, hashable: a type and its parts; None: array
 Key = tuple[Shape, tuple[tuple[str, Any], ...]]  # of the arrays, and the constants by name
 # Seconds after which a waiting thread looks for a Ctrl-C: Python does not notice one that comes
-# just before a lock starts to wait.
-SIGNALS_EVERY = 0.5
+# just before a lock starts to wait. Chosen: short for a person, long for the CPU.
+CTRL_C_SECONDS = 0.5
 
 
 class Frozen:
     """A function of arrays (positional) and constants (keywords, hashable), traced once.
 
     Arrays may be in lists, tuples and dataclasses; everything else in there is a constant too.
+
+    Example:
+        >>> from drjit.llvm import Float
+        >>> @Frozen
+        ... def scaled(x, *, factor):
+        ...     print("traced")
+        ...     return x * factor
+        >>> numbers = Float(1, 2, 3)
+        >>> [scaled(numbers, factor=2)[2] for _ in range(3)]
+        traced
+        [6.0, 6.0, 6.0]
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -74,9 +88,9 @@ class Frozen:
         key = (_flatten(arrays, leaves), tuple(constants.items()))
         variant = self.variants.pop(key, None)
         if variant is None:
-            variant = dr.freeze(self._of_leaves(key), limit=LIMIT, warn_after=1000)
+            variant = dr.freeze(self._of_leaves(key), limit=MAX_RECORDINGS, warn_after=1000)
         self.variants[key] = variant  # the least recently used one is dropped first
-        if len(self.variants) > LIMIT:
+        if len(self.variants) > MAX_RECORDINGS:
             oldest = next(iter(self.variants))
             del self.variants[oldest], self.results[oldest]
         with _without_garbage_collection():
@@ -155,13 +169,20 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 class Exclusive(ContextDecorator):
-    """A reentrant lock, first come, first served, as a context manager and as a decorator."""
+    """A reentrant lock, first come, first served, as a context manager and as a decorator.
+
+    Example:
+        >>> lock = Exclusive()
+        >>> with lock, lock:
+        ...     print("inside")
+        inside
+    """
 
     def __init__(self) -> None:
         self._guard = threading.Lock()  # of the queue
         self._queue: deque[threading.Lock] = deque()  # the turn of the thread inside, then others'
         self._inside: int | None = None  # the thread
-        self._depth = 0  # how often it entered
+        self._depth = 0  # number of times it entered
         self._forked = False
         if hasattr(os, "register_at_fork"):
             os.register_at_fork(after_in_child=self._note_fork)
@@ -182,7 +203,7 @@ class Exclusive(ContextDecorator):
                 if self._queue:
                     turn.acquire()  # the thread before releases it
                 self._queue.append(turn)
-            while not turn.acquire(timeout=SIGNALS_EVERY):
+            while not turn.acquire(timeout=CTRL_C_SECONDS):
                 pass
             self._inside, self._depth = threading.get_ident(), 1
         except BaseException:  # Ctrl-C while waiting

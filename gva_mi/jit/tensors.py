@@ -12,7 +12,7 @@ from drjit import ArrayBase as Array
 from drjit.llvm import Float, Float64
 from torch import Tensor
 
-ALIGNMENT = 64  # bytes; torch's own memory has it
+ALIGNMENT = 64  # bytes of a cache line and of an AVX-512 vector; torch's own memory has it
 PRECISION = {torch.float32: Float, torch.float64: Float64}
 
 

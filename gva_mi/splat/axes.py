@@ -1,4 +1,4 @@
-"""The axes of Gaussians: those of files, half a turn from the world's, and of a covariance.
+"""Axes of Gaussians: half a turn between files and the world, and the axes of a covariance.
 
 ==========================================  =====================  ==================
 Where                                       y                      z
@@ -26,12 +26,19 @@ from gva_mi.core.cpu import sqrt
 from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians
 from gva_mi.splat.kernels.sh import basis
 
-_SOMEWHERE = (0.3, 0.5, 0.7)  # any direction in which no basis function is zero
+_GENERIC_DIRECTION = (0.3, 0.5, 0.7)  # chosen: no basis function is zero there
 
 
 def half_turned(gaussians: Gaussians) -> Gaussians:
-    """Turn Gaussians (torch tensors) half a turn about x, without rounding; its own inverse."""
-    x, y, z = _SOMEWHERE
+    """Turn Gaussians (torch tensors) half a turn about x, without rounding; its own inverse.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> one = random_scene(torch.Generator().manual_seed(0), gaussians=1).gaussians
+        >>> (half_turned(one).means / one.means).tolist()
+        [[1.0, -1.0, -1.0]]
+    """
+    x, y, z = _GENERIC_DIRECTION
     pairs = zip(basis(MAX_DEGREE, x, y, z), basis(MAX_DEGREE, x, -y, -z), strict=True)
     of_colors = [1.0 if a * b > 0 else -1.0 for a, b in pairs]
     turned = {
@@ -47,17 +54,29 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, **changed)
 
 
-MATRIX = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # entries of the upper triangle, row by row
+UPPER_TRIANGLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # index of each entry of a symmetric matrix, by rows
 
 
 def matrices(covars: Tensor) -> Tensor:
-    """Convert covariances (N, 6) to symmetric matrices (N, 3, 3)."""
-    return covars[:, MATRIX].unflatten(1, (3, 3))
+    """Convert covariances (N, 6) to symmetric matrices (N, 3, 3).
+
+    Example:
+        >>> matrices(torch.tensor([[1, 2, 3, 4, 5, 6]])).tolist()
+        [[[1, 2, 3], [2, 4, 5], [3, 5, 6]]]
+    """
+    return covars[:, UPPER_TRIANGLE].unflatten(1, (3, 3))
 
 
 @torch.no_grad()
 def with_axes(gaussians: Gaussians) -> Gaussians:
-    """Convert covariances of torch tensors to quaternions and scales; not differentiable."""
+    """Convert covariances of torch tensors to quaternions and scales; not differentiable.
+
+    Example:
+        >>> covars, one = torch.tensor([[0.01, 0, 0, 0.04, 0, 0.09]]).double(), torch.ones(1)
+        >>> g = Gaussians(torch.zeros(1, 3), None, None, one, one[:, None], covars=covars)
+        >>> with_axes(g).scales.round(decimals=6).tolist()
+        [[0.1, 0.2, 0.3]]
+    """
     if gaussians.covars is None:
         return gaussians
     squares, axes = torch.linalg.eigh(matrices(gaussians.covars).double())

@@ -22,7 +22,12 @@ import numpy as np
 
 
 class ArgumentError(ValueError):
-    """``function: name[index] problem``: which argument is wrong, where in it, and why."""
+    """``function: name[index] problem``: which argument is wrong, where in it, and why.
+
+    Example:
+        >>> print(ArgumentError("render()", "means", "is nan, must be finite", "[0, 2]"))
+        render(): means[0, 2] is nan, must be finite
+    """
 
     def __init__(self, function: str, name: str, problem: str, index: str = "") -> None:
         super().__init__(function, name, problem, index)  # all of args: errors are pickled by them
@@ -37,16 +42,21 @@ class ArgumentError(ValueError):
         return ArgumentError(function, names.get(name, name), problem, index)
 
 
-CHECKED_VIEWS = 1024  # so many cameras are kept, and not checked again
-MOST_PIXELS = 1 << 28  # of an image; its five channels take 5 GiB
+CACHED_CAMERAS = 1024  # cameras that need no second check; chosen: the views of a large capture
+MAX_PIXELS = 1 << 28  # of an image; chosen: its five channels take 5 GiB
 CameraModel = Literal["pinhole", "ortho", "fisheye"]
 
 _UNIT = np.eye(3)
-_ROUNDING = 1e-4 + 1e-5 * _UNIT
+_RIGID_TOLERANCE = 1e-4 + 1e-5 * _UNIT  # of R R^T: chosen, a rotation in float32 passes
 
 
 class CameraTensors(NamedTuple):
-    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None for a constant."""
+    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None for a constant.
+
+    Example:
+        >>> CameraTensors()
+        CameraTensors(T_camera_world=None, K=None)
+    """
 
     T_camera_world: Any = None  # (4, 4)
     K: Any = None  # (3, 3)
@@ -57,7 +67,15 @@ class Camera:
     """One view: intrinsics in pixels, a rigid pose, and the size of the image.
 
     A camera that :meth:`from_matrices` made from tensors also keeps the tensors, and renderers
-    differentiate by them. Cameras with the same numbers are equal.
+    differentiate by them. Cameras with the same numbers are equal. The axes follow OpenCV, the
+    models gsplat's ``camera_model``.
+
+    Example:
+        >>> camera = Camera(100.0, 100.0, 32.0, 24.0, look_at((0, 0, 2), (0, 0, 0)), 64, 48)
+        >>> camera.project(np.array([0.0, 0.1, 0.0])).round(3).tolist()  # up is a smaller v
+        [32.0, 19.0]
+        >>> camera.resized(32, 24).fx
+        50.0
     """
 
     fx: float  # focal length in x, pixels
@@ -83,9 +101,9 @@ class Camera:
         if not all(math.isfinite(x) for x in (self.fx, self.fy, self.cx, self.cy)):
             found = f"{self.fx}, {self.fy}, {self.cx}, {self.cy}"
             raise _refusal("fx, fy, cx, cy", f"must be finite, got {found}")
-        if min(self.width, self.height) < 1 or self.width * self.height > MOST_PIXELS:
+        if min(self.width, self.height) < 1 or self.width * self.height > MAX_PIXELS:
             found = f"{self.width}x{self.height}"
-            raise _refusal("size", f"must be 1x1 to {MOST_PIXELS:,} pixels, got {found}")
+            raise _refusal("size", f"must be 1x1 to {MAX_PIXELS:,} pixels, got {found}")
         if not (self.fx > 0 and self.fy > 0):
             raise _refusal("focal lengths", f"must be positive, got {self.fx}, {self.fy}")
         T.setflags(write=False)
@@ -204,7 +222,14 @@ class Camera:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
-    """``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``, ``up`` upwards."""
+    """Return ``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``.
+
+    ``up`` points upwards in the picture. The function is OpenGL's ``gluLookAt``, for OpenCV's axes.
+
+    Example:
+        >>> (look_at((0, 0, 3), (0, 0, 0)) @ [0, 0, 0, 1]).tolist()  # the target lies 3 m ahead
+        [0.0, 0.0, 3.0, 1.0]
+    """
     eye, target, up = (np.asarray(x, dtype=np.float64) for x in (eye, target, up))
     unit = lambda v: v / np.sqrt((v * v).sum())  # no BLAS: its bits depend on the CPU
     forward = unit(target - eye)
@@ -219,7 +244,7 @@ def _refusal(name: str, problem: str) -> ArgumentError:
     return ArgumentError("Camera", name, problem)
 
 
-@functools.lru_cache(CHECKED_VIEWS)
+@functools.lru_cache(CACHED_CAMERAS)
 def _checked(
     K: bytes, T: bytes, shape: tuple[int, ...], width: int, height: int, model: CameraModel
 ) -> Camera:
@@ -230,7 +255,7 @@ def _checked(
 
 def _is_rotation(R: np.ndarray) -> bool:
     """Whether R R^T is 1 within float32 digits; np.allclose takes six times as long."""
-    return bool((np.abs(R @ R.T - _UNIT) <= _ROUNDING).all())
+    return bool((np.abs(R @ R.T - _UNIT) <= _RIGID_TOLERANCE).all())
 
 
 def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401

@@ -36,7 +36,7 @@ def render(
     *,
     depth_limit: Array = None,
 ) -> Image:
-    """Draw ``gaussians`` as seen from ``camera``.
+    """Draw ``gaussians`` as seen from ``camera`` (paper, Eq. 1-3).
 
     Args:
         gaussians: Dr.Jit tensors of one kind: ``TensorXf`` or ``TensorXf64`` from ``drjit.llvm`` or
@@ -59,6 +59,18 @@ def render(
     Note:
         The order by depth, the set of pixels a Gaussian reaches and ``depth_limit`` are not
         differentiated.
+
+    Example:
+        >>> from drjit.llvm.ad import TensorXf
+        >>> from gva_mi.splat.camera import look_at
+        >>> numbers = ([[0.0, 0, 0]], [[1.0, 0, 0, 0]], [[0.2, 0.2, 0.2]], [0.8], [[1.0, 0.5, 0]])
+        >>> tensors = [TensorXf(np.float32(x)) for x in numbers]
+        >>> dr.enable_grad(tensors[3])
+        >>> camera = Camera(16.0, 16.0, 4.0, 4.0, look_at((0, 0, 2), (0, 0, 0)), 8, 8)
+        >>> image = render(Gaussians(*tensors), camera)
+        >>> dr.backward(dr.sum(image.alpha, axis=None))
+        >>> image.color.shape, bool(dr.grad(tensors[3])[0] > 1)  # more than one pixel shows it
+        ((8, 8, 3), True)
     """
     arrays = gaussians.arrays()
     if gaussians.covars is not None:

@@ -10,12 +10,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-MAX_DEGREE = 4  # of the spherical harmonics
+MAX_DEGREE = 4  # of the spherical harmonics, as in gsplat
 
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N anisotropic 3D Gaussians, each with a plain colour or one in spherical harmonics."""
+    """N anisotropic 3D Gaussians, each with a plain colour or one in spherical harmonics.
+
+    The parameters are those of 3D Gaussian Splatting (Kerbl et al. 2023) after its activations.
+
+    Example:
+        >>> import numpy as np
+        >>> one = Gaussians(
+        ...     means=np.zeros((1, 3)),
+        ...     quats=np.array([[1.0, 0, 0, 0]]),
+        ...     scales=np.full((1, 3), 0.1),
+        ...     opacities=np.array([0.5]),
+        ...     colors=np.array([[1.0, 0.5, 0]]),
+        ... )
+        >>> len(one), one.channels
+        (1, 3)
+    """
 
     means: Any  # (N, 3) metres, world
     quats: Any  # (N, 4) wxyz, normalised inside
@@ -72,7 +87,13 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Image:
-    """Result of ``render``; all images are differentiable."""
+    """Result of ``render`` (paper, Eq. 3); all images are differentiable.
+
+    Example:
+        >>> import numpy as np
+        >>> Image(color=np.ones((4, 6, 3)), alpha=np.ones((4, 6))).depth is None
+        True
+    """
 
     color: Any  # (H, W, D), background blended in
     alpha: Any  # (H, W) in [0, 1]
@@ -81,10 +102,14 @@ class Image:
 
 
 def degree_of(coefficients: int) -> int:
-    """Return the degree whose basis has that many functions.
+    """Return the degree of spherical harmonics whose basis has that many functions.
 
     Raises:
-        ValueError: there is none up to :data:`MAX_DEGREE`.
+        ValueError: no degree up to :data:`MAX_DEGREE` has.
+
+    Example:
+        >>> degree_of(16)
+        3
     """
     for degree in range(MAX_DEGREE + 1):
         if (degree + 1) ** 2 == coefficients:

@@ -9,12 +9,25 @@ from typing import Annotated
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import InnerShare, PythonOnly, Share, Within, options_of
 
-Distance = Annotated[float, Within(0, 1e12, "low")]  # metres
+# Metres; the upper bound is chosen: far beyond any scene, and finite in float32.
+Distance = Annotated[float, Within(0, 1e12, "low")]
 
 
 @options_of("SplatOptions")
 class SplatOptions:
-    """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3."""
+    """Cut-offs of the image formation. The defaults are those of gsplat 1.5.3.
+
+    ``antialiased`` is the 2D filter of Mip-Splatting (Yu et al. 2024) as gsplat has it.
+
+    Example:
+        >>> like_3dgs = SplatOptions(alpha_max=0.99, near=0.2)
+        >>> like_3dgs.blur
+        0.3
+        >>> SplatOptions(near=2.0, far=1.0)
+        Traceback (most recent call last):
+        ...
+        gva_mi.core.errors.InputError: SplatOptions: near < far is needed, got 2.0, 1.0
+    """
 
     alpha_min: PythonOnly[InnerShare] = (
         1 / 255

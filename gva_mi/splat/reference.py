@@ -23,7 +23,7 @@ from gva_mi.splat.camera import Camera, CameraModel
 from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 
-SWAPPED = 2**-22  # relative distance of depths, four float32 roundings
+DEPTH_TIE = 2**-22  # relative distance of depths that may swap: four roundings of float32
 
 
 def render(
@@ -36,6 +36,14 @@ def render(
 
     Differentiable, by the camera too if it is made from tensors; the background (D,) is black if
     None.
+
+    Example:
+        >>> from gva_mi.splat import render as kernels
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=8, height=8)
+        >>> expected = render(scene.gaussians, scene.camera).color
+        >>> float((kernels(scene.gaussians, scene.camera).color - expected).abs().max()) < 1e-9
+        True
     """
     return _render(gaussians, camera, options or SplatOptions(), background)[0]
 
@@ -50,7 +58,7 @@ def threshold_band(
     """Find pixels that may change by a step when the last digits do, (H, W) bool.
 
     A pixel counts where two consecutive Gaussians have depths relatively nearer than
-    :data:`SWAPPED` and not equal, because they may change places; and near a cut-off:
+    :data:`DEPTH_TIE` and not equal, because they may change places; and near a cut-off:
 
     Args:
         gaussians: torch tensors.
@@ -59,10 +67,16 @@ def threshold_band(
         alpha: a pixel counts where a Gaussian's alpha is relatively nearer to ``alpha_min`` or
             ``alpha_max`` than this.
         transmittance: relative distance of T to ``transmittance_min`` below which a pixel counts.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=8, width=8, height=8)
+        >>> int(threshold_band(scene.gaussians, scene.camera, alpha=0.05).sum())  # of 64 pixels
+        4
     """
     with torch.no_grad():
         margins = _render(gaussians, camera, options or SplatOptions(), None)[1]
-    return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < SWAPPED)
+    return (margins.alpha < alpha) | (margins.rest < transmittance) | (margins.depth < DEPTH_TIE)
 
 
 class _Margins(NamedTuple):
@@ -142,7 +156,14 @@ def _render(
 
 
 def covariances_of(gaussians: Gaussians) -> list[Tensor]:
-    """Return Sigma (3, 3) of each Gaussian, square metres."""
+    """Return Sigma = M S S M^T (3, 3) of each Gaussian, square metres (paper, Eq. 1).
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> g = random_scene(torch.Generator().manual_seed(0), gaussians=1).gaussians
+        >>> round(float(covariances_of(g)[0].det().sqrt() / g.scales.prod()), 6)
+        1.0
+    """
     if gaussians.covars is not None:
         rows = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
         given = gaussians.covars.to(torch.float64)
@@ -165,7 +186,18 @@ def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
 def project(
     x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Project one Gaussian at ``x`` in camera space: mean (2,), covariance (2, 2) before blur."""
+    """Project one Gaussian at ``x`` in camera space: mean (2,), covariance (2, 2) before blur.
+
+    This is EWA splatting (Zwicker et al. 2001; paper, Eq. 2), with R of the camera, its matrix K,
+    and J held at the picture's border as in gsplat.
+
+    Example:
+        >>> camera = Camera(100.0, 100.0, 32.0, 24.0, torch.eye(4).numpy(), 64, 48)
+        >>> x, K = torch.tensor([0.0, 0.1, 2.0]).double(), torch.tensor(camera.K)
+        >>> Sigma, R = 0.01 * torch.eye(3).double(), torch.eye(3).double()
+        >>> [part.round(decimals=2).tolist() for part in project(x, Sigma, R, camera, K)]
+        [[32.0, 29.0], [[25.0, 0.0], [0.0, 25.06]]]
+    """
     falls = lambda x: picture_point(x, K, camera.model)
     J = torch.func.jacrev(falls)(x)
     if camera.model == "pinhole":
@@ -179,7 +211,13 @@ def project(
 
 
 def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
-    """Project a point (3,) of camera space into the picture, (2,) px."""
+    """Project a point (3,) of camera space into the picture, (2,) px (camera.py).
+
+    Example:
+        >>> x, K = torch.tensor([1.0, 0, 1]), torch.tensor([[10.0, 0, 5], [0, 10, 5], [0, 0, 1]])
+        >>> [round(float(picture_point(x, K, m)[0]), 2) for m in ("pinhole", "fisheye")]  # 45°
+        [15.0, 12.85]
+    """
     if model == "pinhole":
         p = x[:2] / x[2]
     elif model == "ortho":
@@ -194,6 +232,10 @@ def rotation(quat: Tensor) -> Tensor:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz of any length.
 
     The rotation of zero is the identity.
+
+    Example:
+        >>> (rotation(torch.tensor([1.0, 0, 0, 1])) @ torch.tensor([1.0, 0, 0])).round().tolist()
+        [0.0, 1.0, 0.0]
     """
     length = quat.norm(dim=-1, keepdim=True)
     w, x, y, z = (quat / length.where(length > 0, 1)).unbind(-1)
@@ -208,6 +250,10 @@ def harmonics(directions: Tensor, count: int) -> Tensor:
 
     Order and sign are those of 3DGS. The recurrences of the associated Legendre functions have
     nothing in common with the kernels' polynomials.
+
+    Example:
+        >>> harmonics(torch.tensor([[0.0, 0, 1]]).double(), 4).round(decimals=4).tolist()
+        [[0.2821, -0.0, 0.4886, -0.0]]
     """
     degrees = [(l, m) for l in range(int(count**0.5)) for m in range(-l, l + 1)]
     return torch.stack([_harmonic(l, m, *directions.unbind(1)) for l, m in degrees], dim=1)

@@ -21,7 +21,15 @@ from gva_mi.splat.options import SplatOptions
 
 @dataclass(frozen=True)
 class Scene:
-    """Gaussians, a camera, a background and options: the input of a picture."""
+    """Gaussians, a camera, a background and options: the input of a picture.
+
+    Example:
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=5, width=16, height=12)
+        >>> {name: tuple(x.shape) for name, x in scene.inputs().items()}["scales"]
+        (5, 3)
+        >>> (scene.through("fisheye").camera.model, scene.window(4, 4, 8, 8).camera.width)
+        ('fisheye', 8)
+    """
 
     gaussians: Gaussians  # float64 torch tensors
     camera: Camera  # made of float64 torch tensors if it is differentiated too
@@ -42,7 +50,7 @@ class Scene:
         Nine tenths of them fill the middle: the rest of a captured scene is far away.
 
         Raises:
-            InputError: there are no Gaussians, or their numbers are not finite; the path is named.
+            InputError: no Gaussians, or numbers that are not finite; the message has the path.
         """
         gaussians = half_turned(load_ply(path))
         if not len(gaussians):
@@ -149,7 +157,12 @@ def random_scene(
 ) -> Scene:
     """Spread random Gaussians about the origin, some beyond the picture's border, seen from 3 m.
 
-    ``degree`` is that of the spherical harmonics; None gives plain colours of so many channels.
+    Give ``degree`` for spherical harmonics; None gives plain colours of so many channels.
+
+    Example:
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=5, degree=2)
+        >>> tuple(scene.gaussians.sh.shape)
+        (5, 9, 3)
     """
     n = gaussians
     uniform = lambda low, high, *shape: (
@@ -173,7 +186,9 @@ def random_scene(
     return Scene(values, camera, uniform(0, 1, channels))
 
 
-PERSON = (  # tapered capsules: end a, end b (m, y up), radius at a, radius at b (m)
+# A person 1.79 m tall as tapered capsules: end a, end b (m, y up), radius at a, radius at b (m).
+# Chosen by eye. The limbs, from the thigh on, are mirrored.
+PERSON = (
     ((0.0, 0.93, 0.0), (0.0, 1.38, 0.0), 0.145, 0.155),  # trunk
     ((0.0, 1.40, 0.0), (0.0, 1.52, 0.0), 0.055, 0.055),  # neck
     ((0.0, 1.57, 0.01), (0.0, 1.70, 0.01), 0.090, 0.085),  # head
@@ -191,6 +206,11 @@ def person_scene(generator: np.random.Generator, gaussians: int = 20_000, size: 
 
     Their size follows the spacing on the surface, so that there are no holes at any number.
     ``size`` is the width and height of the picture, px.
+
+    Example:
+        >>> scene = person_scene(np.random.default_rng(0), gaussians=100, size=64)
+        >>> round(float(scene.gaussians.means[:, 1].max()), 1)  # m, near the top of the head
+        1.7
     """
     mirrored = [[*np.multiply(((a, b)), (-1, 1, 1)), *radii] for a, b, *radii in PERSON[3:]]
     limbs = [*PERSON, *mirrored]

@@ -36,7 +36,7 @@ from gva_mi.splat.kernels.tile_memory import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
 
-IMAGE_COUNT = 3  # color, alpha, depth
+IMAGE_COUNT = 3  # images: color, alpha, depth
 NO_BATCHES = (
     "render(): it takes no gradients or tangents in batches, as is_grads_batched and "
     "functional.jacobian's vectorize make them; torch.func's jacrev, jacfwd and vmap work"
@@ -211,6 +211,18 @@ class Screen:
     """The Gaussians in one picture; ``render`` fills it, ``backward`` adds the gradients.
 
     Every property is read from the kernels' memory when it is used; unused ones cost nothing.
+    ``grad`` is what density control of 3DGS reads, ``absgrad`` what AbsGS (Ye et al. 2024) reads.
+
+    Example:
+        >>> from gva_mi.splat import render
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> scene, screen = scene.to(torch.float64), Screen()
+        >>> render(scene.gaussians, scene.camera, screen=screen).color.sum().backward()
+        >>> tuple(screen.means2d.shape), tuple(screen.grad.shape)
+        ((5, 2), (5, 2))
+        >>> screen.visible.tolist()
+        [True, True, True, True, True]
     """
 
     absolute: bool = False  # set to have absgrad filled as well

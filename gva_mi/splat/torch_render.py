@@ -41,6 +41,7 @@ from gva_mi.splat.torch_passes import (
 )
 
 COUNT = len(Tensors._fields)
+SMALLEST_ALPHA = 1e-10  # by which a depth is divided, as in gsplat
 NO_SECOND_DERIVATIVES = (
     "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "
     "background or the camera; second derivatives, as a Hessian or a penalty on a gradient needs "
@@ -233,7 +234,7 @@ def render(
     background: Tensor | None = None,
     screen: Screen | None = None,
 ) -> Image:
-    """Draw ``gaussians`` as seen from ``camera``.
+    """Draw ``gaussians`` as seen from ``camera`` (paper, Eq. 1-3).
 
     Args:
         gaussians: CPU tensors of one dtype, float32 or float64; contiguous ones are not copied.
@@ -256,6 +257,17 @@ def render(
         image is smooth except for steps of ``options.alpha_min`` and ``transmittance_min``.
         Second derivatives raise. ``torch.func``'s transforms work, ``vmap`` one element after the
         other; ``torch.compile`` runs it between graphs, uncompiled.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> scene = scene.to(torch.float64)  # as leaves that need gradients
+        >>> image = render(scene.gaussians, scene.camera, background=scene.background)
+        >>> tuple(image.color.shape), tuple(image.alpha.shape)
+        ((6, 8, 3), (6, 8))
+        >>> image.color.sum().backward()  # a background's channel counts where nothing covers it
+        >>> round(float(scene.background.grad[0] - (1 - image.alpha.detach()).sum()), 9)
+        0.0
     """
     check(gaussians, background, camera)
     constants = (camera, options, gaussians.sh is not None, screen)
@@ -274,8 +286,16 @@ def tensors_of(gaussians: Gaussians, background: Tensor | None, camera: Camera) 
 
 
 def expected_depth(image: Image) -> Tensor:
-    """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing."""
-    return image.depth / image.alpha.clamp(min=1e-10)
+    """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing.
+
+    It is gsplat's render mode ED, with gsplat's bound of alpha.
+
+    Example:
+        >>> image = Image(None, alpha=torch.tensor([[0.5, 0.0]]), depth=torch.tensor([[1.0, 0.0]]))
+        >>> expected_depth(image).tolist()
+        [[2.0, 0.0]]
+    """
+    return image.depth / image.alpha.clamp(min=SMALLEST_ALPHA)
 
 
 def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> None:

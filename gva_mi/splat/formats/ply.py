@@ -39,18 +39,29 @@ TYPES = {  # each has two names
 _FORMAT = "binary_little_endian 1.0"
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 _OPTIONAL = {"nx", "ny", "nz", "scale_2"}
-_MARGIN = 1e-7  # distance of opacities to 0 and 1, whose logits are infinite
+_LOGIT_MARGIN = 1e-7  # distance of opacities to 0 and 1, whose logits are infinite: chosen
 
 
 def save_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians of torch tensors in the format of 3DGS; plain colours become the constant
-    band.
+    """Write Gaussians of torch tensors in the format of 3DGS.
+
+    Plain colours become the constant band of the harmonics.
 
     Raises:
         InputError: numbers that are not finite.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> from gva_mi.splat.scene import random_scene
+        >>> g = random_scene(torch.Generator().manual_seed(0), gaussians=5, degree=1).gaussians
+        >>> with TemporaryDirectory() as folder:
+        ...     save_ply(Path(folder, "five.ply"), g)
+        ...     read = load_ply(Path(folder, "five.ply"))
+        >>> tuple(read.sh.shape), bool(torch.allclose(read.scales, g.scales.float()))
+        ((5, 4, 3), True)
     """
     stored = Stored.of(path, gaussians)
-    eta = np.clip(stored.opacities, _MARGIN, 1 - _MARGIN)
+    eta = np.clip(stored.opacities, _LOGIT_MARGIN, 1 - _LOGIT_MARGIN)
     table = np.column_stack(
         [
             stored.means,
@@ -73,6 +84,12 @@ def load_ply(path: Path) -> Gaussians:
 
     Raises:
         InputError: not a .ply of Gaussians, truncated, or a property is missing.
+
+    Example:
+        >>> load_ply(Path("missing.ply"))
+        Traceback (most recent call last):
+        ...
+        gva_mi.core.errors.InputError: missing.ply: no such file; expected a .ply of Gaussians
     """
     table = _read_vertices(path)
     names = table.dtype.names or ()

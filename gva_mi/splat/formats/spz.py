@@ -57,10 +57,20 @@ ROW = np.dtype(
 
 
 def save_splat(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians of torch tensors, rounded to the format's 8 bits.
+    """Write Gaussians of torch tensors as a .splat, rounded to the format's 8 bits.
 
     Raises:
         InputError: numbers that are not finite.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> import torch
+        >>> from gva_mi.splat.scene import random_scene
+        >>> g = random_scene(torch.Generator().manual_seed(0), gaussians=5).gaussians
+        >>> with TemporaryDirectory() as folder:
+        ...     save_splat(Path(folder, "five.splat"), g)
+        ...     Path(folder, "five.splat").stat().st_size
+        160
     """
     stored = Stored.of(path, gaussians)
     rows = np.zeros(len(gaussians), ROW)
@@ -72,7 +82,15 @@ def save_splat(path: Path, gaussians: Gaussians) -> None:
 
 
 def plain_colors(gaussians: Gaussians) -> np.ndarray:
-    """Return view-independent colours (N, 3) in [0, 1]."""
+    """Return view-independent colours (N, 3) in [0, 1].
+
+    Example:
+        >>> import torch
+        >>> one = torch.ones(1)
+        >>> g = Gaussians(torch.zeros(1, 3), one, one, one, sh=torch.zeros(1, 4, 3))
+        >>> plain_colors(g).tolist()
+        [[0.5, 0.5, 0.5]]
+    """
     if gaussians.sh is None:
         colors = gaussians.colors.detach().double().numpy()
     else:
@@ -80,22 +98,33 @@ def plain_colors(gaussians: Gaussians) -> np.ndarray:
     return np.clip(colors, 0, 1)
 
 
+# Niantic's github.com/nianticlabs/spz, version 3, unless said otherwise
 MAGIC = 0x5053474E  # NGSP
-MAX_FRACTION_BITS = 16  # of means: rounding error 8 µm within ±128 m
+MAX_FRACTION_BITS = 16  # of means: chosen, rounding error 8 µm within ±128 m
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, flags, reserved
 _VERSION = 3
 _MAX_24_BIT = 0x7FFFFF  # signed
-_COLOR = 0.15
-_ROTATION = (2, 10, 10, 10)  # bits of a quaternion
-_HALF = np.sqrt(0.5)  # bound of all components but the largest
+_COLOR_SCALE = 0.15
+_QUATERNION_BITS = (2, 10, 10, 10)
+_ROOT_HALF = np.sqrt(0.5)  # bound of all components of a unit quaternion but the largest
 
 
 def save_spz(path: Path, gaussians: Gaussians) -> None:
-    """Write Gaussians of torch tensors as version 3, rounded to the format's bits.
+    """Write Gaussians of torch tensors as .spz of version 3, rounded to the format's bits.
 
     Raises:
         InputError: harmonics of degree 4, which version 3 lacks, means beyond 8,388 km, or numbers
             that are not finite.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> import torch
+        >>> from gva_mi.splat.scene import random_scene
+        >>> g = random_scene(torch.Generator().manual_seed(0), gaussians=5).gaussians
+        >>> with TemporaryDirectory() as folder:
+        ...     save_spz(Path(folder, "five.spz"), g)
+        ...     gzip.decompress(Path(folder, "five.spz").read_bytes())[:4]
+        b'NGSP'
     """
     stored = Stored.of(path, half_turned(gaussians), "a .spz", most=3)
     means = stored.means
@@ -107,7 +136,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     streams = [
         np.ascontiguousarray(fixed).view("u1").reshape(len(means), 3, 4)[..., :3],
         to_bytes(255 * stored.opacities),
-        to_bytes(255 * (_COLOR * stored.sh[:, 0] + 0.5)),
+        to_bytes(255 * (_COLOR_SCALE * stored.sh[:, 0] + 0.5)),
         to_bytes(16 * (stored.log_scales + 10)),
         _smallest_three(stored.unit_quats),
         to_bytes(128 * stored.sh[:, 1:] + 128),
@@ -120,5 +149,5 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
 def _smallest_three(quats: np.ndarray) -> np.ndarray:
     """Pack unit quaternions wxyz (N, 4) into 32 bits each, without the largest of x, y, z, w."""
     largest, others = without_largest(quats[:, [1, 2, 3, 0]])
-    sizes = np.round(511 * np.minimum(np.abs(others) / _HALF, 1)).astype(np.int64)
-    return pack(np.column_stack([largest, (others < 0) << 9 | sizes]), _ROTATION)
+    sizes = np.round(511 * np.minimum(np.abs(others) / _ROOT_HALF, 1)).astype(np.int64)
+    return pack(np.column_stack([largest, (others < 0) << 9 | sizes]), _QUATERNION_BITS)

@@ -186,7 +186,7 @@ def rasterization(
     rolling_shutter: Any = None,  # noqa: ANN401
     viewmats_rs: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Meta]:
-    """Draw N Gaussians as seen from C cameras.
+    """Draw N Gaussians as seen from C cameras, as gsplat 1.5.3's function of this name does.
 
     Args:
         means: (..., N, 3) m, world; "..." are batch dimensions, the same for all tensors.
@@ -230,6 +230,16 @@ def rasterization(
     Note:
         Colours, alphas, means2d and depths are differentiable; the rest of meta is not, except
         opacities that are not antialiased.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> g, camera = scene.gaussians, scene.camera
+        >>> viewmats, Ks = torch.tensor(camera.T_camera_world)[None], torch.tensor(camera.K)[None]
+        >>> body = (g.means, g.quats, g.scales, g.opacities, g.colors)
+        >>> colors, alphas, meta = rasterization(*body, viewmats, Ks, camera.width, camera.height)
+        >>> tuple(colors.shape), tuple(alphas.shape), tuple(meta["means2d"].shape)
+        ((1, 6, 8, 3), (1, 6, 8, 1), (5, 2))
     """
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
     require_unused(

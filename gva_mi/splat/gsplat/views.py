@@ -34,7 +34,8 @@ from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.torch_passes import Drawn, Screen, Tensors, draw, first_two_columns, images
 from gva_mi.splat.torch_render import keep, one_by_one, pull, push, tensors_of
 
-ON_AXIS = 1e-6  # below this (r / z)^2 a fisheye's s is the start of its series
+# (r / z)^2 below which a fisheye's s is two terms of its series. Chosen: the third is 2e-13 of s.
+SERIES_MAX_Q = 1e-6
 
 Values = tuple[Tensor | None, ...]
 
@@ -191,7 +192,7 @@ def _projection(view: GsplatView) -> Callable[[Tensor, Tensor, Tensor], tuple[Te
         if model == "ortho":
             return f * x[:, :2] + c, depths
         squared = x[:, :2].square().sum(dim=-1, keepdim=True)
-        on_axis = squared < ON_AXIS * z * z
+        on_axis = squared < SERIES_MAX_Q * z * z
         r = sqrt(torch.where(on_axis, 1, squared))
         s = torch.where(on_axis, (1 - squared / (3 * z * z)) / z, torch.atan2(r, z) / r)
         return f * x[:, :2] * s + c, depths

@@ -47,7 +47,7 @@ from gva_mi.splat.kernels.vectors import Sym2, Vec2, plus
 from gva_mi.splat.options import SplatOptions
 
 # Gaussians per turn of the loops. Each turn loads and stores the state of its tile's pixels, which
-# does not fit into the registers.
+# does not fit into the registers. Chosen: more of them cost code and time to compile.
 UNROLL, UNROLL_ADJOINT = 6, 2
 
 
@@ -155,7 +155,7 @@ def blend_adjoint(
 
     Args:
         splats, grid, background, format, options: as :func:`blend` took them.
-        lists: what it walked of them (``tiles.walked``).
+        lists: the part of them that it composited (``tiles.composited``).
         saved_pixels: as :func:`blend` returned them.
         grad: dL/dy; its alpha and depth may be None.
         pairs, lanes: widths of ``lists.ids`` and ``lists.tile``.

@@ -18,7 +18,7 @@ from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.records import PairGradient, RecordFormat, Splat
 from gva_mi.splat.kernels.tile_memory import Planes
 
-CHUNK = 8  # channels composited at a time
+CHUNK = 8  # channels composited at a time: chosen, a packet of floats
 
 
 def formats(channels: int, depth: bool, whole: bool = False) -> tuple[RecordFormat, ...]:
@@ -70,11 +70,11 @@ def join(parts: list[Array], alpha: Array, whole: Array, *, channels: int) -> Ar
 
 
 @Frozen
-def split(whole: Array, nothing: Array, parts: list[Array], *, channels: int) -> list[Array]:
-    """Reverse of :func:`join`; ``nothing`` is a zero for each pixel."""
-    pixel = dr.arange(dr.uint32_array_t(type(nothing)), dr.width(nothing))
+def split(whole: Array, zeros: Array, parts: list[Array], *, channels: int) -> list[Array]:
+    """Reverse of :func:`join`; ``zeros`` has a zero for each pixel."""
+    pixel = dr.arange(dr.uint32_array_t(type(zeros)), dr.width(zeros))
     for c in range(CHUNK * len(parts)):
-        value = nothing * 1
+        value = zeros * 1
         if c < channels:
             value = dr.gather(type(whole), whole, pixel * channels + c)
         part = parts[c // CHUNK]
@@ -99,8 +99,8 @@ def split_gradient(grad: Planes, channels: int, parts: int) -> list[Planes]:
         return [grad]
     F, size = type(grad.color), dr.width(grad.color) // channels
     memory = [packets.memory(F, size * CHUNK) for _ in range(parts)]
-    nothing = dr.opaque(F, 0, size)
-    colors = split(grad.color, nothing, memory, channels=channels)
+    zeros = dr.opaque(F, 0, size)
+    colors = split(grad.color, zeros, memory, channels=channels)
     rest = [Planes(color, None, None) for color in colors[1:]]
     return [Planes(colors[0], grad.alpha, grad.depth), *rest]
 

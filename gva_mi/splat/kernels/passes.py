@@ -249,7 +249,7 @@ def _composite_adjoint(
     plan, D = saved.plan, len(saved.background)
     colors = requested.colors or plan.harmonics  # harmonics reach the means too
     slots, slot_formats, by_background = [], [], []
-    lists = tiles.walked(saved.lists, saved.stop)
+    lists = tiles.composited(saved.lists, saved.stop)
     pictures = chunks.split_gradient(grad, D, len(plan.formats))
     parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
     for part, by_picture, behind, format in parts:

@@ -16,6 +16,8 @@ from drjit import ArrayBase as Array
 from gva_mi.splat.gaussians import degree_of
 from gva_mi.splat.kernels.vectors import Vec3, dot, each
 
+# Normalisations of the basis of degree 0 to 4 (C1 = sqrt(3 / 4 pi)): the magnitudes of 3DGS's
+# utils/sh_utils.py, whose signs stand in the formulas of basis().
 C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)

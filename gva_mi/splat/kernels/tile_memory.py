@@ -122,7 +122,7 @@ class Window:
             packets.store_rows(plane, numbers, row, self.real)
 
 
-UNSEEN = -1e30  # lo of a Gaussian that no pixel sees
+INVISIBLE_LO = -1e30  # log2 of an opacity so low that no pixel shows the Gaussian
 
 
 @dataclass(frozen=True)
@@ -185,10 +185,10 @@ def load_splat(
 def _row(splats: packets.Packets, format: RecordFormat, gaussian: Array, inside: Array) -> Splat:
     """Load one Gaussian; an invisible one where not ``inside`` a list."""
     g = packets.load(splats, Splat, format, gaussian)
-    return replace(g, lo=dr.select(inside, g.lo, UNSEEN))
+    return replace(g, lo=dr.select(inside, g.lo, INVISIBLE_LO))
 
 
-PART = 4  # neighbouring pixels of a row
+PART = 4  # neighbouring pixels of a row: chosen, their state fits into the registers
 PARTS = PIXELS // PART
 PER_ROW = WIDTH // PART
 

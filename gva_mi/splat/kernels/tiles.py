@@ -31,10 +31,12 @@ from gva_mi.jit import packets
 from gva_mi.jit.frozen import Frozen
 from gva_mi.splat.kernels.records import Footprint
 
-WIDTH, HEIGHT = 8, 4  # pixels of a tile
-LONG = 32  # pairs per lane from which on it pays to schedule the adjoint's lists again
+WIDTH, HEIGHT = 8, 4  # pixels of a tile: chosen, a row is one packet of 8 floats
+# Mean pairs per lane from which on the adjoint's lists are scheduled again. Chosen: it takes time,
+# and pixels stop early in long lists only.
+RESCHEDULED_PAIRS = 32
 MAX_PAIRS = 2**29 - 1  # slots are packets of 8 floats, counted by 32-bit indices
-SLACK = 1e-3  # pixels; widens an ellipse against rounding
+ELLIPSE_SLACK = 1e-3  # px, widens an ellipse: chosen, twice float32's rounding at 8,192 px
 
 NoConflicts = dr.ReduceMode.NoConflicts
 
@@ -117,10 +119,10 @@ def capacity(count: int) -> int:
 def _rows_touched(g: Footprint, grid: Grid) -> tuple[Array, Array]:
     """Return the rows of tiles [first, last) that an ellipse may reach."""
     F, I = type(g.u), type(grid.height)
-    low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - SLACK), 0)
-    high = dr.minimum(dr.floor(g.v + g.ry - 0.5 + SLACK), F(grid.height) - 1)
+    low = dr.maximum(dr.ceil(g.v - g.ry - 0.5 - ELLIPSE_SLACK), 0)
+    high = dr.minimum(dr.floor(g.v + g.ry - 0.5 + ELLIPSE_SLACK), F(grid.height) - 1)
     ok = (g.ry >= 0) & (low <= high)
-    ok &= (g.u + g.rx + SLACK >= 0.5) & (g.u - g.rx - SLACK <= F(grid.width) - 0.5)
+    ok &= (g.u + g.rx + ELLIPSE_SLACK >= 0.5) & (g.u - g.rx - ELLIPSE_SLACK <= F(grid.width) - 0.5)
     first = I(dr.select(ok, low, 0)) // HEIGHT
     return first, dr.select(ok, I(dr.select(ok, high, 0)) // HEIGHT + 1, first)
 
@@ -134,8 +136,8 @@ def _columns_touched(g: Footprint, row: Array, grid: Grid) -> tuple[Array, Array
     right, left = (dr.minimum(dr.maximum(d, top), bottom) for d in (g.turn, -g.turn))
     # ry = 0 only where the ellipse is a point
     chord = lambda d: g.half * dr.sqrt(dr.maximum(1 - dr.square(d / dr.maximum(g.ry, 1e-6)), 0))
-    low = dr.maximum(dr.ceil(g.u + g.shear * left - chord(left) - 0.5 - SLACK), 0)
-    high = g.u + g.shear * right + chord(right) - 0.5 + SLACK
+    low = dr.maximum(dr.ceil(g.u + g.shear * left - chord(left) - 0.5 - ELLIPSE_SLACK), 0)
+    high = g.u + g.shear * right + chord(right) - 0.5 + ELLIPSE_SLACK
     high = dr.minimum(dr.floor(high), F(grid.width) - 1)
     ok &= low <= high
     begin = I(dr.select(ok, low, 0)) // WIDTH
@@ -224,8 +226,8 @@ def _ranges(
 def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     """Step 5: assign each lane a tile and its list."""
     U, tiles = type(start), dr.width(start)
-    per_block = capacity(-(-tiles // (SIMD * BLOCKS)))  # packets
-    tile = lists_by_length(end - start, per_block * BLOCKS * SIMD)
+    per_block = capacity(-(-tiles // (LANES * BLOCKS)))  # packets
+    tile = lists_by_length(end - start, per_block * BLOCKS * LANES)
     real = tile < dr.opaque(U, tiles)
     tile = dr.select(real, tile, 0)
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
@@ -233,18 +235,18 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     return tile, start, end, real
 
 
-def walked(lists: Lists, stop: Array) -> Lists:
+def composited(lists: Lists, stop: Array) -> Lists:
     """Cut each list where its lane stopped, and schedule long lists again.
 
     In long lists pixels stop early, each tile's elsewhere: the lanes of a packet, whose lists were
     equally long, would wait for one another.
 
     Args:
-        lists: as compositing walked them.
+        lists: as compositing iterated over them.
         stop: (lanes,) as ``blend`` returned it.
     """
     lanes = dr.width(stop)
-    if dr.width(lists.ids) < LONG * lanes:
+    if dr.width(lists.ids) < RESCHEDULED_PAIRS * lanes:
         return replace(lists, end=stop)
     lane = lists_by_length(stop - lists.start, lanes)
     of_lanes = lists.tile, lists.start, stop, lists.real
@@ -259,7 +261,7 @@ def make_lists(
     """Steps 2-5; return None if nothing is drawn.
 
     Raises:
-        ValueError: there are more pairs than 32-bit indices hold.
+        ValueError: more pairs than 32-bit indices hold.
     """
     U = dr.uint32_array_t(type(depths))
     n = dr.width(depths)
@@ -286,18 +288,19 @@ def make_lists(
     return Lists(ids, permutation, order, start, sorted_counts, *_schedule(begin, end))
 
 
-SIMD = 16  # lanes of a packet with AVX-512; AVX2's 8 lanes divide it
-BLOCKS = 16  # packets are dealt over so many parts
-LONGEST = 8191  # lists are ordered by length up to this one
+LANES = 16  # of a packet with AVX-512; AVX2's 8 divide it
+BLOCKS = 16  # parts over which packets are dealt: chosen, no fewer than a usual CPU has threads
+LONGEST_SORTED = 8191  # pairs; longer lists count as equally long: chosen, 2^13 bins of the sort
 
 
 def lists_by_length(length: Array, lanes: int) -> Array:
     """Return the list of each lane, given their lengths; their number for lanes without one."""
     U, lists = type(length), dr.width(length)
-    order = dr.detail.block_mkperm(LONGEST - dr.minimum(length, LONGEST), lists, LONGEST + 1)
+    bins = LONGEST_SORTED - dr.minimum(length, LONGEST_SORTED)
+    order = dr.detail.block_mkperm(bins, lists, LONGEST_SORTED + 1)
     lane = dr.arange(U, lanes)
     # arrays: another size needs no other kernel
-    stride, count = dr.opaque(U, lanes // (BLOCKS * SIMD)), dr.opaque(U, lists)
-    packet = lane // SIMD
-    rank = ((packet % stride) * BLOCKS + packet // stride) * SIMD + lane % SIMD
+    stride, count = dr.opaque(U, lanes // (BLOCKS * LANES)), dr.opaque(U, lists)
+    packet = lane // LANES
+    rank = ((packet % stride) * BLOCKS + packet // stride) * LANES + lane % LANES
     return dr.select(rank < count, dr.gather(U, order, rank, active=rank < count), count)

@@ -85,9 +85,9 @@ def test_lists_scheduled_again_are_the_same_lists_up_to_where_they_stopped(monke
         )
         if real
     }
-    short = tiles.walked(saved.lists, saved.stop)
-    monkeypatch.setattr(tiles, "LONG", 0)
-    again = tiles.walked(saved.lists, saved.stop)
+    short = tiles.composited(saved.lists, saved.stop)
+    monkeypatch.setattr(tiles, "RESCHEDULED_PAIRS", 0)
+    again = tiles.composited(saved.lists, saved.stop)
     assert by_tile(again, again.end) == by_tile(short, short.end)
     assert by_tile(again, again.end) == by_tile(saved.lists, saved.stop)
     assert (again.tile.numpy() != saved.lists.tile.numpy()).any()

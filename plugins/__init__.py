@@ -14,13 +14,11 @@ Importing this package loads no plugin. Mitsuba's types exist only after a varia
 :func:`register` loads the plugin files.
 """
 
-import sys
+import importlib
 
 from gva_mi.core import llvm
 
 __all__ = ["register"]
-
-_registered_for: str | None = None  # the variant whose types the plugins' classes use
 
 
 def register() -> None:
@@ -32,6 +30,14 @@ def register() -> None:
     Raises:
         ImportError: this machine has no working libLLVM.
         RuntimeError: no variant is set, or one without derivatives.
+
+    Example:
+        >>> import gva_mi_plugins
+        >>> import mitsuba as mi
+        >>> mi.set_variant("llvm_ad_rgb")
+        >>> gva_mi_plugins.register()
+        >>> mi.load_dict({"type": "mesh_normals"}).aov_names()
+        ['normal.X', 'normal.Y', 'normal.Z', 'mask']
     """
     llvm.require()
     import mitsuba as mi
@@ -42,13 +48,14 @@ def register() -> None:
             "gva_mi_plugins.register(): needs a differentiable variant, and mi.variant() is "
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
-    global _registered_for
-    if _registered_for not in (None, variant):  # the classes use the other variant's types
-        for name in [name for name in sys.modules if name.startswith(f"{__name__}.")]:
-            del sys.modules[name]
-    _registered_for = variant
-    from gva_mi_plugins.gaussian_splat.integrator import GaussianSplat
-    from gva_mi_plugins.mesh_normals.integrator import MeshNormals
+    from gva_mi_plugins.gaussian_splat import integrator as gaussian_splat
+    from gva_mi_plugins.mesh_normals import integrator as mesh_normals
 
-    mi.register_integrator("gaussian_splat", GaussianSplat)
-    mi.register_integrator("mesh_normals", MeshNormals)
+    # Mitsuba makes its base class anew for every variant, so the two modules that derive from it
+    # run again. All others look Mitsuba's types up when they are called.
+    base = mi.ad.integrators.common.ADIntegrator
+    if not issubclass(mesh_normals.MeshNormals, base):
+        importlib.reload(gaussian_splat)
+        importlib.reload(mesh_normals)
+    mi.register_integrator("gaussian_splat", gaussian_splat.GaussianSplat)
+    mi.register_integrator("mesh_normals", mesh_normals.MeshNormals)

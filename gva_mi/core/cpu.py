@@ -4,8 +4,7 @@ OpenBLAS (numpy, scipy), MKL, oneDNN, numpy's and torch's own kernels choose the
 and each choice rounds in another order. These settings, made before the libraries are imported,
 choose the code that all CPUs with AVX2 have. MKL takes its AVX2 code on Intel's CPUs alone; the
 branch that it has for all makers is called COMPATIBLE. No setting reaches torch's ``sqrt``,
-``acos``, ``asin`` and ``atan``, which call MKL's vector functions: these begin with the CPU's own
-estimate of 1/x or 1/√x, so their last digits differ between makers. :func:`sqrt` is ours. Dr.Jit
+``acos``, ``asin`` and ``atan``: this package has :func:`sqrt` and uses none of the others. Dr.Jit
 compiles for the CPU's own vectors and gives the same bits for any vector width, except for
 ``rsqrt``, which every CPU estimates in its own way. Therefore no kernel of this package uses it.
 
@@ -14,8 +13,6 @@ Torch runs on one thread, which makes every sum independent of the number of thr
 
 from __future__ import annotations
 
-import ctypes
-import functools
 import os
 import platform
 from collections.abc import Callable, Iterator
@@ -28,7 +25,6 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:  # importing torch would be too early for the settings
     import torch
 
-OMP_PAUSE_SOFT = 1  # OpenMP's omp_pause_soft: settings are kept
 # Kept, because torch allocates its memory anew in every new thread.
 _THREAD = ThreadPoolExecutor(1, "torch")
 
@@ -67,7 +63,20 @@ def pin_cpu_features() -> None:
 
 
 def sqrt(x: torch.Tensor) -> torch.Tensor:
-    """Return √x, of the same shape, from a division and a square root that IEEE 754 rounds."""
+    """Return √x of the same shape, with the same bits on every CPU.
+
+    On tensors, ``sqrt``, ``acos``, ``asin`` and ``atan`` call MKL's vector functions. These begin
+    with the CPU's own estimate of 1/x or 1/√x, so their last digits differ between makers. This
+    function takes a square root and two divisions, which IEEE 754 rounds. Therefore
+    ``tests/core/test_cpu.py`` forbids the four functions on tensors.
+
+    Note:
+        Autograd computes the gradient 1/(2√x) as x^(-3/2) · x / 2. It is the gradient of
+        ``x.sqrt()`` up to rounding, except where x^(-3/2) overflows: below 2e-26 in float32 and
+        3e-206 in float64 it is inf, and at 0 it is inf · 0 = nan, where ``x.sqrt()`` has inf.
+        Optimisers can use neither, and the norm of a zero vector has the gradient nan with both. A
+        caller that may meet 0 replaces it first, as ``splat/gsplat/views.py`` does.
+    """
     return x.rsqrt().reciprocal()
 
 
@@ -77,6 +86,10 @@ def one_torch_thread() -> Iterator[None]:
 
     On two cores one thread is 1.3 to 20 times faster for tensors as small as ours, the more the
     busier the cores are, and it makes every sum independent of the number of threads.
+
+    The number of threads is restored at the end. Threads that OpenMP has started before still spin
+    for milliseconds after their last operation, unless ``OMP_WAIT_POLICY=PASSIVE`` was set before
+    torch was imported, as the command line does. To end them costs more than it saves.
     """
     import torch
 
@@ -142,34 +155,3 @@ def in_torch_thread(work: Callable[..., Result], *inputs: torch.Tensor) -> Futur
         return work(*inputs)
 
     return _THREAD.submit(run)
-
-
-@contextmanager
-def quiet_openmp() -> Iterator[None]:
-    """End torch's idle OpenMP threads, then run torch on one thread.
-
-    Idle threads spin while they wait for torch's next operation. On a core that Dr.Jit's kernels
-    need they cost milliseconds, unless ``OMP_WAIT_POLICY=PASSIVE`` was set before torch was
-    imported. OpenMP's own call ends them whatever was imported first. No setting changes: the same
-    number of threads comes back with the next operation that wants them.
-    """
-    import torch
-
-    pause = _pause()
-    if pause is not None and torch.get_num_threads() > 1:
-        pause(OMP_PAUSE_SOFT)
-    with one_torch_thread():
-        yield
-
-
-@functools.cache
-def _pause() -> Callable[[int], int] | None:
-    """Return ``omp_pause_resource_all`` of the OpenMP that torch is linked with, if it has one."""
-    import torch
-
-    for library in (Path(torch.__file__).parent / "lib").glob("libtorch_cpu.*"):
-        pause = getattr(ctypes.CDLL(str(library)), "omp_pause_resource_all", None)
-        if pause is not None:
-            pause.argtypes, pause.restype = [ctypes.c_int], ctypes.c_int
-            return pause
-    return None

@@ -3,17 +3,22 @@
 Dr.Jit loads ``libLLVM`` when it is imported and reads ``DRJIT_LIBLLVM_PATH`` only then. LLVM 15 and
 16 lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts the
 whole process. So ``import gva_mi`` calls :func:`prepare`, which chooses the library.
+
+The version is read from names alone: that of the file, that of what it links to, and the SONAME
+inside the library. Nothing is loaded and no kernel is tried, so this takes milliseconds.
 """
 
 from __future__ import annotations
 
+import mmap
 import os
 import re
 import sys
 from pathlib import Path
 
 OLDEST = 17  # the first major version whose code generator knows fminimum and fmaximum
-TESTED = range(19, 23)  # preferred to others
+# Chosen: 19, with which the tests run, and its three successors; others only where none is there.
+PREFERRED = range(19, 23)
 PACKAGE = "libllvm19"  # Debian 12's and Ubuntu 24.04's name of a version that works
 
 SEARCH_DIRS = (
@@ -22,7 +27,7 @@ SEARCH_DIRS = (
 )  # fmt: skip
 
 PATH = "DRJIT_LIBLLVM_PATH"  # an environment variable, which children inherit
-
+VERSION_IN_NAME = r"libLLVM(?:-|\.so\.)?(\d+)"  # libLLVM-19.so, libLLVM.so.19.1
 
 problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
 
@@ -58,7 +63,7 @@ def find() -> Path:
     found = {path: major for path in installed() if (major := major_of(path)) is not None}
     usable = [path for path, major in found.items() if major >= OLDEST]
     if usable:
-        return max(usable, key=lambda path: (found[path] in TESTED, found[path]))
+        return max(usable, key=lambda path: (found[path] in PREFERRED, found[path]))
     seen = ", ".join(sorted(map(str, set(found.values())))) or "none"
     raise ImportError(
         f"Dr.Jit needs libLLVM {OLDEST} or newer, and this machine has: {seen} "
@@ -75,10 +80,21 @@ def installed() -> list[Path]:
 
 
 def major_of(path: Path) -> int | None:
-    """Return the major version that the name of a library, or of what it links to, says."""
-    names = path.name, path.resolve().name
-    found = [m for name in names if (m := re.search(r"libLLVM(?:-|\.so\.)?(\d+)", name))]
-    return int(found[0].group(1)) if found else None
+    """Return the major version of a library by its name; None where no name says it."""
+    for name in (path.name, path.resolve().name):
+        if found := re.search(VERSION_IN_NAME, name):
+            return int(found.group(1))
+    return _major_inside(path)
+
+
+def _major_inside(path: Path) -> int | None:
+    """Return the major version in the SONAME of a library whose file has another name."""
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:
+            found = re.search(VERSION_IN_NAME.encode(), held)
+            return int(found.group(1)) if found else None
+    except (OSError, ValueError):  # no such file, or an empty one
+        return None
 
 
 def _check_chosen(path: Path) -> None:

@@ -41,8 +41,11 @@ from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, differences, leaves
 from gva_mi.splat import Camera, Gaussians, look_at, reference, render
 
 NETWORK = "residual.network."  # prefix of the names of the network's weights
-KINK = 3e-4  # Gaussians for which a relu's input is closer to zero are left out
-LARGE_ANGLE, SMALL_ANGLE = 0.35, 0.15  # radians, standard deviations: limbs; hands and jaw
+# Gaussians for which a relu's input is closer to zero are left out. Chosen: beyond the reach of the
+# differences' steps, DIFFERENCE_STEP times NETWORK_STEP_FACTOR.
+KINK_DISTANCE = 3e-4
+# Radians, standard deviations: limbs; hands and jaw. Chosen: poses that people take.
+LIMB_ANGLE, HAND_ANGLE = 0.35, 0.15
 
 
 @dataclass(frozen=True)
@@ -85,9 +88,9 @@ class PosedAvatar:
             G.sh += 0.3 * torch.rand(G.sh.shape, generator=generator).double() - 0.15
             avatar.residual.offset.weight += 0.3 * normal(*avatar.residual.offset.weight.shape)
         psi = 0.7 * normal(1, bodies[torch.float64].num_expressions)
-        pose = Pose(LARGE_ANGLE * normal(1, 55, 3), 0.1 * normal(1, 3), psi)
+        pose = Pose(LIMB_ANGLE * normal(1, 55, 3), 0.1 * normal(1, 3), psi)
         for part in (JAW, LEFT_HAND, RIGHT_HAND):
-            pose.rotations[:, part] *= SMALL_ANGLE / LARGE_ANGLE
+            pose.rotations[:, part] *= HAND_ANGLE / LIMB_ANGLE
         camera = Camera(
             1.3 * size, 1.35 * size, size / 2 + 0.3, size / 2 - 0.2,
             look_at((0.4, 0.3, 3.2), (0.0, -0.2, 0.0)), size, size,
@@ -134,7 +137,7 @@ class _ReluInputs(TorchFunctionMode):
 
     def __torch_function__(self, function, types, args=(), kwargs=None):  # noqa: ANN001, ANN204
         if function is torch.relu:
-            self.away = self.away & (args[0].abs() > KINK).all(1)
+            self.away = self.away & (args[0].abs() > KINK_DISTANCE).all(1)
         return function(*args, **(kwargs or {}))
 
 
@@ -151,21 +154,26 @@ def _away_from_kinks(avatar: Avatar, values: Tensors) -> tuple[Avatar, Tensors]:
     return Avatar(canonical, residual, avatar.rig, avatar.skin, avatar.options), values | some
 
 
-F64, F32 = 1e-8, 1e-5  # the greatest relative L2 error allowed
-BAND = 1e-3  # relative distance of an alpha to its cut-off, beyond reach of a difference's steps
-STEP = 1e-5  # of a difference, in the input's units
-STEPS = {  # times it: inputs that move many pixels, or a small part of one
+# Greatest relative L2 errors allowed. Chosen: float32 as in gradcheck/splat.py; in float64
+# rounding leaves 1e-16 / 1e-5 of a difference, and sums over the picture add many such.
+TOLERANCE_F64, TOLERANCE_F32 = 1e-8, 1e-5
+# Relative distance of an alpha to its cut-off up to which its pixel is left out. Chosen: beyond the
+# reach of a difference's steps.
+CUT_OFF_BAND = 1e-3
+DIFFERENCE_STEP = 1e-5  # of a difference, in the input's units; chosen: see TOLERANCE_F64
+STEP_FACTORS = {  # times it; chosen: inputs that move many pixels, or a small part of one
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
     "light": 30.0,
 }  # fmt: skip
-NETWORK_STEP = 4.0  # the same for the network's weights; well within KINK
-FEW = 4  # an input of so many times the entries asked for is differentiated by each of its own
+NETWORK_STEP_FACTOR = 4.0  # the same factor for the network's weights; well within KINK_DISTANCE
+# An input with at most this many times the entries asked for is differentiated by each entry.
+ALL_ENTRIES_FACTOR = 4
 
 
 def check_avatar(
     posed: PosedAvatar,
     *,
-    tolerances: tuple[float, float] = (F64, F32),
+    tolerances: tuple[float, float] = (TOLERANCE_F64, TOLERANCE_F32),
     entries: int = 3,
     seed: int = 0,
 ) -> Report:
@@ -184,8 +192,8 @@ def check_avatar(
         check = _check_of(posed, entries, Generator().manual_seed(seed))
         rows = list(check.tangents(draw, "f64", f64))
         for name in posed.values:
-            share = NETWORK_STEP if name.startswith(NETWORK) else STEPS.get(name, 1.0)
-            moves = partial(differences, draw, posed.values, name, step=share * STEP)
+            share = NETWORK_STEP_FACTOR if name.startswith(NETWORK) else STEP_FACTORS.get(name, 1.0)
+            moves = partial(differences, draw, posed.values, name, step=share * DIFFERENCE_STEP)
             rows.append(check.along("differences", name, moves, f64))
         rows += check.methods(draw, "f32", f32, f32, f32)
     left_out = f"{int(check.band.sum())} at a step left out"
@@ -203,13 +211,13 @@ def _images(posed: PosedAvatar, values: Tensors) -> list[Tensor]:
 def _check_of(posed: PosedAvatar, entries: int, generator: Generator) -> Check:
     """Draw a loss; return it with the picture and the gradients in float64."""
     inputs = leaves(posed.values)
-    band = reference.threshold_band(posed.gaussians(inputs), posed.camera, alpha=BAND)
+    band = reference.threshold_band(posed.gaussians(inputs), posed.camera, alpha=CUT_OFF_BAND)
     # Not about zero: a gradient whose terms cancel to a thousandth loses three digits, and no code
     # is to blame.
     w = 1 + torch.randn(*band.shape, 5, generator=generator).double()
     w[band] = 0
     weights = dict(zip(IMAGES, (w[..., :3], w[..., 3], w[..., 4]), strict=True))
     images = dict(zip(IMAGES, _images(posed, inputs), strict=True))
-    count = lambda g: g.numel() if g.numel() <= FEW * entries else entries
+    count = lambda g: g.numel() if g.numel() <= ALL_ENTRIES_FACTOR * entries else entries
     probe = lambda gradient: Probe.among(gradient, count(gradient), generator)
     return Check.of(inputs, images, weights, band, probe)

@@ -16,7 +16,9 @@ from gva_mi.gradcheck.probes import IMAGES, Probe, Tensors, gradients, leaves, t
 
 Draw = Callable[[Tensors], Sequence[Tensor]]  # from the inputs to the images
 PRECISIONS = {"f32": torch.float32, "f64": torch.float64}
-COARSE = 1e-3  # a failing float32 comparison below this error has lost digits; above, it is wrong
+# Relative L2 error from which a failing float32 comparison is wrong; below, it has lost digits.
+# Chosen: a hundred times the tolerance of float32; a formula that is wrong by 0.1 % is beyond it.
+WRONG_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class Comparison:
     @property
     def coarse(self) -> bool:
         """Whether float32 lost digits here without any other error."""
-        return not self.passed and self.method.endswith("f32") and self.error < COARSE
+        return not self.passed and self.method.endswith("f32") and self.error < WRONG_ERROR
 
 
 @dataclass(frozen=True)

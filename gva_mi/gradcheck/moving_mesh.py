@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
-STILL = 1e-6  # of the greatest speed: a vertex slower than that counts as still
+# Share of the greatest speed below which a vertex counts as still. Chosen: differences of float64
+# leave smaller speeds by rounding.
+STILL_SPEED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class MovingMesh:
     def window(self, lens: PinholeLens, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the rectangle of pixels in which something moves: first (2,) and end (2,), x y."""
         speed = np.linalg.norm(self.motion, axis=1)
-        moves = speed > STILL * speed.max()
+        moves = speed > STILL_SPEED * speed.max()
         # Their neighbours' shading normals move with them.
         moves |= np.isin(np.arange(len(moves)), self.faces[moves[self.faces].any(1)])
         q = lens.project(np.concatenate([self.at(s)[moves] for s in (step, -step)]))
@@ -104,8 +106,10 @@ class MovingMesh:
         return tuple(np.clip(end, 0, lens.size).astype(int) for end in (low, high))
 
 
-GOLDEN = 0.6180339887498949
-HIDDEN = 1e-4  # a point is hidden by what is closer by this share of its distance
+GOLDEN_STEP = 0.6180339887498949  # 1 / golden ratio: the step of a Kronecker sequence
+# Share of a point's distance by which an occluder must lie nearer than it. Chosen: above float32's
+# rounding of Mitsuba's hits.
+OCCLUDER_MARGIN = 1e-4
 
 
 def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> np.ndarray:
@@ -129,7 +133,7 @@ def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> n
     doubled = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
     image = np.zeros((math.prod(lens.size), 5))
     for k in range(points):
-        b1, b2 = (k + 0.5) / points, (0.5 + k * GOLDEN) % 1
+        b1, b2 = (k + 0.5) / points, (0.5 + k * GOLDEN_STEP) % 1
         b1, b2 = (b1, b2) if b1 + b2 < 1 else (1 - b1, 1 - b2)
         x = np.einsum("k,fkc->fc", np.array([1 - b1 - b2, b1, b2]), p)
         at = lens.project(x)
@@ -149,7 +153,7 @@ def _reached(scene: mi.Scene, o: np.ndarray, d: np.ndarray, x: np.ndarray) -> np
     o, d = o.T.astype(np.float32), d.T.astype(np.float32)
     found = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), coherent=False)
     own = np.array(found.is_valid()) & (np.array(found.prim_index) == np.arange(len(x)))
-    return own | (np.array(found.t) > np.linalg.norm(x - o.T, axis=1) * (1 - HIDDEN))
+    return own | (np.array(found.t) > np.linalg.norm(x - o.T, axis=1) * (1 - OCCLUDER_MARGIN))
 
 
 def _shade(

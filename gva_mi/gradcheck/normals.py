@@ -32,11 +32,15 @@ from gva_mi.gradcheck.scanlines import boundary
 from gva_mi.mesh.mesh_scene import load_plugins, sensor_of
 from gva_mi.splat import Camera, look_at
 
-SIZE, SPP, LINES, POINTS = 512, 16, 16000, 89  # see check_normals
-LIMITS = {"mask": 0.03, "interior": 0.05, "boundary": 0.05}  # relative errors
-WEIGHTINGS = 16
-WIDTH = 0.025  # standard deviation of their blur, as a share of the image's width
-TINY = 1e-5  # metres or radians: the step of differences
+# See check_normals. Chosen: a person fills the picture; the references' own errors are far below
+# TOLERANCES.
+SIZE, SPP, LINES, POINTS = 512, 16, 16000, 89
+# Greatest relative errors. Chosen: two to four times the largest in docs/plugins.md.
+TOLERANCES = {"mask": 0.03, "interior": 0.05, "boundary": 0.05}
+WEIGHTINGS = 16  # linear functions of the image; chosen: enough that not all are small at once
+# Standard deviation of their blur, as a share of the image's width. Chosen: about a limb's width.
+BLUR_WIDTH = 0.025
+DIFFERENCE_STEP = 1e-5  # metres or radians: the step of differences; chosen for float64
 POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of joints, radians
     "free": {
         "left_shoulder": (0, 0, -0.7), "left_elbow": (0, -0.5, 0),
@@ -105,11 +109,11 @@ def check_normals(
     weightings = _weightings(size)
     for coordinate in COORDINATES[:count]:
         vertices = _posed(body, coordinate)
-        motion = (vertices(TINY) - vertices(-TINY)) / (2 * TINY)
+        motion = (vertices(DIFFERENCE_STEP) - vertices(-DIFFERENCE_STEP)) / (2 * DIFFERENCE_STEP)
         mesh = MovingMesh(vertices(0.0), body.faces.numpy(), motion)
         inside, jumps = _by_plugin(mesh, camera, spp)
         lens = PinholeLens(camera)
-        true_inside = interior(mesh, lens, TINY, points)
+        true_inside = interior(mesh, lens, DIFFERENCE_STEP, points)
         true_jumps = boundary(mesh, lens, lines, np.random.default_rng(0))
         rows = []
         for name, found, truth, channels in (
@@ -123,7 +127,7 @@ def check_normals(
             )
             if b.any():  # the mask does not change where a finger lies before the body
                 title = f"{coordinate}: {name}"
-                rows.append(Comparison.of("tangent f32", title, a, b, LIMITS[name]))
+                rows.append(Comparison.of("tangent f32", title, a, b, TOLERANCES[name]))
         yield rows
 
 
@@ -160,7 +164,7 @@ def _weightings(size: int) -> list[np.ndarray]:
     """Make smooth random images (H, W, 4) with structures about as wide as a limb."""
     generator = np.random.default_rng(0)
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None])
-    blur = np.exp(-2 * (np.pi * WIDTH * size * frequency) ** 2)[..., None]
+    blur = np.exp(-2 * (np.pi * BLUR_WIDTH * size * frequency) ** 2)[..., None]
     noise = [generator.normal(size=(size, size, 4)) for _ in range(WEIGHTINGS)]
     smooth = [
         np.fft.irfft2(np.fft.rfft2(n, axes=(0, 1)) * blur, (size, size), (0, 1)) for n in noise

@@ -29,9 +29,12 @@ import numpy as np
 
 from gva_mi.gradcheck.moving_mesh import MovingMesh, PinholeLens
 
-TINY = 1e-6  # of the motion: for ∂φ/∂ε by central differences in float64
-SHORT = 1e-12  # pixels: segments below it are left out
-AT_END = 1e-9  # share of a stretch within which two segments that cross do so in its end
+# ε of the central differences ∂φ/∂ε, a share of the motion. Chosen for float64: φ is nearly affine.
+DIFFERENCE_STEP = 1e-6
+# Pixels: shorter segments are left out. Chosen: float64's spacing of pixel positions is 1e-13.
+SHORTEST_SEGMENT = 1e-12
+# Share of a stretch up to which two segments cross in its end. Chosen: above float64's rounding.
+END_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ class _FlatMesh:
 
     @staticmethod
     def of(mesh: MovingMesh, lens: PinholeLens) -> _FlatMesh:
-        now, after, before = (mesh.at(step) for step in (0.0, TINY, -TINY))
+        now, after, before = (mesh.at(step) for step in (0.0, DIFFERENCE_STEP, -DIFFERENCE_STEP))
         if lens.depth(now).min() <= 0:
             raise ValueError("scanlines: every vertex must lie before the camera")
         return _FlatMesh(
@@ -133,7 +136,7 @@ class _FlatMesh:
         u = self.nearness[0][a] + t * (self.nearness[0][b] - self.nearness[0][a])
         turned = np.argsort(x, axis=1)
         x, u, a, b = (np.take_along_axis(v, turned, 1) for v in (x, u, a, b))
-        long = x[:, 1] - x[:, 0] > SHORT
+        long = x[:, 1] - x[:, 0] > SHORTEST_SEGMENT
         face, x, u, a, b = (v[long] for v in (face, x, u, a, b))
         if len(face) == 0:
             return None
@@ -158,7 +161,7 @@ class _FlatMesh:
     def change(self, points: Breakpoints) -> np.ndarray:
         """Eq. 3 and 4: what each breakpoint adds to its pixel, (S, 5), for Δ = 1."""
         gradient = self._level(points, 0)[1]
-        d_level = (self._level(points, 1)[0] - self._level(points, 2)[0]) / (2 * TINY)
+        d_level = (self._level(points, 1)[0] - self._level(points, 2)[0]) / (2 * DIFFERENCE_STEP)
         length = np.linalg.norm(gradient, axis=1)
         m = np.take_along_axis(gradient, points.runs[:, None], 1)[:, 0] / length
         jump = self._shade(points.before, points.q) - self._shade(points.after, points.q)
@@ -261,7 +264,7 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
     starts, owners = [], []
     for k in np.flatnonzero(first != last):
         candidates = over[bounds[k] : bounds[k + 1]]
-        short = AT_END * (b[k] - a[k])
+        short = END_SHARE * (b[k] - a[k])
         for at, owner in segments.highest_between(candidates, a[k], first[k], b[k], last[k], short):
             if at == a[k]:
                 highest[k] = owner

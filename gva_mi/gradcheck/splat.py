@@ -58,18 +58,22 @@ NO_CAMERA = (
     "are missing"
 )
 
-ENTRIES = 6  # of every input, differentiated one by one
-STEP = 1e-6  # of the central differences, in the input's units
-# Inputs in metres move the picture by hundreds of pixels a unit. With a step so much shorter, the
-# alpha of a pixel outside the excluded band (1e-4 around its cut-off) does not reach the cut-off.
-METRES = {"means": 0.02, "scales": 0.02, "T_camera_world": 0.02}
+# Entries of every input that are differentiated one by one. Chosen: each costs two pictures.
+PROBED_ENTRIES = 6
+# Step of the central differences, in the input's units. Chosen: rounding leaves 1e-16 / 1e-6, and a
+# longer step would reach the cut-offs.
+DIFFERENCE_STEP = 1e-6
+# Factors of the step; chosen. Inputs in metres move the picture by hundreds of pixels a unit. With
+# a step so much shorter, the alpha of a pixel outside the excluded band (1e-4 around its cut-off)
+# does not reach the cut-off.
+STEP_FACTORS = {"means": 0.02, "scales": 0.02, "T_camera_world": 0.02}
 
 # Greatest relative L2 error allowed of an image, or of an input's gradient. float32 has 6e-8 per
 # operation, and a pixel is a product of many: 1e-5 leaves two digits for that. float64 has nine
 # digits more, of which 1e-10 asks for five.
-ALLOWED = {"f32": 1e-5, "f64": 1e-10}
+TOLERANCES = {"f32": 1e-5, "f64": 1e-10}
 # With a step h = 1e-6, rounding leaves 1e-16 / h, and sums over the picture add many such.
-ALLOWED_DIFFERENCES = 1e-6
+DIFFERENCE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def _check_of(scene: Scene, generator: Generator) -> Check:
     names, inputs = images_of(scene), leaves(scene.inputs())
     weights = dict(zip(names, (w[..., :D], w[..., D], w[..., D + 1]), strict=False))
     images = drawn(reference.render, scene, inputs)
-    probe = lambda gradient: Probe.among(gradient, ENTRIES, generator)
+    probe = lambda gradient: Probe.among(gradient, PROBED_ENTRIES, generator)
     return Check.of(inputs, dict(zip(names, images, strict=True)), weights, band, probe)
 
 
@@ -167,7 +171,7 @@ def _answers(fn: Renderer, scene: Scene, check: Check, notes: list[str]) -> list
     """Return all comparisons of the renderer; ``notes`` receives what it lacks."""
     rows, images = [], lambda inputs: drawn(fn, scene, inputs)
     for label in PRECISIONS:
-        begun, allowed = len(rows), 3 * [ALLOWED[label]]
+        begun, allowed = len(rows), 3 * [TOLERANCES[label]]
         try:
             for row in check.methods(images, label, *allowed):
                 rows.append(row)
@@ -181,9 +185,9 @@ def _answers(fn: Renderer, scene: Scene, check: Check, notes: list[str]) -> list
                 notes.append(f"this renderer has no float64: {error}")
                 return rows
     for name in check.truth:
-        step = STEP * METRES.get(name, 1.0)
+        step = DIFFERENCE_STEP * STEP_FACTORS.get(name, 1.0)
         moves = partial(differences, images, check.values, name, step=step, order=2)
-        rows.append(check.along("differences", name, moves, ALLOWED_DIFFERENCES))
+        rows.append(check.along("differences", name, moves, DIFFERENCE_TOLERANCE))
     return rows
 
 

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from gva_mi_plugins.mesh_normals.pixel_filter import Tile
     from gva_mi_plugins.mesh_normals.projection import SensorProjection
 
-MOST_SENSORS = 1000  # in the cache of a scene
-NEAR, FAR = 0.01, 1000.0  # metres
+CACHED_SENSORS = 1000  # in the cache of a scene; chosen: more than a video has cameras
+NEAR_CLIP, FAR_CLIP = 0.01, 1000.0  # metres; chosen: a video shows no person outside them
 
 
 class MeshScene:
@@ -81,7 +81,7 @@ class MeshScene:
         self._parameters = mi.traverse(self._scene)
         self._integrators: dict[tuple[float, str], MeshNormals] = {}
         # A video has few cameras, a browser has many.
-        self._sensor = lru_cache(MOST_SENSORS)(_sensor_and_projection)
+        self._sensor = lru_cache(CACHED_SENSORS)(_sensor_and_projection)
         self._shown: Tensor | None = None
         self.vertex_count = len(vertices)
 
@@ -258,8 +258,8 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
         "fov": float(np.degrees(2 * np.arctan(width / (2 * camera.fx)))),
         "principal_point_offset_x": (width / 2 - camera.cx) / width,
         "principal_point_offset_y": (height / 2 - camera.cy) / height,
-        "near_clip": NEAR,
-        "far_clip": FAR,
+        "near_clip": NEAR_CLIP,
+        "far_clip": FAR_CLIP,
         "to_world": mi.ScalarTransform4f(to_world),
         "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
     }
@@ -286,7 +286,12 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
     return Tile(float(left), float(top), float(scale), crop.width, crop.height)
 
 
-OFF = 0.002  # metres off the surface
+# Metres off the surface at which a line starts. Chosen: above float32's rounding of positions,
+# below the distance between parts of a body.
+RAY_OFFSET = 0.002
+# Share of the way to the viewpoint that is tested. Chosen: a surface at the viewpoint itself hides
+# nothing.
+TESTED_SHARE = 0.999
 
 
 def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Tensor:
@@ -299,14 +304,14 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
 
     vertices = vertices.detach().float()
     normals = vertex_normals(vertices, faces)
-    start, scene = vertices + OFF * normals, scene_of(faces, vertices)
+    start, scene = vertices + RAY_OFFSET * normals, scene_of(faces, vertices)
     columns = lambda x: np.ascontiguousarray(x.T.numpy(), np.float32)
     found = []
     for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):
         toward = viewpoint - start
         distance = toward.norm(dim=1, keepdim=True)
         ray = mi.Ray3f(mi.Point3f(columns(start)), mi.Vector3f(columns(toward / distance)))
-        ray.maxt = mi.Float((0.999 * distance[:, 0]).numpy())
+        ray.maxt = mi.Float((TESTED_SHARE * distance[:, 0]).numpy())
         hidden = torch.from_numpy(np.array(scene.ray_test(ray), dtype=bool))
         found.append(((normals * toward).sum(1) > 0) & ~hidden)
     return torch.stack(found)

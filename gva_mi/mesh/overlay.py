@@ -9,10 +9,12 @@ from torch import Tensor
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
 
-OUTLINE = (1.0, 0.25, 0.1)  # orange: neither skin nor cloth
-BLUE = (0.35, 0.65, 1.0)
+# RGB in [0, 1], chosen: unlike skin and most clothes.
+OUTLINE = (1.0, 0.25, 0.1)  # orange
+BODY_COLOR = (0.35, 0.65, 1.0)
 CLAY = (0.72, 0.76, 0.80)
-OPACITY = 0.45  # of the shaded mesh over the picture
+MESH_OPACITY = 0.45  # of the shaded mesh over the picture; chosen: both can be recognised
+AMBIENT_LIGHT = 0.25  # share of the light that does not depend on the normal; chosen
 
 
 @torch.no_grad()
@@ -31,8 +33,8 @@ def overlay(
     normals_mask = scene.render(vertices, camera).numpy()
     mask = normals_mask[..., 3:] > 0.5
     light = np.clip(-normals_mask[..., 2:3], 0, 1)  # as by a lamp on the camera
-    shaded = np.array(BLUE) * (0.25 + 0.75 * light)
-    picture = np.where(mask, (1 - OPACITY) * image + OPACITY * shaded, image)
+    shaded = np.array(BODY_COLOR) * (AMBIENT_LIGHT + (1 - AMBIENT_LIGHT) * light)
+    picture = np.where(mask, (1 - MESH_OPACITY) * image + MESH_OPACITY * shaded, image)
     return outlined(picture, mask[..., 0], OUTLINE)
 
 

@@ -26,7 +26,9 @@ from gva_mi.body.smplx import BodyModel
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-DATA_WEIGHT = 1e3  # w of eq. 1: agreement on the kept vertices against smoothness
+# w of eq. 1, agreement on the kept vertices against smoothness. Chosen: large beside the entries of
+# the Laplacian, which are about 1, so that kept vertices hardly leave their offsets.
+DATA_WEIGHT = 1e3
 
 
 def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:

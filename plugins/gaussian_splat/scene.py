@@ -40,8 +40,8 @@ from gva_mi.splat import Camera, Gaussians
 from gva_mi.splat.gaussians import MAX_DEGREE, degree_of
 from gva_mi.splat.kernels import sh
 
-DATA = 10  # floats of an ellipsoid in ``data``
-COEFFICIENTS = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]
+FLOATS_PER_ELLIPSOID = 10  # floats in ``data``: center, scale, quaternion (Mitsuba)
+SH_COUNTS = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]
 
 
 def gaussians_of(scene: mi.Scene) -> Gaussians:
@@ -98,17 +98,17 @@ class _Ellipsoids:
                     f"gaussian_splat: shape '{shape.id()}' needs the attribute {name} {form}"
                 )
         data, opacities, sh = (parameters[name] for name in ("data", "opacities", "sh_coeffs"))
-        count = dr.width(data) // DATA
+        count = dr.width(data) // FLOATS_PER_ELLIPSOID
         coefficients, rest = divmod(dr.width(sh), 3 * count)
         if dr.width(opacities) != count:
             raise ValueError(
                 f"gaussian_splat: opacities of shape '{shape.id()}' must be (N, 1), got "
                 f"{dr.width(opacities)} numbers where N is {count}"
             )
-        if rest or coefficients not in COEFFICIENTS:
+        if rest or coefficients not in SH_COUNTS:
             raise ValueError(
                 f"gaussian_splat: sh_coeffs of shape '{shape.id()}' must be (N, 3 K) with K one of "
-                f"{COEFFICIENTS}, got {dr.width(sh)} numbers where N is {count}"
+                f"{SH_COUNTS}, got {dr.width(sh)} numbers where N is {count}"
             )
         return _Ellipsoids(data, opacities, sh, count, coefficients)
 
@@ -117,7 +117,7 @@ class _Ellipsoids:
         width = len(columns)
         k = dr.arange(mi.UInt32, self.count * width)
         column = dr.gather(mi.UInt32, mi.UInt32(columns), k % width)
-        return _gather(self.data, k // width * DATA + column)
+        return _gather(self.data, k // width * FLOATS_PER_ELLIPSOID + column)
 
     def harmonics(self, coefficients: int) -> mi.Float:
         """Pad ``sh`` with zeros to so many coefficients."""
@@ -133,7 +133,9 @@ def _gather(source: mi.Float, index: mi.UInt32, active: mi.Bool = True) -> mi.Fl
     return dr.gather(mi.Float, source, index, active=active, mode=dr.ReduceMode.NoConflicts)
 
 
-RIGID = 1e-4  # by how much R may fail to be orthonormal
+# By how much an entry of R Rᵀ may differ from the identity. Chosen: above
+# float32's rounding of a rotation.
+ORTHONORMAL_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -181,7 +183,7 @@ class SensorCamera:
         attached = dr.grad_enabled(T, K)
         matrices = (K, T) if attached else (dr.detach(x).numpy() for x in (K, T))
         rotation = dr.detach(T).numpy().astype(np.float64)[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID):
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=ORTHONORMAL_TOLERANCE):
             raise ValueError("gaussian_splat: the sensor's to_world must not be sheared")
         camera = Camera.from_matrices(*matrices, *film.crop_size(), model)
         axis = [dr.gather(mi.Float, T.array, 8 + j) for j in range(3)]

@@ -34,8 +34,12 @@ from gva_mi_plugins.mesh_normals.segment_sums import sum_runs
 from gva_mi_plugins.mesh_normals.surface import MeshSurface, meet_plane
 from gva_mi_plugins.mesh_normals.topology import Topology
 
-BESIDE = 5e-4  # pixels from an edge to the rays beside it: far above float32's step there
-IN_FRONT = 1e-3  # what hides an edge lies nearer than it by more than this share of its depth
+# Pixels from an edge to the two rays beside it. Chosen: above float32's spacing of pixel
+# positions (6e-5 at 512), and so small that another edge seldom lies between.
+RAY_OFFSET = 5e-4
+# Share of an edge's depth by which an occluder must lie nearer than it. Chosen: above float32's
+# error of a hit on a face that is seen nearly edge-on.
+OCCLUDER_MARGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class Contours:
         if dr.width(edges) == 0:
             return None
         start, samples = _sample(on_image, edges, density)
-        beside = BESIDE * samples.across / dr.maximum(dr.norm(samples.across), 1e-9)
+        beside = RAY_OFFSET * samples.across / dr.maximum(dr.norm(samples.across), 1e-9)
         if caster.channels.moves_inside:
             inner, outer = caster.cast(samples.q - beside), caster.cast(samples.q + beside)
             seen = _is_seen(caster, samples, inner, outer)
@@ -195,7 +199,7 @@ def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: Ra
     """Whether an edge is visible at its samples, judged by the hits of the rays beside it."""
     projection, topology, edge = caster.projection, caster.surface.topology, samples.edge
     at_contour = _is_before(caster, samples, inner)
-    at_contour &= ~outer.hit | (outer.depth > samples.w * (1 - IN_FRONT))
+    at_contour &= ~outer.hit | (outer.depth > samples.w * (1 - OCCLUDER_MARGIN))
     at_crease = inner.hit & outer.hit & _owns(topology, inner.face, edge)
     at_crease &= _owns(topology, outer.face, edge)
     at_edge = dr.select(samples.is_contour, at_contour, at_crease)

@@ -25,9 +25,15 @@ from gva_mi_plugins.mesh_normals.rays import RayCaster, RayHits
 from gva_mi_plugins.mesh_normals.segment_sums import concat
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
 
-GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of a lattice without gaps in two axes
-FLAT = 1e-4  # sine of an angle between ray and triangle below which it counts as zero
-HIDDEN = 1e-4  # what hides a point lies nearer than it by more than this share of its depth
+# Steps of the R2 sequence in two axes: 1/p and 1/p² with p³ = p + 1 (M. Roberts, "The Unreasonable
+# Effectiveness of Quasirandom Sequences", 2018).
+R2_STEPS = (0.7548776662466927, 0.5698402909980532)
+# Sine of the angle between ray and triangle below which the ray is left out. Chosen: float32
+# does not determine flatter intersections.
+SMALLEST_SINE = 1e-4
+# Share of a point's depth by which an occluder must lie nearer than it. Chosen: above float32's
+# rounding of a depth.
+OCCLUDER_MARGIN = 1e-4
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ def _entries_from(values: mi.Float, start: int) -> mi.Float:
 def _is_slanted(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
     """Whether rays leave the planes of faces by an angle that float32 can divide by."""
     c = dr.gather(mi.Vector3f, surface.face_normals, face)
-    return dr.abs(dr.dot(c, ray.d)) > FLAT * dr.norm(c) * dr.norm(ray.d)
+    return dr.abs(dr.dot(c, ray.d)) > SMALLEST_SINE * dr.norm(c) * dr.norm(ray.d)
 
 
 def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
@@ -132,7 +138,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
     hits = caster.cast(q)
     # A triangle seen flat may be missed by the very ray that leads to it.
     seen = hits.hit & (hits.face == face)
-    behind = dr.gather(mi.Bool, faces_sensor, face) & (hits.depth > w * (1 - HIDDEN))
+    behind = dr.gather(mi.Bool, faces_sensor, face) & (hits.depth > w * (1 - OCCLUDER_MARGIN))
     seen = dr.compress((seen | behind) & _is_slanted(surface, hits.ray, face))
     if dr.width(seen) == 0:
         return seen, dr.zeros(mi.Point2f, 0)
@@ -142,7 +148,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
 def _one_point_each(surface: MeshSurface) -> mi.Vector3f:
     """A point on every triangle (F,), world, of a lattice folded into the triangle."""
     face, p = dr.arange(mi.UInt32, surface.topology.face_count), surface.corners
-    b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in GOLDEN))
+    b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in R2_STEPS))
     folded = b1 + b2 > 1
     b1, b2 = dr.select(folded, 1 - b1, b1), dr.select(folded, 1 - b2, b2)
     return (1 - b1 - b2) * p[0] + b1 * p[1] + b2 * p[2]

@@ -39,9 +39,15 @@ from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
 from gva_mi_plugins.mesh_normals.topology import Topology
 
-CROSSINGS = 6  # hits that a ray along an edge looks for, triangles at its own ends included
-STEP = 1e-4  # of an edge's length: what a ray leaves out at its ends and behind a hit
-SHORT = 1e-9  # share of two triangles' stretches below which what they share is rounding
+# Hits that a ray along an edge looks for, triangles at its own ends included. Chosen: the
+# edge of a body's mesh seldom passes through more.
+MOST_HITS = 6
+# Share of an edge's length that a ray leaves out at its ends and behind a hit. Chosen: so that
+# float32 does not find the same triangle again.
+RAY_GAP = 1e-4
+# Share of the stretches of two triangles below which their common part is rounding. Chosen for
+# float64, whose rounding is 1e-16.
+SHORTEST_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarra
         np.take_along_axis(x, o[..., None], 1) for x, o in zip(stretches, order, strict=True)
     ]
     (f0, f1), (g0, g1) = (x.T for x in along)
-    long = np.minimum(f1, g1) - np.maximum(f0, g0) > SHORT * (f1 - f0 + g1 - g0)
+    long = np.minimum(f1, g1) - np.maximum(f0, g0) > SHORTEST_SHARE * (f1 - f0 + g1 - g0)
     start = np.where((f0 > g0)[:, None], stretches[0][:, 0], stretches[1][:, 0])
     end = np.where((f1 < g1)[:, None], stretches[0][:, 1], stretches[1][:, 1])
     cut[cut] = long
@@ -117,17 +123,17 @@ def _crossings(scene: mi.Scene, surface: MeshSurface) -> tuple[np.ndarray, np.nd
     topology = surface.topology
     A, B = (dr.gather(mi.Vector3f, surface.positions, end) for end in topology.ends)
     edge = dr.arange(mi.UInt32, dr.width(topology.crease))
-    t = dr.full(mi.Float, STEP, dr.width(edge))
+    t = dr.full(mi.Float, RAY_GAP, dr.width(edge))
     edges, faces = [np.zeros(0, np.uint32)], [np.zeros(0, np.uint32)]
-    for _ in range(CROSSINGS):
+    for _ in range(MOST_HITS):
         a, along = dr.gather(mi.Vector3f, A, edge), dr.gather(mi.Vector3f, B - A, edge)
         ray = mi.Ray3f(mi.Point3f(a + t * along), along)
-        ray.maxt = 1 - STEP - t
+        ray.maxt = 1 - RAY_GAP - t
         found = scene.ray_intersect_preliminary(ray, coherent=False)
         hit = found.is_valid()
         face = topology.face_number(found.shape, found.prim_index, hit)
         own = _touches(topology, face, edge)
-        t = t + found.t + STEP
+        t = t + found.t + RAY_GAP
         dr.eval(hit, own, face, t)
         active = dr.compress(hit)
         if dr.width(active) == 0:
@@ -173,8 +179,12 @@ def _pairs(
     return f[shared < 2], g[shared < 2]
 
 
-IN_FRONT = 1e-4  # what hides a point lies nearer than it by more than this share of its depth
-FLAT = 1e-6  # sin² of the angle between two planes below which their line has no direction
+# Share of a point's depth by which an occluder must lie nearer than it. Chosen: above float32's
+# rounding of a depth.
+OCCLUDER_MARGIN = 1e-4
+# sin² of the angle between two planes below which their line has no direction. Chosen: about ten
+# times float32's rounding, 6e-8, of the terms whose difference it is.
+SMALLEST_SQUARED_SINE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -197,7 +207,7 @@ class Intersections:
             return None
         hits = caster.cast(samples.q)
         # A ray to a line between faces that lie flat to one another may meet their neighbours.
-        nothing_before = hits.depth > projection.depth(samples.x) * (1 - IN_FRONT)
+        nothing_before = hits.depth > projection.depth(samples.x) * (1 - OCCLUDER_MARGIN)
         seen = (hits.face == samples.f) | (hits.face == samples.g) | nothing_before
         seen &= projection.is_inside(samples.q) & hits.hit
 
@@ -308,7 +318,7 @@ def _along_normals(
     determinant = ff * gg - fg * fg
     A = (sf * gg - sg * fg) / determinant
     B = (sg * ff - sf * fg) / determinant
-    return A, B, determinant > FLAT * ff * gg
+    return A, B, determinant > SMALLEST_SQUARED_SINE * ff * gg
 
 
 def _barycentric(

@@ -36,8 +36,10 @@ import mitsuba as mi
 import numpy as np
 from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
 
-GOLDEN = 0.6180339887498949  # 1 / golden ratio: the step of a lattice without gaps
-QUADRATURE = 256  # points for a pixel in M_p
+GOLDEN_STEP = 0.6180339887498949  # 1 / golden ratio: the step of a Kronecker sequence
+# Points per pixel and axis of the quadrature M_p. Chosen: the filter of a film is integrated
+# once, so many cost little.
+POINTS_PER_PIXEL = 256
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class PixelFilter:
         fx = eval_(x - 0.5 - d[:, None]).reshape(len(d), spp)
         fy = eval_(y - 0.5 - d[:, None]).reshape(len(d), spp)
         table = (fy[:, None] * fx[None]).astype(np.float32)  # (d_y, d_x, k)
-        inside = (np.arange(QUADRATURE) + 0.5) / QUADRATURE
+        inside = (np.arange(POINTS_PER_PIXEL) + 0.5) / POINTS_PER_PIXEL
         mass = eval_(inside - 0.5 - d[:, None]).reshape(len(d), -1).mean(1)
         result = PixelFilter(
             width, height, spp, steps, rfilter, mi.Float(table.ravel()), one,
@@ -95,7 +97,7 @@ class PixelFilter:
         pixel = rays // self.spp
         k = mi.Float(rays - pixel * self.spp)
         x, y = column_and_row(pixel, self._columns)
-        shift_y = 0.5 + k * GOLDEN
+        shift_y = 0.5 + k * GOLDEN_STEP
         return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
 
     def develop(self, samples: list[mi.Float]) -> list[mi.Float]:
@@ -241,7 +243,7 @@ def _add(
 def lattice(spp: int) -> tuple[np.ndarray, np.ndarray]:
     """Places (x, y) of the samples in a pixel, as :meth:`PixelFilter.positions` has them."""
     k = np.arange(spp)
-    return (k + 0.5) / spp, (0.5 + k * GOLDEN) % 1
+    return (k + 0.5) / spp, (0.5 + k * GOLDEN_STEP) % 1
 
 
 def column_and_row(pixel: mi.UInt32, columns: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:

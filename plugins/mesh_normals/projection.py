@@ -26,6 +26,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+LEVEL_STEP = 1e-6  # pixels: a segment that rises less along an axis counts as parallel to it
 PINHOLE, PARALLEL = "PerspectiveCamera", "OrthographicCamera"
 
 
@@ -162,7 +163,7 @@ class SensorProjection:
         for k, size in enumerate(self.size):
             step = b[k] - a[k]
             at_low, at_high = -a[k] / step, (size - a[k]) / step
-            level = dr.abs(step) < 1e-6
+            level = dr.abs(step) < LEVEL_STEP
             outside = level & ((a[k] < 0) | (a[k] > size))
             t0 = dr.maximum(t0, dr.select(level, 0, dr.minimum(at_low, at_high)))
             t1 = dr.minimum(t1, dr.select(level, 1, dr.maximum(at_low, at_high)))

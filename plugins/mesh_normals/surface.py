@@ -20,7 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from gva_mi_plugins.mesh_normals.segment_sums import sum_by_key
-from gva_mi_plugins.mesh_normals.topology import ROUNDING, Topology
+from gva_mi_plugins.mesh_normals.topology import AREA_ROUNDING, SMALLEST_LENGTH, Topology
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class MeshSurface:
     def _shading(self) -> tuple[mi.Vector3f, mi.Float]:
         """Normals and inverse lengths; a mask needs none."""
         total = self.topology.faces_of_normal.sum(self.face_normals)
-        inverse_length = dr.rcp(dr.maximum(dr.norm(total), 1e-30))
+        inverse_length = dr.rcp(dr.maximum(dr.norm(total), SMALLEST_LENGTH))
         inverse_length = dr.select(self.topology.flips, -inverse_length, inverse_length)
         normals = total * inverse_length
         dr.eval(normals, inverse_length)
@@ -79,7 +79,7 @@ class MeshSurface:
         side = dr.maximum(dr.norm(p[1] - p[0]), dr.norm(p[2] - p[0]))
         side = dr.maximum(side, dr.norm(p[2] - p[1]))
         reach = [dr.max(dr.abs(corner)) for corner in p]
-        least = ROUNDING * side * dr.maximum(dr.maximum(reach[0], reach[1]), reach[2])
+        least = AREA_ROUNDING * side * dr.maximum(dr.maximum(reach[0], reach[1]), reach[2])
         return np.array(dr.compress(dr.norm(self.face_normals) <= least)).astype(np.int64)
 
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:

@@ -39,7 +39,9 @@ import mitsuba as mi
 import numpy as np
 from gva_mi_plugins.mesh_normals.segment_sums import Segments
 
-ROUNDING = 2.0**-22  # of coordinates: a face that is no higher than this has no area
+# Height of a face, as a share of its greatest coordinate, up to which it has no area. Chosen: four
+# times float32's rounding, 2^-24.
+AREA_ROUNDING = 2.0**-22
 
 
 def live_sides(
@@ -80,9 +82,16 @@ def live_sides(
     return ends, live, owner
 
 
-SAME = np.cos(np.radians(1.0))  # of the angle between normals of a file that mean the same
-SMOOTH = np.cos(np.radians(60.0))  # of the angle between invented normals along a seam
-INVENTED = 1e-2  # distance of a file's unit normals to what Mitsuba would invent, at most
+# Normals of a file within 1 degree are one normal. Chosen: files round them to few digits.
+SAME_NORMAL_COSINE = np.cos(np.radians(1.0))
+# Normals that Mitsuba invented for copies of a vertex belong together within 60 degrees. Chosen
+# between a smooth seam and a right angle.
+SMOOTH_SEAM_COSINE = np.cos(np.radians(60.0))
+# Greatest distance of a file's unit normals from those that Mitsuba would invent, to count as
+# invented. Chosen: above float32 and the files' digits.
+INVENTED_NORMAL_DISTANCE = 1e-2
+UNIT_LENGTH_TOLERANCE = 1e-2  # of a file's normals; longer or shorter ones are other numbers
+SMALLEST_LENGTH = 1e-30  # divisor in the place of 0; any vector of a mesh is longer
 
 
 def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -97,9 +106,9 @@ def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.n
     own = _by_angle(positions, faces)
     normals = own if normals is None else normals
     used = np.linalg.norm(own, axis=1) > 0.5
-    invented = (np.linalg.norm(normals - own, axis=1)[used] < INVENTED).all()
-    facets = (_dots(normals[faces], _crosses(positions, faces)[:, None]) > SAME).all()
-    least = SMOOTH if invented and not facets else SAME
+    invented = (np.linalg.norm(normals - own, axis=1)[used] < INVENTED_NORMAL_DISTANCE).all()
+    facets = (_dots(normals[faces], _crosses(positions, faces)[:, None]) > SAME_NORMAL_COSINE).all()
+    least = SMOOTH_SEAM_COSINE if invented and not facets else SAME_NORMAL_COSINE
     order = np.argsort(points, kind="stable")
     for step in range(1, np.bincount(points).max()):
         later, earlier = order[step:], order[:-step]
@@ -132,11 +141,11 @@ def _file_normals(mesh: mi.Mesh, faces: np.ndarray) -> np.ndarray | None:
     normals = _vectors(mesh.vertex_normals_buffer())
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.linalg.norm(normals, axis=1)
-    return normals if (np.abs(length[faces] - 1) < 1e-2).all() else None
+    return normals if (np.abs(length[faces] - 1) < UNIT_LENGTH_TOLERANCE).all() else None
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-30)
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), SMALLEST_LENGTH)
 
 
 def _crosses(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -148,7 +157,7 @@ def _crosses(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cosines between vectors; 1 where one has no length."""
     size = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
-    return np.where(size > 0, (a * b).sum(-1) / np.maximum(size, 1e-30), 1.0)
+    return np.where(size > 0, (a * b).sum(-1) / np.maximum(size, SMALLEST_LENGTH), 1.0)
 
 
 def _by_angle(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -161,7 +170,7 @@ def _by_angle(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return _unit(total)
 
 
-NONE = np.zeros(0, np.int64)
+NO_FACES = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -205,7 +214,7 @@ class Topology:
         return dr.select(active, first + primitive, 0)
 
     @staticmethod
-    def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NONE) -> Topology:
+    def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NO_FACES) -> Topology:
         """Read the faces of the meshes and find the edges between them.
 
         ``flat`` (n,) are faces without area, beside those with two corners at one place.
@@ -326,8 +335,9 @@ def _is_back(points: np.ndarray) -> np.ndarray:
     return first[kind[1]] < face
 
 
-def _columns(array: np.ndarray, of: type = mi.UInt32) -> tuple:
-    """Split an array (n, k) into Mitsuba's arrays (n,)."""
+def _columns(array: np.ndarray, of: type | None = None) -> tuple:
+    """Split an array (n, k) into Mitsuba's arrays (n,), ``mi.UInt32`` unless ``of`` is another."""
+    of = of or mi.UInt32
     return tuple(of(np.ascontiguousarray(column)) for column in array.T)
 
 

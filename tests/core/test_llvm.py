@@ -29,15 +29,23 @@ def test_a_kernel_runs_whatever_is_imported_first():
 
 @pytest.mark.parametrize("name, reason", [
     ("libLLVM.so", "there is no such file"), ("libLLVM-15.so.1", "it is libLLVM 15"),
-    ("linked.so", "it is libLLVM 16"),
+    ("linked.so", "it is libLLVM 16"), ("renamed.so", "it is libLLVM 14"),
 ])  # fmt: skip
 def test_a_library_that_would_abort_is_refused_before_a_kernel_runs(name, reason, tmp_path):
     for there in ("libLLVM-15.so.1", "libLLVM.so.16.0"):
         (tmp_path / there).touch()
     (tmp_path / "linked.so").symlink_to(tmp_path / "libLLVM.so.16.0")
+    (tmp_path / "renamed.so").write_bytes(b"\x7fELF ... \0libLLVM-14.so.1\0 ...")
     result = run("import gva_mi.splat", DRJIT_LIBLLVM_PATH=str(tmp_path / name))
     assert result.returncode == 1  # not SIGABRT
     assert f"cannot be used: {reason}" in result.stderr and "Unset it" in result.stderr
+
+
+def test_the_version_is_read_where_the_name_is_silent(tmp_path):
+    chosen = llvm.find()
+    (tmp_path / "any.so").symlink_to(chosen)
+    assert llvm.major_of(tmp_path / "any.so") == llvm.major_of(chosen)
+    assert llvm._major_inside(chosen) == llvm.major_of(chosen)
 
 
 @needs_bad_llvm

@@ -6,7 +6,7 @@ JOBS ?= 2
 LIBRARIES := libllvm19 libgl1 libx11-6
 export MPLBACKEND := Agg
 
-.PHONY: demo test test-all lint docs doctor clean
+.PHONY: demo test test-all lint docs doctor dist clean
 
 demo: .venv/ready
 	$(BIN)/gva-mi demo --out out/demo --overwrite
@@ -29,6 +29,10 @@ docs: .venv/docs
 
 doctor: .venv/ready
 	$(BIN)/gva-mi doctor
+
+# Wheel and sdist in out/dist, tried in an empty environment. It needs a network, and takes minutes.
+dist: | system
+	PYTHON=$(PYTHON) tools/dist.sh
 
 .venv/ready: pyproject.toml constraints.txt | system
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"gva_mi needs Python 3.11 or newer, and $(PYTHON) is {v[0]}.{v[1]}: make PYTHON=python3.11 $(MAKECMDGOALS)")'

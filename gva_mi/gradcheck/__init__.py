@@ -7,6 +7,9 @@ Every check returns a ``Report``, a list of comparisons with errors and toleranc
     report = gradcheck(my_render, random_scene(torch.Generator().manual_seed(0)))
     assert report.passed, report.table()
 
+An adjoint is right if <w, J v> = <Jᵀ w, v> for all v and w (the dot-product test: Claerbout, "Earth
+Soundings Analysis", 1992). The checks compare it with tangents, differences and other programs.
+
 ==========================  ===========================================================
 ``engine.py``               comparisons by all methods, a report, its table and JSON
 ``probes.py``               directions, tangents and finite differences
@@ -16,7 +19,7 @@ Every check returns a ``Report``, a list of comparisons with errors and toleranc
                             and the interior in ``moving_mesh.py``
 ==========================  ===========================================================
 
-Importing this package needs drjit, numpy and torch alone; avatar and normals are imported by name.
+Importing this package needs only drjit, numpy and torch; import ``avatar`` and ``normals`` by name.
 """
 
 from gva_mi.gradcheck.probes import difference_image, tangent_image

@@ -50,7 +50,13 @@ LIMB_ANGLE, HAND_ANGLE = 0.35, 0.15
 
 @dataclass(frozen=True)
 class PosedAvatar:
-    """An avatar in one pose before a camera, in both precisions."""
+    """An avatar in one pose before a camera, in both precisions.
+
+    Example:
+        >>> posed = PosedAvatar.random(gaussians=100, size=16)
+        >>> posed.gaussians(posed.values).means.shape  # without two Gaussians at a kink
+        torch.Size([98, 3])
+    """
 
     models: Mapping[torch.dtype, tuple[BodyModel, Avatar]]
     values: Tensors  # what the picture depends on, float64, of numbers that float32 holds
@@ -61,11 +67,11 @@ class PosedAvatar:
     def random(
         seed: int = 0, gaussians: int = 400, size: int = 40, body: Path | None = None
     ) -> PosedAvatar:
-        """An avatar in a random pose, seen whole from 3 m; none of its parameters is zero.
+        """Make an avatar in a random pose, seen whole from 3 m; none of its parameters is zero.
 
         Args:
             seed: of all random numbers.
-            gaussians: about how many.
+            gaussians: about how many, at least 100.
             size: width and height of the picture, px.
             body: a body in SMPL-X's .npz format; the built-in body where None.
         """
@@ -106,9 +112,9 @@ class PosedAvatar:
         return PosedAvatar(models, values, camera, background)
 
     def gaussians(self, values: Tensors) -> Gaussians:
-        """Return the posed Gaussians as a fit has them, in the precision of the values.
+        """Return the posed Gaussians as a fit computes them, in the precision of the values.
 
-        Only the joints of the shape are put in from outside: an avatar holds them as constants.
+        The joints of the shape are computed here, because an avatar holds them as constants.
         """
         body, avatar = self.models[values["means"].dtype]
         state = {k: v for k, v in values.items() if k.startswith(NETWORK)}
@@ -185,6 +191,11 @@ def check_avatar(
         entries: how many entries of every input to differentiate one by one; of an input of few
             entries (at most 4 times as many) all.
         seed: of the loss's weights and of the choice of entries.
+
+    Example:
+        >>> posed = PosedAvatar.random(gaussians=100, size=16)
+        >>> check_avatar(posed, entries=1).verdict  # doctest: +SKIP
+        'all 71 comparisons pass (98 Gaussians, 256 pixels, 0 at a step left out)'
     """
     f64, f32 = tolerances
     with one_torch_thread():

@@ -23,10 +23,17 @@ WRONG_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of one result with its reference."""
+    """Comparison of one result with its reference.
+
+    Example:
+        >>> found, truth = torch.tensor([1.0, 2.0]), torch.tensor([1.0, 2.1])
+        >>> row = Comparison.of("adjoint f32", "means", found, truth, tolerance=1e-5)
+        >>> round(row.error, 3), row.where, row.passed
+        (0.043, (1,), False)
+    """
 
     method: str  # how the result was computed, such as "adjoint f32"
-    name: str  # of the input whose gradient it is, or of the image
+    name: str  # the input whose gradient is compared, or the image
     error: float  # relative L2
     worst: float  # greatest absolute error of an entry
     where: tuple[int, ...]  # its index; () for a derivative along a direction of all entries
@@ -135,7 +142,17 @@ class Check:
 
 @dataclass(frozen=True)
 class Report:
-    """All comparisons of one scene."""
+    """All comparisons of one scene.
+
+    Example:
+        >>> right = Comparison("adjoint f32", "means", 2e-6, 1e-4, (4, 1), tolerance=1e-5)
+        >>> wrong = Comparison("adjoint f32", "quats", 3e-2, 5e-2, (0, 2), tolerance=1e-5)
+        >>> print(Report((right, wrong), "8 Gaussians, 256 pixels").table())
+        method       of     error    allowed  worst    at
+        adjoint f32  means  2.0e-06  1.0e-05  1.0e-04  [4, 1]
+        adjoint f32  quats  3.0e-02  1.0e-05  5.0e-02  [0, 2]  <- FAILS
+        WRONG: adjoint f32 of quats (8 Gaussians, 256 pixels)
+    """
 
     rows: tuple[Comparison, ...]
     subject: str  # what was looked at, for the verdict: "40 Gaussians, 1024 pixels"
@@ -161,7 +178,7 @@ class Report:
         return f"WRONG: {first}{named} ({self.subject})"
 
     def table(self) -> str:
-        """All comparisons and the verdict as text."""
+        """Return all comparisons and the verdict as text."""
         rows = [("method", "of", "error", "allowed", "worst", "at", "")]
         for row in self.rows:
             figures = (f"{x:.1e}" for x in (row.error, row.tolerance, row.worst))
@@ -170,13 +187,21 @@ class Report:
         return "\n".join([*aligned(rows, left=(0, 1, 5)), *self.notes, self.verdict])
 
     def to_dict(self) -> dict:
-        """The report for JSON."""
+        """Return the report for JSON."""
         rows = [asdict(row) | {"passed": row.passed} for row in self.rows]
         found = {"passed": self.passed, "verdict": self.verdict, "subject": self.subject}
         return found | {"notes": list(self.notes), "rows": rows}
 
 
 def write_reports(reports: dict[str, Report], path: Path) -> None:
-    """Write all reports by the names of their scenes, and one verdict over all of them."""
+    """Write all reports by the names of their scenes, and one verdict over all of them.
+
+    Example:
+        >>> import json, tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "gradcheck.json"
+        >>> write_reports({"empty": Report((), "0 Gaussians")}, path)
+        >>> json.loads(path.read_text())["passed"]
+        True
+    """
     passed = all(report.passed for report in reports.values())
     write_json(path, {"passed": passed, "scenes": {k: r.to_dict() for k, r in reports.items()}})

@@ -18,6 +18,7 @@ from gva_mi.splat.gaussians import Gaussians, Image
 from gva_mi.splat.options import SplatOptions
 from gva_mi.splat.scene import Scene
 
+# A function from Gaussians, camera, options and background (D,) to images, as ``splat.render``.
 Renderer = Callable[[Gaussians, Camera, SplatOptions, Tensor], Image]
 Tensors = dict[str, Tensor]
 
@@ -92,28 +93,54 @@ def differences(
 
 
 def tangent_image(fn: Renderer, scene: Scene, name: str, direction: Tensor) -> Image:
-    """Return J v of the image as one input moves along ``direction``, by forward-mode AD."""
+    """Return J v of the image as one input moves along ``direction``, by forward-mode AD.
+
+    Example:
+        >>> from gva_mi.gradcheck import random_scene
+        >>> from gva_mi.splat import render
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=8, width=16, height=16)
+        >>> tangent_image(render, scene, "means", torch.ones(8, 3)).color.shape
+        torch.Size([16, 16, 3])
+    """
     return Image(*tangents(lambda x: drawn(fn, scene, x), scene.inputs(), name, direction))
 
 
 def difference_image(
     fn: Renderer, scene: Scene, name: str, direction: Tensor, step: float = 1e-6
 ) -> Image:
-    """Return J v of the image by a central difference of ``step`` times ``direction``."""
+    """Return J v of the image by a central difference of ``step`` times ``direction``.
+
+    Example:
+        >>> from gva_mi.gradcheck import random_scene
+        >>> from gva_mi.splat import render
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=8, width=16, height=16)
+        >>> scene, right = scene.to(torch.float64), torch.ones(8, 3).double()
+        >>> by_difference = difference_image(render, scene, "means", right).color
+        >>> off = by_difference - tangent_image(render, scene, "means", right).color
+        >>> off.abs().max() < 1e-8
+        tensor(True)
+    """
     images = lambda inputs: drawn(fn, scene, inputs)
     return Image(*differences(images, scene.inputs(), name, direction, step, order=2))
 
 
 @dataclass(frozen=True)
 class Probe:
-    """The directions in which an input is moved: one through all entries, then single entries."""
+    """The directions in which an input is moved: one through all entries, then single entries.
+
+    Example:
+        >>> gradient = torch.arange(6.0).double()
+        >>> probe = Probe.among(gradient, entries=2, generator=Generator().manual_seed(0))
+        >>> probe.entries, probe.along(gradient)[1:]  # the derivatives by two entries
+        (((2,), (1,)), tensor([2., 1.], dtype=torch.float64))
+    """
 
     everywhere: Tensor  # of the input's shape, of length one half to one
     entries: tuple[tuple[int, ...], ...]
 
     @staticmethod
     def among(gradient: Tensor, entries: int, generator: Generator) -> Probe:
-        """A random direction, and the entries with the greatest gradients of a random half."""
+        """Draw a direction, and choose the entries with the greatest gradients of a random half."""
         direction = torch.randn(gradient.shape, generator=generator).double()
         half = torch.rand(gradient.numel(), generator=generator) < 0.5
         chosen = (gradient.reshape(-1).abs() * half).topk(min(entries, gradient.numel())).indices
@@ -123,7 +150,7 @@ class Probe:
         return Probe(direction / length, tuple(at))
 
     def directions(self) -> Iterator[Tensor]:
-        """All directions, each of the input's shape."""
+        """Yield all directions, each of the input's shape."""
         yield self.everywhere
         for index in self.entries:
             single = torch.zeros_like(self.everywhere)

@@ -62,6 +62,17 @@ def boundary(
 
     Raises:
         ValueError: part of the mesh lies beside or behind the camera.
+
+    Example:
+        >>> from gva_mi.splat import Camera, look_at
+        >>> camera = Camera(16.0, 16.0, 8.0, 8.0, look_at((2, 2, 2), (0, 0, 0)), 16, 16)
+        >>> mesh = MovingMesh(np.eye(3), np.array([[0, 1, 2]]), np.ones((3, 3)))
+        >>> change = boundary(mesh, PinholeLens(camera), 2000, np.random.default_rng(0))
+        >>> mask = change[..., 3].sum()  # the triangle of √3/2 m² comes nearer: its area grows
+        >>> depth = np.sqrt(12) - np.sqrt(1 / 3)  # of area = √3/2 (16 / depth)², by -√3 m
+        >>> exact = np.sqrt(3) / 2 * 16**2 * 2 / depth**3 * np.sqrt(3)
+        >>> bool(abs(mask / exact - 1) < 0.01)
+        True
     """
     flat = _FlatMesh.of(mesh, lens)
     low, high = mesh.window(lens, 0.0)
@@ -247,6 +258,10 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
     Returns:
         Where stretches begin, and at last where the last one ends, (M + 1,); and the segment that
         is highest on each, (M,), -1 for none.
+
+    Example:
+        >>> upper_envelope(np.array([[0.0, 2.0], [1.0, 3.0]]), np.array([[0.0, 2.0], [1.5, 0.5]]))
+        (array([0.        , 1.        , 1.33333333, 2.        , 3.        ]), array([0, 1, 0, 1]))
     """
     segments = _Segments(x[:, 0], u[:, 0], (u[:, 1] - u[:, 0]) / (x[:, 1] - x[:, 0]))
     ends, place = np.unique(x, return_inverse=True)

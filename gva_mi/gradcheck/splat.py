@@ -87,7 +87,10 @@ class Maps:
 
 @dataclass(frozen=True)
 class RendererReport(Report):
-    """The comparisons of a renderer, and the pixels left out of them."""
+    """The comparisons of a renderer, and the pixels left out of them.
+
+    :func:`gradcheck` makes it; its docstring has an example.
+    """
 
     pixels: int = 0
     band: int = 0  # pixels at a step, left out
@@ -96,7 +99,7 @@ class RendererReport(Report):
     maps: Maps | None = field(default=None, repr=False)
 
     def table(self) -> str:
-        """All comparisons as text, and how far the true gradient moves by rounding."""
+        """Return all comparisons as text, and how far the true gradient moves by rounding."""
         found = super().table()
         if not self.rounding:
             return found
@@ -105,7 +108,7 @@ class RendererReport(Report):
         return found.replace("\n", f"\n{line}\n", 1)
 
     def to_dict(self) -> dict:
-        """The report for JSON, without the pictures."""
+        """Return the report for JSON, without the pictures."""
         names = ("gaussians", "pixels", "band", "rounding")
         return super().to_dict() | {name: getattr(self, name) for name in names}
 
@@ -119,6 +122,20 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
             differentiate by the camera's tensors, the report notes it and omits those comparisons.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         seed: of the weights in the loss and of the choice of entries.
+
+    Example:
+        >>> from gva_mi.gradcheck import random_scene
+        >>> from gva_mi.splat import render
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=8, width=16, height=16)
+        >>> gradcheck(render, scene).verdict
+        'all 46 comparisons pass (8 Gaussians, 256 pixels)'
+        >>> def half(*args):  # a wrong gradient by the colours
+        ...     image = render(*args)
+        ...     color = 0.5 * image.color + 0.5 * image.color.detach()
+        ...     return type(image)(color, image.alpha, image.depth)
+        >>> report = gradcheck(half, scene)
+        >>> report.passed, sorted({row.name for row in report.rows if not row.passed})[:2]
+        (False, ['K', 'T_camera_world'])
     """
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
@@ -210,7 +227,17 @@ def _last_digit(inputs: Tensors, generator: Generator) -> Tensors:
 
 
 def write_picture(reports: dict[str, RendererReport], path: Path) -> None:
-    """Write one row of three panels per scene."""
+    """Draw the reports of several scenes, one row of three panels each; write the .png file.
+
+    Example:
+        >>> import tempfile
+        >>> maps = Maps(np.zeros((8, 8, 3)), np.zeros((8, 8)), np.zeros((8, 8), bool))
+        >>> row = Comparison("adjoint f32", "means", 1e-6, 1e-5, (0, 0), tolerance=1e-5)
+        >>> path = Path(tempfile.mkdtemp()) / "gradcheck.png"
+        >>> write_picture({"black": RendererReport((row,), "8 Gaussians", maps=maps)}, path)
+        >>> path.read_bytes()[1:4]
+        b'PNG'
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

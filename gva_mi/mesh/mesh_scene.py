@@ -53,8 +53,19 @@ class MeshScene:
     """A mesh whose vertices move, rendered from any camera.
 
     Example:
-        >>> scene = MeshScene(faces, vertices)  # doctest: +SKIP
-        >>> image = scene.render(vertices, camera)  # (H, W, 4), differentiable in the vertices
+        >>> from gva_mi.splat import look_at
+        >>> faces = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+        >>> vertices = torch.cat([torch.zeros(1, 3), torch.eye(3)])  # of a tetrahedron
+        >>> vertices = vertices.requires_grad_()
+        >>> camera = Camera(24.0, 24.0, 8.0, 8.0, look_at((2, 2, 2), (0, 0, 0)), 16, 16)
+        >>> image = MeshScene(faces, vertices).render(vertices, camera)
+        >>> image.shape
+        torch.Size([16, 16, 4])
+        >>> image[8, 8].detach()  # the normal points toward the camera, and the mask is 1
+        tensor([ 0.1031,  0.1031, -0.9893,  1.0000])
+        >>> (grad,) = torch.autograd.grad(image[..., 3].sum(), vertices)
+        >>> (grad * vertices).sum() > 0  # the silhouette grows with the mesh
+        tensor(True)
     """
 
     def __init__(self, faces: Tensor, vertices: Tensor) -> None:
@@ -172,7 +183,14 @@ class MeshScene:
 
 
 def load_plugins() -> None:
-    """Register the plugins; set the variant ``llvm_ad_rgb`` if none is set."""
+    """Register the plugins; set the variant ``llvm_ad_rgb`` if none is set.
+
+    Example:
+        >>> load_plugins()
+        >>> import mitsuba as mi
+        >>> mi.variant()
+        'llvm_ad_rgb'
+    """
     import gva_mi_plugins
     import mitsuba as mi
 
@@ -190,7 +208,14 @@ def _sensor_and_projection(camera: Camera) -> tuple[mi.Sensor, SensorProjection]
 
 
 def scene_of(faces: Tensor, vertices: Tensor) -> mi.Scene:
-    """Return a scene of one shape, ``mesh``, with faces (F, 3) and float32 vertices (V, 3)."""
+    """Return a scene of one shape, ``mesh``, with faces (F, 3) and float32 vertices (V, 3).
+
+    Example:
+        >>> load_plugins()
+        >>> scene = scene_of(torch.tensor([[0, 1, 2]]), torch.eye(3))
+        >>> scene.shapes()[0].face_count()
+        1
+    """
     import mitsuba as mi
 
     return mi.load_dict({"type": "scene", "mesh": _mesh_of(faces, vertices)})
@@ -244,6 +269,12 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
 
     Raises:
         ValueError: another model of camera.
+
+    Example:
+        >>> load_plugins()
+        >>> sensor = sensor_of(Camera(8.0, 8.0, 8.0, 6.0, np.eye(4), 16, 16))
+        >>> round(sensor["fov"], 3), sensor["principal_point_offset_y"]
+        (90.0, 0.125)
     """
     import mitsuba as mi
 
@@ -266,7 +297,12 @@ def sensor_of(camera: Camera) -> dict[str, Any]:
 
 
 def pixel_aspect(camera: Camera) -> float:
-    """Return the width of a pixel over its height (eq. 5)."""
+    """Return the width of a pixel over its height (eq. 5).
+
+    Example:
+        >>> pixel_aspect(Camera(10.0, 12.0, 8.0, 8.0, np.eye(4), 16, 16))
+        1.2
+    """
     return camera.fy / camera.fx
 
 
@@ -275,6 +311,13 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
 
     Raises:
         ValueError: that camera stands elsewhere, or its pixels have another aspect.
+
+    Example:
+        >>> load_plugins()
+        >>> whole = Camera(8.0, 8.0, 8.0, 8.0, np.eye(4), 16, 16)
+        >>> crop = Camera(16.0, 16.0, 4.0, 4.0, np.eye(4), 8, 8)  # the middle, twice as large
+        >>> tile_of(crop, whole)
+        Tile(left=6.0, top=6.0, scale=2.0, width=8, height=8)
     """
     from gva_mi_plugins.mesh_normals.pixel_filter import Tile
 
@@ -298,6 +341,13 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
     """Return which vertices are visible from each of E viewpoints (E, 3), (E, V) bool.
 
     Faces are counter-clockwise seen from outside; the edges of pictures are ignored.
+
+    Example:
+        >>> faces = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+        >>> vertices = torch.cat([torch.zeros(1, 3), torch.eye(3)])  # of a tetrahedron
+        >>> seen_vertices(vertices, faces, np.array([[2.0, 2.0, 2.0], [-2.0, -2.0, -2.0]]))
+        tensor([[False,  True,  True,  True],
+                [ True, False, False, False]])
     """
     load_plugins()
     import mitsuba as mi

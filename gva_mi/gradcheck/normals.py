@@ -109,8 +109,11 @@ def check_normals(
 
     Example:
         >>> rows = next(check_normals(1, size=32, spp=4, lines=400, points=8))  # far too small
-        >>> [f"{row.name}: {row.error:.1f}" for row in rows]
-        ['free, transl x: mask: 0.1', 'free, transl x: interior: 0.0', 'free, transl x: boundary: 0.1']
+        >>> for row in rows:
+        ...     print(f"{row.name}: {row.error:.1f}")
+        free, transl x: mask: 0.1
+        free, transl x: interior: 0.0
+        free, transl x: boundary: 0.1
     """
     load_plugins()
     body = load_body(dtype=torch.float64)

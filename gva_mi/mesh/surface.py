@@ -57,8 +57,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 def uniform_laplacian(faces: np.ndarray, count: int) -> Tensor:
     """Return the Laplacian of ``count`` vertices, (V, V) float32: each minus its neighbours' mean.
 
-    The row of a vertex without neighbours is zero. The matrix is in torch's coordinate format, whose
-    products add in a fixed order.
+    The row of a vertex without neighbours is zero. The matrix is in torch's coordinate format,
+    whose products add in a fixed order.
 
     Example:
         >>> uniform_laplacian(np.array([[0, 1, 2]]), count=4).to_dense()
@@ -110,7 +110,7 @@ class CoarseBody:
     def __init__(self, whole: BodyModel, faces: int, finer: Tensor | None = None) -> None:
         """Simplify the mean person to ``faces`` faces, if it has more.
 
-        ``finer`` (n,) are numbers of the vertices that close-ups show; None: there are no close-ups.
+        ``finer`` (n,) are numbers of the vertices that close-ups show; None: no close-ups.
         """
         self._faces, self._count = whole.faces, len(whole.v_template)
         if len(whole.faces) <= faces:

@@ -108,7 +108,8 @@ def test_tables_list_every_source_error_model_and_extra():
     from gva_mi.synthetic.errors.models import ERROR_MODELS
 
     sources, people, installation = (
-        (ROOT / "docs" / n).read_text() for n in ("sources.md", "synthetic_subjects.md", "installation.md")
+        (ROOT / "docs" / n).read_text()
+        for n in ("sources.md", "synthetic_subjects.md", "installation.md")
     )
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert not [kind for kind in (*KINDS, *DATASETS) if f"\n| `{kind}` | " not in sources]

@@ -189,7 +189,7 @@ class FacePart:
     def at(self, which: Sequence[int]) -> Tensor:
         """Return the corrections of r frames (eq. 3), (r, C, d)."""
         which = list(which)
-        spread = self._spread[:, which]
+        spread = self._spread.rows(which)
         return self.start[which] + torch.einsum("crl,lcd->rcd", spread, self.u)
 
     def energy(self) -> Tensor:

@@ -62,6 +62,7 @@ from gva_mi.prior.error_model import (
     median_of_square,
     outlier_factors,
 )
+from gva_mi.prior.frame_matrices import FrameMatrices
 
 ROUNDS = 8  # of eq. 2
 LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
@@ -183,7 +184,7 @@ class ProcessPrior:
             process = process.with_outlier_factors(corrections)
         return corrections, process
 
-    def energy(self, precision: Tensor, corrections: Tensor, own: Tensor) -> Tensor:
+    def energy(self, precision: FrameMatrices, corrections: Tensor, own: Tensor) -> Tensor:
         """Return eq. 1.
 
         Args:
@@ -206,19 +207,19 @@ class ProcessPrior:
         without = torch.tensor([noise.constant**2 for noise in self.error_models])
         return K.float(), (K - without).float()
 
-    def precision(self) -> Tensor:
+    def precision(self) -> FrameMatrices:
         """Return ``P`` (C, n, n)."""
-        return self._precision().float().contiguous()
+        return FrameMatrices.of(self._precision().float())
 
     def covariance(self, corrections: Tensor) -> Tensor:
         """Return ``H⁻¹`` (C, n, n) float64 of one coordinate, at corrections (n, C, d)."""
         return torch.cholesky_inverse(torch.linalg.cholesky(self._curvature(corrections)[0]))
 
-    def spread(self, corrections: Tensor) -> Tensor:
+    def spread(self, corrections: Tensor) -> FrameMatrices:
         """Return ``M`` (C, n, n), eq. 3, at corrections (n, C, d)."""
         values, vectors = torch.linalg.eigh(self._curvature(corrections)[0])
         gain = sqrt((1 / values / (1 / values).mean(1, keepdim=True)).clamp(max=1))
-        return ((vectors * gain[:, None]) @ vectors.mT).float()
+        return FrameMatrices.of(((vectors * gain[:, None]) @ vectors.mT).float())
 
     def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:
         """Return ``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""

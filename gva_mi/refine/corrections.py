@@ -27,6 +27,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel
+from gva_mi.prior.frame_matrices import FrameMatrices
 from gva_mi.prior.ground import Ground, Soles
 from gva_mi.prior.inference import (
     JOINTS,
@@ -56,9 +57,9 @@ class Corrections:
         n, joints = turns0.shape[:2]
         own = stage1.in_joints(turns0)
         spread = torch.zeros(joints, n, n)  # the face stays
-        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS])
-        spread[JOINTS] = prior.joints.spread(own[:, JOINTS])
-        self._spread = spread
+        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS]).M
+        spread[JOINTS] = prior.joints.spread(own[:, JOINTS]).M
+        self._spread = FrameMatrices.of(spread)
         self._spread_moves = prior.place.spread(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
         self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
@@ -91,7 +92,7 @@ class Corrections:
     @torch.no_grad()
     def found(self) -> tuple[Tensor, Tensor]:
         """Return the current ``A δ`` (n, J, 3) and ``τ`` (n, 3), in the camera's axes."""
-        return self._at(slice(None))
+        return self._at(range(len(self.moves)))
 
     @torch.no_grad()
     def centre(self) -> None:
@@ -122,14 +123,14 @@ class Corrections:
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Return eq. 1 for some of the n frames by index, differentiable in the leaves."""
-        return self._stage1.corrected(which, *self._at(list(which)))
+        return self._stage1.corrected(which, *self._at(which))
 
     def energy(self, distance_shown: bool = False) -> Tensor:
         """Return the corrections' prior energy in nats, a mean over the frames.
 
         ``distance_shown``: whether the evidence shows how far away the person stands.
         """
-        turns, moves = self._at(slice(None))
+        turns, moves = self._at(range(len(self.moves)))
         own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
         places = moves[..., None]
@@ -153,7 +154,7 @@ class Corrections:
         images determine such a tilt no better than one, so the errors' size is a prior in every
         frame. Its weight is how far the person turns: 1 for a full turn, 0 for none.
         """
-        mean = self._at(slice(None))[0][:, JOINTS].mean(0)
+        mean = self._at(range(len(self.moves)))[0][:, JOINTS].mean(0)
         variance = self.prior.joints.variance_of_mean(bias=True)
         return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
 
@@ -173,10 +174,11 @@ class Corrections:
             nats = nats + (shift.square() / variance).sum() / 2
         return nats
 
-    def _at(self, which: list[int] | slice) -> tuple[Tensor, Tensor]:
+    def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
-        turns = (self._spread[:, which] @ self.turns[..., 0].transpose(0, 1)).transpose(0, 1)
-        moves = (self._spread_moves[:, which] @ self.moves.transpose(0, 1))[..., 0].T
+        which = list(which)
+        turns = self._spread.product(self.turns[..., 0].transpose(0, 1), which).transpose(0, 1)
+        moves = self._spread_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
 

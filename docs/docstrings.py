@@ -1,8 +1,7 @@
 """Docstrings of the project as Markdown, for the site's reference: an extension of griffe.
 
-Tables and literal blocks are written as in reStructuredText, references as ``:func:`name```,
-arguments of one meaning in one line, and fields of a record in comments behind them. Readers of the
-code see all that as it is; mkdocs would not.
+The docstrings have tables, literal blocks and references of reStructuredText, several arguments in
+one line, and comments behind the fields of a record. mkdocs understands none of these.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ _NO_WORDS = ("noqa", "fmt:", "type:")  # comments that are for tools
 
 
 def markdown(text: str) -> str:
-    """A docstring without reStructuredText."""
+    """Convert a docstring to Markdown."""
     text = arguments_apart(_ROLE.sub(r"`\1`", text))
     lines, at = [], 0
     source = text.split("\n")
@@ -41,7 +40,7 @@ def markdown(text: str) -> str:
 
 
 def arguments_apart(text: str) -> str:
-    """A docstring in which ``a, b: metres`` of ``Args`` are two lines."""
+    """Split ``a, b: metres`` of ``Args`` into one line for each argument."""
     before, heading, rest = text.partition("\nArgs:\n")
     section, blank, after = rest.partition("\n\n")
     items = []
@@ -53,7 +52,7 @@ def arguments_apart(text: str) -> str:
 
 
 def _end(lines: list[str], start: int) -> int:
-    """Behind the last rule of the table that starts there."""
+    """Return the line after the table that starts at ``start``."""
     end = start
     for at in range(start, len(lines)):
         if not lines[at].strip():
@@ -64,11 +63,11 @@ def _end(lines: list[str], start: int) -> int:
 
 
 def table(lines: list[str]) -> list[str]:
-    """A simple table of reStructuredText as one of Markdown.
+    """Convert a simple table of reStructuredText to Markdown.
 
     Args:
-        lines: from its first rule to its last. A row whose first cell is empty goes on with the
-            one above.
+        lines: from its first rule to its last. A row whose first cell is empty continues the row
+            above.
     """
     spans = [match.span() for match in re.finditer("=+", lines[0])]
     starts = [start for start, _ in spans]
@@ -92,7 +91,7 @@ def table(lines: list[str]) -> list[str]:
 
 
 def comment_of(source: str) -> str | None:
-    """The comment behind a field; None where there is none."""
+    """Return the comment behind a field, or None."""
     try:
         tokens = list(tokenize.generate_tokens(io.StringIO(source).readline))
     except (tokenize.TokenError, IndentationError):
@@ -103,7 +102,7 @@ def comment_of(source: str) -> str | None:
 
 
 class ProjectDocstrings(Extension):
-    """What is applied to every object that griffe has read."""
+    """Convert the docstring of every object that griffe has read."""
 
     def on_object(self, *, obj: Object, **_: object) -> None:
         """Rewrite a docstring; give a field the comment behind it."""

@@ -39,21 +39,22 @@ from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video, load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
+# Sizes are chosen by eye, for a page of the site.
 ROW_HEIGHT = 440  # pixels of a row of the overview
-TURNED = 3  # other sides of the avatar there
-TIMES = 2  # renders in new poses are so much larger than the pictures beside them
-SIZE = (240, 340)  # pixels of one picture
-SHOWN = 6
+SIDE_VIEWS = 3  # other sides of the avatar in the overview
+NEW_POSE_SCALE = 2  # size of renders in new poses, relative to the video's pictures
+VIEW_SIZE = (240, 340)  # width and height in pixels of a view of motions.png and exports.png
+VIEWS = 6  # of each of the two
 
 
 def gva_mi(*words: str | Path) -> None:
-    """Run a command, as a reader would."""
+    """Run a command of gva-mi."""
     command = [sys.executable, "-m", "gva_mi", *map(str, words)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def in_a_row(pictures: list[Path]) -> np.ndarray:
-    """Lay pictures side by side, each cut to what is not white, all to the same rows."""
+    """Crop pictures to their content, all to the same rows, and put them side by side."""
     images = [read_image(path, 3) for path in pictures]
     drawn = [image.min(-1) < 250 for image in images]
     all_rows, cut = person_box(np.any(drawn, axis=0)), []
@@ -64,29 +65,29 @@ def in_a_row(pictures: list[Path]) -> np.ndarray:
 
 
 def save(image: np.ndarray, out: Path) -> None:
-    """Write a picture in few colours, because it is part of the documentation."""
+    """Write a picture in 200 colours, which keeps the repository small."""
     Image.fromarray(image).quantize(200, dither=Image.Dither.NONE).save(out, optimize=True)
 
 
 def motions(run: Path, folder: Path) -> list[Path]:
-    """The avatar in the steps of somebody else, who dances."""
+    """Render the avatar in the dance of another subject."""
     dancer = folder / "dancer"
     options = SynthOptions(
-        motion="dance", frames=SHOWN, size=32, samples=1, bare=True,
+        motion="dance", frames=VIEWS, size=32, samples=1, bare=True,
         novel_poses=0, novel_views=0,
     )  # fmt: skip
     make_subject(dancer, options, load_body())
     out = folder / "motions"
-    app.render(run, out, CameraPath("static", size=SIZE), poses=dancer / "truth/poses.npz")
+    app.render(run, out, CameraPath("static", size=VIEW_SIZE), poses=dancer / "truth/poses.npz")
     return sorted(out.glob("*.png"))
 
 
 def exports(run: Path, folder: Path) -> list[Path]:
-    """What a file without the body's rig holds, driven again and seen from all around."""
+    """Export an avatar without its rig, and render the file from all sides."""
     alone = folder / "alone.npz"
     gva_mi("export", run, "--no-rig", "--out", alone)
     out = folder / "exports"
-    app.render(alone, out, CameraPath("turntable", SHOWN, size=SIZE), poses=run / "poses.npz")
+    app.render(alone, out, CameraPath("turntable", VIEWS, size=VIEW_SIZE), poses=run / "poses.npz")
     return sorted(out.glob("*.png"))
 
 
@@ -113,7 +114,7 @@ def _made_of(avatar: Avatar, video: Video) -> Iterator[np.ndarray]:
         whole = with_axes(avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
         yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
-    yield from list(turntable(avatar, frame.pose, TURNED + 1, video.size))[1:]
+    yield from list(turntable(avatar, frame.pose, SIDE_VIEWS + 1, video.size))[1:]
 
 
 def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[np.ndarray]:
@@ -125,12 +126,14 @@ def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[np.ndarray]:
         boxes += sorted(found, key=lambda hand: hand[1].top)[:1]
     for k, box in boxes:
         yield box.cut(cut_out(frames[k]))
-        camera = box.cut_camera(frames[k].camera).resized(TIMES * box.width, TIMES * box.height)
+        camera = box.cut_camera(frames[k].camera).resized(
+            NEW_POSE_SCALE * box.width, NEW_POSE_SCALE * box.height
+        )
         yield render_frame(avatar, frames[k].pose, camera)
 
 
 def _scaled(part: np.ndarray) -> np.ndarray:
-    """Cut a picture to what is not white, and scale it to the height of a row."""
+    """Crop a picture to its content, and scale it to the height of a row."""
     from PIL import Image
 
     cut = person_box(part.min(-1) < 250).cut(part)
@@ -140,7 +143,7 @@ def _scaled(part: np.ndarray) -> np.ndarray:
 
 
 def _stacked(rows: list[np.ndarray]) -> np.ndarray:
-    """Stack rows of different widths, each in the middle of the picture."""
+    """Stack rows of different widths, each centred."""
     width = max(row.shape[1] for row in rows)
     picture = np.full((len(rows) * ROW_HEIGHT, width, 3), 255, np.uint8)
     for k, row in enumerate(rows):

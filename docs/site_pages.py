@@ -34,12 +34,12 @@ _TAG = re.compile(r"\\tag\{(.*?)\}")
 
 
 def links(markdown: str) -> list[str]:
-    """The relative links of a page, pictures too, without what follows ``#``; none in programs."""
+    """Return the relative links and pictures of a page, without anchors; programs do not count."""
     return [match[2] for match in _LINK.finditer(_FENCES.sub("", markdown))]
 
 
 def source_of(folder: Path, link: str) -> str | None:
-    """The path within the repository of a file that a link shows; None of the site's own pages."""
+    """Return the path in the repository of a linked file; None if the site has it as a page."""
     path = (folder / link).resolve()
     own = path.is_relative_to(ROOT / "docs") and path.suffix in SHOWN_AS_THEY_ARE
     if own or not path.is_relative_to(ROOT) or not path.is_file():
@@ -48,12 +48,12 @@ def source_of(folder: Path, link: str) -> str | None:
 
 
 def page_of(source: str) -> str:
-    """Where the site shows a file of the repository."""
+    """Return the page of the site that shows a file of the repository."""
     return AT_THE_TOP.get(source, f"source/{source}.md")
 
 
 def shown(source: str) -> str:
-    """A file of the repository as a page: a program with its lines' numbers, or a lesson."""
+    """Return a file of the repository as Markdown: a program with line numbers, or a lesson."""
     text = (ROOT / source).read_text()
     if source.endswith(".ipynb"):
         return "\n\n".join(_cells(json.loads(text)))
@@ -76,7 +76,7 @@ def _cells(notebook: dict) -> Iterator[str]:
 
 
 def mathml(page: str) -> str:
-    """A page's formulas as MathML; ``\\tag`` becomes the number at the right."""
+    """Convert a page's formulas to MathML; ``\\tag`` becomes the number at the right."""
     from latex2mathml.converter import convert
 
     def one(match: re.Match[str]) -> str:
@@ -91,7 +91,7 @@ def mathml(page: str) -> str:
 
 
 def on_config(config: MkDocsConfig) -> None:
-    """Let the reader of docstrings find ``gva_mi_plugins``, which lies in ``plugins/``."""
+    """Let mkdocstrings find ``gva_mi_plugins``, whose folder is ``plugins/``."""
     _kept.append(tempfile.TemporaryDirectory(prefix="gva_mi_docs_"))
     folder = Path(_kept[-1].name)
     (folder / "gva_mi_plugins").symlink_to(ROOT / "plugins")
@@ -102,7 +102,7 @@ on_config.mkdocs_priority = 100  # before mkdocstrings reads its own configurati
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add what pages show of the repository."""
+    """Add a page for each file of the repository that a page links to."""
     from mkdocs.structure.files import File
 
     lessons = {path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")}
@@ -119,7 +119,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
-    """Turn links to files of the repository to the pages that show them."""
+    """Redirect links from files of the repository to the pages that show them."""
     uri = page.file.src_uri
     if uri.startswith("source/") and not uri.startswith("source/notebooks/"):
         return markdown
@@ -143,5 +143,5 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def on_page_content(html: str, **_: object) -> str:
-    """Turn formulas into MathML."""
+    """Convert formulas to MathML."""
     return mathml(html)

@@ -2,10 +2,10 @@
 
     python docs/train_gaussians.py [--scene FILE] [--steps 400] [--size 64] [--out FILE.ply]
 
-It needs only the bare install. The target scene is a .ply, or random
-Gaussians; its pictures are rendered first, from cameras on a ring. The rules are those of gsplat's
-DefaultStrategy without the reset of opacities, which is for runs of thousands of steps. Thresholds
-are for small pictures. To use your own data, replace ``Views``.
+It needs only the bare install. The target scene is a .ply, or random Gaussians. Its pictures are
+rendered first, from cameras on a ring. Density control follows gsplat's DefaultStrategy. It has no
+reset of opacities, which is for runs of thousands of steps. Thresholds are chosen for small
+pictures. To use your own data, replace ``Views``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Density:
     grow_scale3d: float = 0.05  # of scene_scale: smaller ones are duplicated, larger ones split
     prune_opa: float = 0.005
     refine_every: int = 50
-    most: int = 2000  # Gaussians
+    most: int = 2000  # Gaussians, above which none are added
     grad2d: Tensor | float = 0.0
     count: Tensor | float = 0.0
 
@@ -117,7 +117,7 @@ def _replace_rows(
 
 
 def start(scene: Scene, count: int, generator: torch.Generator) -> Params:
-    """Spread grey Gaussians over the volume of the scene's."""
+    """Spread grey Gaussians over the volume of the scene."""
     means = scene.gaussians.means.float()
     low, high = means.quantile(0.05, dim=0), means.quantile(0.95, dim=0)
     places = low + (high - low) * torch.rand(count, 3, generator=generator)
@@ -152,7 +152,7 @@ def draw(params: Params, viewmats: Tensor, Ks: Tensor, size: int) -> tuple[Tenso
 
 @torch.no_grad()
 def psnr(params: Params, views: Views) -> float:
-    """PSNR of the pictures, dB."""
+    """Return the PSNR of the pictures, dB."""
     size = views.images.shape[1]
     error = draw(params, views.viewmats, views.Ks, size)[0] - views.images
     return -10 * math.log10(error.square().mean().item())
@@ -180,7 +180,7 @@ def train(scene: Scene, views: Views, steps: int, count: int = 100, seed: int = 
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The command line."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, help=".ply; else random Gaussians")
     parser.add_argument("--steps", type=int, default=400)

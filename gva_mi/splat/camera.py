@@ -259,7 +259,7 @@ def _is_rotation(R: np.ndarray) -> bool:
 
 
 def _is_tensor(matrix: Any) -> bool:  # noqa: ANN401
-    """Whether a matrix is a tensor. This module does not import torch: its method tells."""
+    """Whether a matrix is a tensor, by its methods, because this module does not import torch."""
     return hasattr(matrix, "new_tensor") or isinstance(matrix, dr.ArrayBase)
 
 

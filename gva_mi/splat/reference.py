@@ -88,7 +88,7 @@ class _Margins(NamedTuple):
 
 
 def _matrices(camera: Camera) -> tuple[Tensor, Tensor]:
-    """Return T_camera_world (4, 4) and K (3, 3), float64; the camera's tensors if it has some."""
+    """Return T_camera_world (4, 4) and K (3, 3), float64; the camera's tensors if given."""
     T, K = camera.tensors
     T = torch.tensor(camera.T_camera_world) if T is None else T.to(torch.float64)
     return T, torch.tensor(camera.K) if K is None else K.to(torch.float64)

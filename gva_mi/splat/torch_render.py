@@ -129,7 +129,7 @@ def pull(ctx: FunctionCtx, grads: tuple[Tensor | None, ...]) -> tuple[Tensor | N
 
 
 def push(ctx: FunctionCtx, tangents: tuple[Tensor | None, ...]) -> Images:
-    """Return the tangents of the images along those of ``Tensors``."""
+    """Return the tangents of the images along tangents of ``Tensors``."""
     return Tangent.apply(*FirstOrder.apply(*ctx.saved_tensors), *tangents, ctx.drawn)
 
 

@@ -1,4 +1,4 @@
-"""Half a turn about x: the picture turns with the camera; signs are those of public converters."""
+"""Half a turn about x: the picture turns with the camera; signs agree with public converters."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from gva_mi.splat.torch_render import render
 F = np.diag([1.0, -1, -1, 1])
 
 
-def test_a_camera_that_turns_along_sees_the_same_picture():
+def test_a_camera_turned_with_the_gaussians_sees_the_same_picture():
     s = random_scene(torch.Generator().manual_seed(0), gaussians=30, degree=4).to(torch.float32)
     g, camera = s.gaussians, replace(s.camera, T_camera_world=s.camera.T_camera_world @ F)
     full = torch.rand(30, 3, 3, generator=torch.Generator().manual_seed(1)) / 10
@@ -29,7 +29,7 @@ def test_a_camera_that_turns_along_sees_the_same_picture():
         assert all(torch.equal(again[name], x) for name, x in given.arrays().items())
 
 
-def test_signs_are_those_of_niantics_converter_from_rdf_to_rub():
+def test_signs_equal_niantics_converter_from_rdf_to_rub():
     """By its table of flips for degrees 1 to 3, with x kept, y and z turned.
 
     (For the last of degree 4, which is even in y and z, its table of 2026 has the sign of y.)

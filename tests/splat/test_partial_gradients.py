@@ -1,4 +1,4 @@
-"""Gradients by some of the inputs have the same bits as those by all."""
+"""Gradients of some inputs have the same bits as if all were requested."""
 
 import pytest
 import torch
@@ -41,7 +41,7 @@ def gradients(given, names, images):
 
 @pytest.mark.parametrize("images", IMAGES.values(), ids=IMAGES)
 @pytest.mark.parametrize("channels", [None, 3, 11])
-def test_a_gradient_by_some_inputs_is_that_by_all_to_the_bit(channels, images):
+def test_gradients_of_some_inputs_have_the_bits_of_all_gradients(channels, images):
     given = inputs(channels, torch.float32)
     colors = "sh" if channels is None else "colors"
     whole = gradients(given, list(given), images)

@@ -22,7 +22,7 @@ def assert_same(a, b, atol=1e-12):
         torch.testing.assert_close(getattr(a, name), getattr(b, name), atol=atol, rtol=0)
 
 
-def test_background_is_blended_by_what_is_left():
+def test_background_is_weighted_by_the_last_transmittance():
     s = scene()
     black = draw(changed(s, background=double(0, 0, 0)))
     image = draw(changed(s, background=double(0.2, 0.5, 0.9)))

@@ -19,7 +19,7 @@ def draw(scene):
         return render(scene.gaussians, scene.camera, scene.options, scene.background)
 
 
-def test_other_files_are_explained(tmp_path):
+def test_files_without_gaussians_raise_an_explanation(tmp_path):
     nothing = Gaussians(*(torch.zeros(0, n) for n in (3, 4, 3)), torch.zeros(0), torch.zeros(0, 3))
     save_ply(tmp_path / "a.ply", nothing)
     with pytest.raises(InputError, match="holds no Gaussians"):

@@ -149,6 +149,6 @@ def _read_vertices(path: Path) -> np.ndarray:
 
 
 def _properties(coefficients: int) -> list[str]:
-    """Columns of a file whose colours have so many SH coefficients."""
+    """Names of a file's columns, for colours with ``coefficients`` SH coefficients each."""
     colors = [f"f_dc_{i}" for i in range(3)] + [f"f_rest_{i}" for i in range(3 * coefficients - 3)]
     return ["x", "y", "z", "nx", "ny", "nz", *colors, *_GEOMETRY]

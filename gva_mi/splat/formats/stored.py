@@ -168,7 +168,7 @@ def _harmonics(gaussians: Gaussians) -> Tensor:
 def _finite(gaussians: Gaussians) -> Tensor:
     """Whether all numbers of each Gaussian are finite in float32, (N,).
 
-    So are those of its rotation, which a quaternion of no length has not.
+    A quaternion of length 0 counts as not finite, because it has no rotation.
     """
     arrays = gaussians.arrays()
     rows = [torch.isfinite(x.detach().float())[:, None].flatten(1).all(1) for x in arrays.values()]

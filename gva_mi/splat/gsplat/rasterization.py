@@ -135,7 +135,7 @@ def colors_by_view(
 
 
 def flat(tensor: Tensor, axes: int) -> list[Tensor]:
-    """Split a tensor into its elements of so many axes.
+    """Split a tensor along all but its last ``axes`` axes.
 
     A single element is a view, whose gradient is not copied. A tensor without other axes is
     returned as it is, because a view would be one more node of the graph.

@@ -13,6 +13,7 @@
 | passes.py | everything in order: forward, adjoint, tangent | |
 
 Below them: inputs.py (the Gaussians and the camera as arrays), records.py (what the kernels pass to
-one another), tile_memory.py (what a lane of compositing reads and writes). ``gva_mi.jit`` has
+one another), vectors.py (vectors and matrices with named entries), tile_memory.py (what a lane of
+compositing reads and writes). ``gva_mi.jit`` has
 records in memory, kernels that are traced once, and the lock.
 """

@@ -71,7 +71,7 @@ def blend(
         grid: the picture.
         background: one array of size one per colour channel.
         limit: None if pixels show all Gaussians.
-        pixels: to allocate: at least those of the picture, padded to whole tiles.
+        pixels: number to allocate, no fewer than the picture has, padded to whole tiles.
         format: of the splats; with a depth, the depth image is made too.
         options: cut-offs.
 
@@ -80,11 +80,9 @@ def blend(
     """
     F, U = type(splats[0]), type(lists.tile)
     window = Window.of(lists, grid, F)
-    nothing = [window.x * 0 for _ in range(format.channels + format.depth)]
+    zeros = [window.x * 0 for _ in range(format.channels + format.depth)]
     # pixels outside the picture have stopped before they start
-    tile = store_pixels(
-        [[dr.select(i, F(1), F(-1)), U(0), *nothing] for i in window.inside(grid, F)]
-    )
+    tile = store_pixels([[dr.select(i, F(1), F(-1)), U(0), *zeros] for i in window.inside(grid, F)])
     limits = [] if limit is None else store_pixels([[z] for z in window.load(limit.plane)])
 
     iterator = TileIterator(

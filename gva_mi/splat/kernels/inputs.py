@@ -154,7 +154,7 @@ class Inputs:
             harmonics: whether ``colors`` holds coefficients.
 
         Raises:
-            ArgumentError: one is; the message names the first.
+            ArgumentError: a number is; the message names the first.
         """
         n = len(self)
         for name, array in self.named():
@@ -299,7 +299,7 @@ def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
 
 
 def camera_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> CameraArrays:
-    """Tangent of :func:`camera_arrays` along those of T_camera_world (4, 4) and K (3, 3)."""
+    """Tangent of :func:`camera_arrays` along tangents of T_camera_world (4, 4) and K (3, 3)."""
     T = camera.T_camera_world
     dR, dt, dc = dT[:3, :3], dT[:3, 3], dK[:2, 2]
     do = -np.linalg.solve(T[:3, :3], dR @ camera.position + dt)

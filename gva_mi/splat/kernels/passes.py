@@ -70,8 +70,8 @@ class SavedState:
     layout: Layout
     grid: Grid
     planes: Planes  # the picture comes first; there may be unused memory behind it
-    projected: ProjectedMemory | None  # None if there is no Gaussian
-    lists: Lists | None  # None if none is drawn
+    projected: ProjectedMemory | None  # None without Gaussians
+    lists: Lists | None  # None if no Gaussian is drawn
     saved_pixels: SavedPixels | None
     stop: Array | None  # where each lane of blend stopped
 
@@ -144,8 +144,20 @@ def render_forward(
         planes, saved_pixels, stop = _composite(
             projected.splats, lists, grid, behind, far, layout.pixels, plan
         )
-    seen = (layout, grid, planes, projected, lists, saved_pixels, stop)
-    return SavedState(inputs, plan, camera, view, behind, *seen)
+    return SavedState(
+        inputs=inputs,
+        plan=plan,
+        camera=camera,
+        view=view,
+        background=behind,
+        layout=layout,
+        grid=grid,
+        planes=planes,
+        projected=projected,
+        lists=lists,
+        saved_pixels=saved_pixels,
+        stop=stop,
+    )
 
 
 def _project_checked(inputs: Inputs, plan: Plan, view: CameraArrays, grid: Grid) -> ProjectedMemory:
@@ -166,11 +178,20 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     """
     plan, n = saved.plan, len(saved.inputs)
     if saved.lists is None:
-        return _gradients_of_nothing(saved, grad, requested)
+        return _gradients_of_empty_picture(saved, grad, requested)
     slots, formats, by_lanes = _composite_adjoint(saved, grad, requested)
-    constants = {"rows": tiles.capacity(n), "requested": requested, "plan": plan}
-    given = (saved.inputs, saved.view, saved.lists, saved.lists.places(), saved.projected.counts)
-    found = gaussians_adjoint(*given, slots, formats=formats, **constants)
+    found = gaussians_adjoint(
+        saved.inputs,
+        saved.view,
+        saved.lists,
+        saved.lists.places(),
+        saved.projected.counts,
+        slots,
+        formats=formats,
+        rows=tiles.capacity(n),
+        requested=requested,
+        plan=plan,
+    )
     by_background = _background_gradient(by_lanes, plan)  # last: the host waits for its kernels
     by_camera = (None, None)
     if requested.camera:
@@ -289,10 +310,20 @@ def _composite_tangent(
     plan, pictures = saved.plan, []
     dbehind = chunks.split_background(dbackground, plan.formats)
     parts = zip(saved.projected.splats, dsplats, saved.backgrounds(), dbehind, strict=True)
-    of_all = (saved.lists, saved.stop, saved.saved_pixels, saved.grid)
     for (splats, dpart, colors, dcolors), format in zip(parts, plan.formats, strict=True):
-        constants = {"pixels": tiles.capacity(saved.layout.pixels), "options": plan.options}
-        picture = blend_tangent(splats, dpart, *of_all, colors, dcolors, format=format, **constants)
+        picture = blend_tangent(
+            splats,
+            dpart,
+            saved.lists,
+            saved.stop,
+            saved.saved_pixels,
+            saved.grid,
+            colors,
+            dcolors,
+            pixels=tiles.capacity(saved.layout.pixels),
+            format=format,
+            options=plan.options,
+        )
         pictures.append(picture)
     return chunks.join_planes(pictures, plan.channels)
 
@@ -375,7 +406,7 @@ def _project_tangent(
     return dsplats
 
 
-def _gradients_of_nothing(
+def _gradients_of_empty_picture(
     saved: SavedState, grad: Planes, requested: RequestedGradients
 ) -> Gradients:
     """Gradients of a picture without Gaussians: all zero but the background's."""
@@ -384,8 +415,15 @@ def _gradients_of_nothing(
     by_camera = (np.zeros((4, 4)), np.zeros((3, 3))) if requested.camera else (None, None)
     by_channel = grad.color.numpy().astype(np.float64).reshape(-1, D).sum(axis=0).tolist()
     zeros = inputs.zeros()
-    by_gaussians = (zeros.means, zeros.geometry, zeros.opacities, zeros.colors)
-    found = GradientMemory(*by_gaussians, by_u, by_absolute, None)
+    found = GradientMemory(
+        means=zeros.means,
+        geometry=zeros.geometry,
+        opacities=zeros.opacities,
+        colors=zeros.colors,
+        u=by_u,
+        absolute=by_absolute,
+        camera=None,
+    )
     return Gradients(found, by_channel, *by_camera)
 
 

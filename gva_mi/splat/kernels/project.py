@@ -3,7 +3,7 @@
 (1)      (x, y, z) = R m + t    mean in camera space, depth z
 (2)-(3)  u, J                   position in the picture, and du/d(x, y, z): lens.py
 (4)-(7)  p, q, r, lo            ellipse and opacity there: ellipse.py
-(8)-(10) color                  colour from spherical harmonics, if it has some: sh.py
+(8)-(10) color                  colour, from spherical harmonics if given: sh.py
 
 The equations continue in pixel.py. Each of the three functions below is one kernel with one lane
 per Gaussian; it calls the same function of the files on the right.

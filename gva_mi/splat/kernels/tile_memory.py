@@ -35,7 +35,7 @@ class Planes:
 
     @staticmethod
     def empty(F: type, format: RecordFormat, pixels: int) -> Planes:
-        """Allocate a picture of so many pixels, padding included, inside a frozen kernel."""
+        """Allocate a picture of ``pixels`` pixels, padding included, inside a frozen kernel."""
         color, alpha = dr.empty(F, pixels * format.channels), dr.empty(F, pixels)
         return Planes(color, alpha, dr.empty(F, pixels) if format.depth else None)
 
@@ -193,7 +193,7 @@ PARTS = PIXELS // PART
 PER_ROW = WIDTH // PART
 
 Memory = list[dr.Local]  # a tile's numbers: of the PART pixels of each part, field by field
-Place = tuple[Array, list[Array]]  # the row of some pixels in the tile, their places in the row
+Place = tuple[Array, list[Array]]  # of a part's pixels: their row in the tile, places in the row
 
 
 def store_pixels(pixels: list[list[Array]]) -> Memory:

@@ -14,7 +14,7 @@ Packets are dealt round-robin over the blocks that threads work on, or one threa
 lists. The result of a list does not depend on its lane.
 
 The number of pairs M differs from pose to pose. Pair buffers therefore have a *capacity*: M rounded
-up to one of four sizes per octave. So memory stays that of the largest picture so far, without
+up to one of four sizes per octave. So memory stays as large as the largest picture needed, without
 fragmentation. The padding belongs to the last tile, and the stable sort leaves it at the end.
 Pixels and lanes have a capacity too, because every box cut out of a video has another size: few
 sizes need few recordings of the kernels (frozen.py).

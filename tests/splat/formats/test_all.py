@@ -59,7 +59,7 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path, save):
         assert (tmp_path / "a").read_text() == "older"
 
 
-def test_a_pointer_of_git_is_named(tmp_path):
+def test_a_git_lfs_pointer_is_named(tmp_path):
     path = tmp_path / "a.ply"
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     with pytest.raises(InputError, match="a Git LFS pointer instead of the file: git lfs pull"):

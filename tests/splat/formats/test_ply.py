@@ -24,7 +24,7 @@ def test_what_is_read_is_what_was_written(tmp_path, coefficients):
     assert [file.name for file in tmp_path.iterdir()] == ["a.ply"]
 
 
-def test_layout_is_that_of_3dgs(tmp_path):
+def test_layout_equals_3dgs(tmp_path):
     g = some_gaussians()
     save_ply(tmp_path / "a.ply", g)
     head, body = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
@@ -52,7 +52,7 @@ def test_opaque_and_invisible_gaussians_stay_finite(tmp_path):
     assert torch.allclose(load_ply(tmp_path / "a.ply").opacities, opacities, atol=1e-6)
 
 
-def test_other_files_are_explained(tmp_path):
+def test_other_files_raise_an_explanation(tmp_path):
     path = tmp_path / "a.ply"
     with pytest.raises(InputError, match="no such file"):
         load_ply(path)

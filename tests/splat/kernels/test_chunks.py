@@ -16,7 +16,7 @@ def scene(channels):
 
 
 @pytest.mark.parametrize("channels", [CHUNK, 33])
-def test_every_channel_is_the_picture_of_its_own(channels):
+def test_every_channel_equals_a_picture_of_that_channel_alone(channels):
     s = scene(channels)
     g = s.gaussians
     with torch.no_grad():

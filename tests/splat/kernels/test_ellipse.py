@@ -1,4 +1,4 @@
-"""An ellipse's factor is that of its covariance; the adjoint is the tangent's transpose."""
+"""L^T L is the inverse covariance; the adjoint is the transpose of the tangent."""
 
 import math
 

@@ -81,7 +81,7 @@ def test_adjoint_is_the_transpose_of_the_tangent(model, spread):
 
 
 @pytest.mark.parametrize("F", [Float, Float64])
-def test_fisheyes_series_meets_its_formulas(F):
+def test_the_fisheyes_series_agrees_with_its_formulas(F):
     """s, e and k of lens.py on both sides of where one takes over from the other."""
     edge, digits = (0.25, (1e-6, 3e-6, 3e-5)) if F is Float else (0.04, (1e-15, 1e-13, 3e-12))
     z = 1.3
@@ -95,7 +95,7 @@ def test_fisheyes_series_meets_its_formulas(F):
         np.testing.assert_allclose(found.numpy(), expected, rtol=rtol)
 
 
-def test_views_adjoint_is_the_transpose_of_its_tangent():
+def test_the_cameras_adjoint_is_the_transpose_of_its_tangent():
     rng = np.random.default_rng(3)
     dT, dK = np.zeros((4, 4)), np.zeros((3, 3))
     dT[:3] = rng.normal(size=(3, 4))

@@ -80,7 +80,7 @@ def test_a_step_back_undoes_a_step():
     h = 1e-6
     by_alpha = (loss(alpha.value + h) - loss(alpha.value - h)) / (2 * h)
     np.testing.assert_allclose(v.numpy(), (alpha.value.numpy() * by_alpha), atol=1e-9)
-    seen = (loss(alpha.value) / T0.numpy(), back.B.numpy())  # what the next one has behind it
+    seen = (loss(alpha.value) / T0.numpy(), back.B.numpy())  # what lies behind the next Gaussian
     np.testing.assert_allclose(*seen, atol=1e-13)
 
 
@@ -167,6 +167,6 @@ def test_the_sums_of_a_slot_are_equation_16():
         np.testing.assert_allclose(found.numpy(), right, atol=1e-12)
 
 
-def test_the_polynomial_is_a_power_of_two():
+def test_exp2_is_two_to_the_power_of_x():
     x = np.linspace(-125.9, 126.9, 20001).astype(np.float32)
     np.testing.assert_allclose(exp2(Float(x)).numpy(), np.exp2(x.astype(np.float64)), rtol=3.2e-6)

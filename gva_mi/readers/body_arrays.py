@@ -1,4 +1,4 @@
-"""Find a body's arrays in a file by their public names: :func:`find_body`.
+"""Find the arrays of a body in a file by their public names: :func:`find_body`.
 
 :data:`ARRAY_NAMES` is the table: our name of an array, and the names under which programs write it.
 The first name that a file holds is taken, also in camel case or with the name of a model before it
@@ -54,30 +54,29 @@ ARRAY_NAMES = {
     "betas": ("betas", "beta", "shape", "shapes", "body_shape"),
     "expression": ("expression", "expressions", "expr", "exp", "face_expr"),
 }  # fmt: skip
-# What is neither pose nor shape: lens, time, boxes. It is not named as unused.
+# Names of arrays that are neither pose nor shape (lens, time, boxes): no note says that they are
+# unused.
 NOT_BODY_NAMES = set(
     "K cam_K intrinsic intrinsics focal focal_length focal_l princpt bbox width height frame_ids "
     "frame_id frame time stage offsets".split()
 )
-JOINTS_OF_ARRAY = {
+JOINTS_OF_ARRAY = {  # our name of an array: SMPL-X's joints that it holds
     **SMPLX_FIELDS,
     "hands": slice(LEFT_HAND.start, RIGHT_HAND.stop),
     "eyes": slice(23, 25),
 }
 _HANDS_AND_FACE = {
-    ours: JOINTS_OF_ARRAY[ours]
-    for ours in JOINTS_OF_ARRAY
-    if ours not in ("global_orient", "body_pose")
-}
-_JOINTS_BY_ROW_LENGTH = {
-    k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)
-}  # of a row: its joints
-_ROW_LENGTHS_BELOW_ROOT = (63, 69)  # numbers of a row
-_MODEL_PREFIX = re.compile("^((smpl[xh]?|pred|gt)_)+")  # before a name
+    name: joints for name, joints in JOINTS_OF_ARRAY.items()
+    if name not in ("global_orient", "body_pose")
+}  # fmt: skip
+# Length of a row: number of joints in it, as axis-angle (3 each) or matrices (9 each).
+_JOINTS_BY_ROW_LENGTH = {k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)}
+_ROW_LENGTHS_BELOW_ROOT = (63, 69)  # axis-angle of the joints below the root: SMPL-X's, SMPL's
+_MODEL_PREFIX = re.compile("^((smpl[xh]?|pred|gt)_)+")  # what programs write before a name
 _CAMEL_CASE_BREAK = re.compile("(?<=[a-z0-9])(?=[A-Z])")
-_NESTING_DEPTH = 3  # dictionaries in dictionaries
-# Some programs add whole turns to a limb's rotation, but not so many; in degrees, arms that hang
-# down are turned by more than this.
+_NESTING_DEPTH = 3  # levels of dictionaries that are searched. Chosen: no known program has more
+# Radians, four turns. Chosen: some programs add whole turns to a limb's rotation, but fewer. Angles
+# in degrees exceed it, because arms that hang down are rotated by more than 25 of them.
 _LARGEST_ROTATION = 4 * 2 * np.pi
 
 
@@ -96,7 +95,7 @@ class FoundBody:
 
 
 def find_body(where: str, found: Mapping[str, Any]) -> FoundBody:
-    """Find the joints, the place and the shape of T frames."""
+    """Find a body's joint rotations, translation and shape in T frames."""
     arrays = NamedArrays(where, unnested(found))
     body = _rotations(arrays)
     if body is None:
@@ -121,7 +120,7 @@ def find_body(where: str, found: Mapping[str, Any]) -> FoundBody:
 
 
 class NamedArrays(dict):
-    """A file's arrays by name; it keeps which of them were taken."""
+    """A file's arrays by name, which records the arrays that were used."""
 
     def __init__(self, where: str, found: Mapping[str, Any]) -> None:
         super().__init__({k: x for k, x in found.items() if x is not None})
@@ -135,7 +134,7 @@ class NamedArrays(dict):
         return next((name for name in found if name is not None), None)
 
     def take(self, *names: str) -> tuple[str, np.ndarray] | tuple[None, None]:
-        """Return name and numbers (float64, 1-D at least) of what :meth:`find` finds."""
+        """Return name and numbers (float64, at least 1-D) of what :meth:`find` finds."""
         name = self.find(*names)
         if name is None:
             return None, None
@@ -150,17 +149,17 @@ class NamedArrays(dict):
             ) from None
 
     def cover(self, *names: str) -> None:
-        """Count ``names`` of ours as taken, because other arrays hold the same."""
+        """Mark ``names`` of ours as used, because another array repeats them."""
         public = {name for ours in names for name in ARRAY_NAMES[ours]}
         self.taken |= {own for plain, own in self._own.items() if plain in public}
 
     def unused(self) -> tuple[str, ...]:
-        """Return the names of arrays of numbers that were not taken."""
+        """Return the names of number arrays that were not used."""
         return tuple(str(k) for k, x in self.items() if k not in self.taken and is_numbers(x))
 
 
 def plain_name(name: object) -> str:
-    """Return a name in lower case with underscores, without that of a model before it."""
+    """Return a name in lower case with underscores, without a model's name before it."""
     return _MODEL_PREFIX.sub("", _CAMEL_CASE_BREAK.sub("_", str(name)).lower())
 
 
@@ -170,7 +169,7 @@ def is_numbers(x: Any) -> bool:  # noqa: ANN401
 
 
 def holds_pose(found: Any) -> bool:  # noqa: ANN401
-    """Whether a file's content has the poses of a body by name."""
+    """Whether a file's content has poses of a body by name."""
     names = {*ALL_JOINTS_NAMES, *ARRAY_NAMES["body_pose"]}
     return isinstance(found, Mapping) and any(
         plain_name(name) in names and x is not None and not isinstance(x, Mapping)
@@ -179,8 +178,10 @@ def holds_pose(found: Any) -> bool:  # noqa: ANN401
 
 
 def unnested(found: Any, deep: int = _NESTING_DEPTH) -> Any:  # noqa: ANN401
-    """Return a dictionary in whose only inner dictionary with poses the parameters lie with these
-    parameters by name, the outer names kept; anything else as it is."""
+    """Move parameters from an inner dictionary into the outer one.
+
+    This is done if exactly one inner dictionary holds poses. Anything else is returned as it is.
+    """
     if not isinstance(found, Mapping) or holds_pose(found) or not deep:
         return found
     inner = {name: unnested(one_object(x), deep - 1) for name, x in found.items()}
@@ -192,7 +193,7 @@ def unnested(found: Any, deep: int = _NESTING_DEPTH) -> Any:  # noqa: ANN401
 
 
 def one_object(found: Any) -> Any:  # noqa: ANN401
-    """Return what an array of one object holds, numpy's way to keep a dictionary; else the same."""
+    """Return the object in an array of one object, as numpy stores a dictionary; else ``found``."""
     one = isinstance(found, np.ndarray) and found.dtype.hasobject and found.size == 1
     return found.item() if one else found
 
@@ -323,9 +324,9 @@ def _vectors(where: str, name: str, x: np.ndarray, frames: int) -> np.ndarray:
 
 
 def _translation(arrays: NamedArrays, ours: str, frames: int) -> np.ndarray | None:
-    """Return the translation (T, 3), metres, of a body that is not scaled.
+    """Return the translation (T, 3), metres, of the body at its own size.
 
-    Where a body is scaled by s, all is divided by s: x = s b + t looks the same as b + t / s.
+    A file may scale the body by s. A camera sees x = s b + t as b + t / s, so t is divided by s.
     """
     name, transl = arrays.take(ours)
     if name is None:

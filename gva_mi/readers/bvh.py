@@ -1,4 +1,4 @@
-"""Read BVH, the text form of motion capture, and find a person's joints in its skeleton.
+"""Read BVH, a text format of motion capture, and find a person's joints in its skeleton.
 
 A file is a tree of joints, and their angles frame by frame. A joint lies at its offset from its
 parent, or where its position channels say, and turns by the product of its rotation channels in the
@@ -6,10 +6,10 @@ order in which the file names them, degrees. Lengths have any unit. An ``End Sit
 without channels.
 
 Programs agree on few names: ``LeftShoulder`` is a collar bone or the upper arm. They agree on what
-hangs on what. So names only say which side a joint is of (a name with left or l whose twin with
-right or r exists), and where hands, feet, head and fingers are. The tree says the rest: a foot
-hangs on a shin, and a shin on a thigh; what joins both thighs is the pelvis, and what joins both
-arms is the chest. The joints between are the spine, however many there are.
+hangs on what. So names are used for two things alone: the side of a joint (left or l, if the same
+name with right or r exists), and which joints are hands, feet, head and fingers. The tree gives the
+rest: a foot hangs on a shin, and a shin on a thigh; both thighs meet in the pelvis, and both arms
+in the chest. The joints between are the spine, however many there are.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,14 +35,32 @@ FINGER_WORDS = {  # finger: pattern of the words that programs name it by
     "index": "index", "middle": "middle", "pinky": "pinky|pinkie|little", "ring": "ring",
     "thumb": "thumb",
 }  # fmt: skip
+# Patterns of joint names: helper bones and end points, which are no joints; bones inside the palm.
 _HELPER_BONE = re.compile(r"twist|roll|(^|[^a-z])ik[^a-z]|nub$|end$|top|tip$")
-_PALM_BONE = re.compile(r"metacarpal|inhand|0(?=\D*$)")  # names of bones inside the palm
-_LIMB_CHAINS = (  # words in the name of a limb's end, and what follows from it to the trunk
+_PALM_BONE = re.compile(r"metacarpal|inhand|0(?=\D*$)")
+# Words in the name of a limb's end, and the joints from there to the trunk.
+_LIMB_CHAINS = (
     (("ankle", "foot"), ("ankle", "knee", "hip")),
     (("wrist", "hand"), ("wrist", "elbow", "shoulder")),
     (("elbow", "forearm", "lowerarm", "lowarm"), ("elbow", "shoulder")),  # where no hand is named
 )
-Channels = list[tuple[int, bool]]  # axis, and whether the joint turns about it or moves along it
+LEAST_ROTATION = 1e-3  # entry of a rotation matrix. Chosen: above the rounding of a file's digits
+
+
+class Channel(NamedTuple):
+    """One number of a joint in each frame."""
+
+    axis: int  # 0, 1, 2 for x, y, z
+    rotates: bool  # degrees about the axis; otherwise a length along it
+
+
+class Hierarchy(NamedTuple):
+    """The joints of a file, parents first; a list of the same length in each field."""
+
+    names: list[str]  # "" of end points
+    parents: list[int]  # -1 of the root
+    offsets: list[list[float]]
+    channels: list[list[Channel]]
 
 
 @dataclass(frozen=True)
@@ -61,7 +80,7 @@ class BvhClip:
 
     def turns_in(self, frame: int) -> bool:
         """Return whether any joint but the root turns in a frame."""
-        return bool(abs(self.rotations[frame, 1:] - np.eye(3)).max(initial=0) > 1e-3)
+        return bool(abs(self.rotations[frame, 1:] - np.eye(3)).max(initial=0) > LEAST_ROTATION)
 
     def in_world(self) -> tuple[np.ndarray, np.ndarray]:
         """Return rotations (T, J, 3, 3) and places (T, J, 3) of all joints in the world."""
@@ -75,7 +94,7 @@ class BvhClip:
 
 
 def read_bvh(path: Path) -> BvhClip:
-    """Read a file."""
+    """Read a BVH file."""
     text = read_bytes(path, _EXPECTED_BVH).decode("utf-8-sig", errors="replace")
     head, *tail = _MOTION.split(text, maxsplit=1)
     found = _FRAMES.match(tail[0]) if tail else None
@@ -84,11 +103,11 @@ def read_bvh(path: Path) -> BvhClip:
             f"{path}: has no MOTION with 'Frames:' and 'Frame Time:'; expected {_EXPECTED_BVH}"
         )
     with expecting(path, _EXPECTED_BVH):
-        names, parents, offsets, channels = _hierarchy(path, head)
+        tree = _hierarchy(path, head)
         frame_time = float(found[2])
         values = np.array(tail[0][found.end() :].split(), np.float64)
-        rest = np.array(offsets, np.float64)
-    width = sum(map(len, channels))
+        rest = np.array(tree.offsets, np.float64)
+    width = sum(map(len, tree.channels))
     if not 0 < frame_time < np.inf or not np.isfinite(rest).all():
         raise InputError(
             f"{path}: 'Frame Time' must be seconds above 0, and offsets finite; got {found[2]} and "
@@ -102,26 +121,23 @@ def read_bvh(path: Path) -> BvhClip:
     columns = values.reshape(-1, width).T
     count, columns = columns.shape[1], iter(columns)
     places = np.tile(rest, (count, 1, 1))
-    turns = np.tile(np.eye(3), (count, len(names), 1, 1))
-    for joint, of_joint in enumerate(channels):
-        for axis, turning in of_joint:
+    turns = np.tile(np.eye(3), (count, len(tree.names), 1, 1))
+    for joint, channels in enumerate(tree.channels):
+        for axis, rotates in channels:
             column = next(columns)
-            if turning:
+            if rotates:
                 turns[:, joint] @= to_matrices(np.radians(column)[:, None] * np.eye(3)[axis])
             else:
                 places[:, joint, axis] = column
-    return BvhClip(tuple(names), np.array(parents), rest, turns, places, frame_time, found[1])
+    names, parents = tuple(tree.names), np.array(tree.parents)
+    return BvhClip(names, parents, rest, turns, places, frame_time, found[1])
 
 
-def _hierarchy(
-    path: Path, head: str
-) -> tuple[list[str], list[int], list[list[float]], list[Channels]]:
-    """Return names, parents, offsets and channels of the joints."""
-    names: list[str] = []
-    parents: list[int] = []
-    offsets: list[list[float]] = []
-    channels: list[Channels] = []
-    above = [-1]
+def _hierarchy(path: Path, head: str) -> Hierarchy:
+    """Parse the text before MOTION."""
+    found = Hierarchy([], [], [], [])
+    names, parents, offsets, channels = found
+    above = [-1]  # numbers of the joints whose braces are open
     for line in re.sub(r"([{}])", r"\n\1\n", head).splitlines():
         key, *words = line.split() or [""]
         match key.upper():
@@ -143,27 +159,34 @@ def _hierarchy(
             case "CHANNELS" if above[-1] >= 0 and words and all(map(_CHANNEL.fullmatch, words[1:])):
                 matches = [_CHANNEL.fullmatch(word) for word in words[1:]]
                 channels[above[-1]] = [
-                    ("xyz".index(m[1].lower()), m[2].lower() == "rotation") for m in matches
+                    Channel("xyz".index(m[1].lower()), m[2].lower() == "rotation") for m in matches
                 ]
             case _:
                 raise InputError(f"{path}: holds the line '{line:.40}'; expected {_EXPECTED_BVH}")
     if not any(channels) or len(above) > 1:
         raise InputError(f"{path}: has no whole skeleton; expected {_EXPECTED_BVH}")
-    return names, parents, offsets, channels
+    return found
+
+
+class Between(NamedTuple):
+    """A rotation between those of two joints of a skeleton."""
+
+    first: int
+    second: int
+    weight: float  # of the second, in [0, 1]
 
 
 @dataclass(frozen=True)
 class Humanoid:
-    """Which joints of a skeleton are which of SMPL-X's."""
+    """Which joints of a skeleton correspond to SMPL-X's."""
 
-    # Our joint: two joints of the skeleton, and how far from the first to the second it turns.
-    joints: dict[str, tuple[int, int, float]]
-    points: dict[str, int]  # of the skeleton, by our names, and the "left_toe" and "right_toe"
+    joints: dict[str, Between]  # by our names
+    points: dict[str, int]  # by our names, and "left_toe" and "right_toe"
     has_hands: bool
 
 
 def find_humanoid(where: object, names: Sequence[str], parents: np.ndarray) -> Humanoid:
-    """Find a person's joints; ``names`` are "" for points that are no joints."""
+    """Find a person's joints in a skeleton; ``names`` are "" for end points."""
     tree = _NamedTree([name.lower().rsplit(":")[-1] for name in names], parents.tolist())
     points: dict[str, int] = {}
     for ends, chain in _LIMB_CHAINS:
@@ -182,8 +205,8 @@ def find_humanoid(where: object, names: Sequence[str], parents: np.ndarray) -> H
         missing = next(name for name in needed if name not in points)
         found = ", ".join(filter(None, names[:12]))
         raise InputError(
-            f"{where}: its joints are named {found} ..., and no {missing.replace('_', ' ')} is "
-            "among them; expected a person with names such as Hips, LeftUpLeg, LeftLeg, LeftFoot, "
+            f"{where}: its joints are named {found} ..., without a {missing.replace('_', ' ')}; "
+            "expected a person with names such as Hips, LeftUpLeg, LeftLeg, LeftFoot, "
             "LeftArm, LeftForeArm, LeftHand, Head"
         )
     return _with_trunk(tree, points)
@@ -209,13 +232,13 @@ def _with_trunk(tree: _NamedTree, points: dict[str, int]) -> Humanoid:
         of_foot = [k for k in named if re.search("toe|ball", tree.names[k])] or named
         points |= {f"{side}_foot": of_foot[0]} if of_foot else {}
         hands |= _fingers(tree, side, points.get(f"{side}_wrist"))
-    # Hands with one bone for all fingers say nothing of the single ones.
+    # A hand with one bone for all fingers does not show each of them.
     if all({f"{side}_index1", f"{side}_middle1"} & set(hands) and f"{side}_pinky1" in hands
            for side in SIDES):  # fmt: skip
         points |= hands
     else:
         hands = {}
-    joints |= {name: (k, k, 0.0) for name, k in points.items() if name in JOINTS}
+    joints |= {name: Between(k, k, 0.0) for name, k in points.items() if name in JOINTS}
     return Humanoid(joints, points, bool(hands))
 
 
@@ -234,11 +257,11 @@ def _fingers(tree: _NamedTree, side: str, wrist: int | None) -> dict[str, int]:
     return found
 
 
-def _between(chain: list[int], share: float) -> tuple[int, int, float]:
-    """Return the place at a share of a chain as two neighbours and a weight of the second."""
+def _between(chain: list[int], share: float) -> Between:
+    """Return the two neighbours at a share of a chain of joints, 0 its first and 1 its last."""
     at = share * (len(chain) - 1)
     low = min(int(at + 1e-9), len(chain) - 1)
-    return chain[low], chain[min(low + 1, len(chain) - 1)], max(at - low, 0.0)
+    return Between(chain[low], chain[min(low + 1, len(chain) - 1)], max(at - low, 0.0))
 
 
 class _NamedTree:
@@ -269,7 +292,7 @@ class _NamedTree:
         return next((k for k in fit if not _HELPER_BONE.search(self.names[k])), None)
 
     def above(self, joint: int) -> int | None:
-        """Return the next joint toward the root that is no helper of a twist."""
+        """Return the next joint toward the root that is no helper bone; None if it has no side."""
         joint = self.parents[joint]
         while joint >= 0 and _HELPER_BONE.search(self.names[joint]):
             joint = self.parents[joint]
@@ -283,11 +306,11 @@ class _NamedTree:
         return path[::-1]
 
     def joining(self, a: int, b: int) -> int:
-        """Return the nearest joint on which both hang."""
+        """Return the nearest joint from which both descend."""
         return [k for k in self.to_root(a) if k in self.to_root(b)][-1]
 
     def branch(self, joint: int) -> list[int]:
-        """Return what follows a joint up to an end: the first child each time, but no heel."""
+        """Return the chain of first children from a joint to its end, without heels."""
         found: list[int] = []
         while children := [k for k, parent in enumerate(self.parents)
                            if parent == joint and "heel" not in self.names[k]]:  # fmt: skip

@@ -1,10 +1,12 @@
 """Data sets with pictures and masks of their own: :data:`DATASETS` has one record for each.
 
-Their forms are those of the public code of zju3dv/neuralbody and tijiang13/InstantAvatar;
-``docs/sources.md`` lists the files. Poses are of a world, which a camera's pose takes to the
-camera. One of several cameras, ``--camera``, becomes the video. Others can be held out as views of
-the subject (:mod:`gva_mi.subject.ground_truth`): with E = [R T] of a camera in the data set's
-world, and the video's camera turned upright by W,
+Their formats follow the public code of zju3dv/neuralbody and tijiang13/InstantAvatar;
+``docs/sources.md`` lists the files. To add a data set, add a record: the files that recognise its
+folder, and a function that reads a :class:`Capture`.
+
+Poses are in a world, and a camera's extrinsic matrix E = [R T] maps it to the camera. One of
+several cameras, ``--camera``, becomes the video. Others can be held out as views of the subject
+(:mod:`gva_mi.subject.ground_truth`): if W turns the video's camera upright,
 
     E_subject = E E_video⁻¹ W.
 """
@@ -32,11 +34,10 @@ from gva_mi.subject.masks import MaskMeaning
 from gva_mi.subject.pictures import require_sides
 from gva_mi.subject.splits import spread
 
-ALL_CAMERAS = "all"  # in the place of names of cameras
-FRAMES_PER_VIEW = 8  # that each held-out camera contributes at most, evenly spaced
-_OPENCV_PIXEL_SHIFT = np.array(
-    [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
-)  # OpenCV's has its centre at 0
+ALL_CAMERAS = "all"  # given instead of the cameras' names
+FRAMES_PER_VIEW = 8  # at most, evenly spaced, of each held-out camera. Chosen for evaluation time
+# Added to K: in OpenCV the first pixel's centre is 0, here it is 0.5.
+_OPENCV_PIXEL_SHIFT = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class FixedCamera:
     """One of a data set's cameras: x_cam = R x + T."""
 
     frames: Sequence[Path]
-    masks: Sequence[Path]  # of the frames; some may not be there
+    masks: Sequence[Path]  # of the frames; some may be missing
     K: np.ndarray  # (3, 3) pixels
     R: np.ndarray  # (3, 3)
     T: np.ndarray  # (3,) metres
@@ -58,7 +59,7 @@ class FixedCamera:
         return E
 
     def shows(self, frame: int) -> bool:
-        """Whether picture and mask of a frame are there."""
+        """Whether a frame has a picture and a mask."""
         return frame < len(self.frames) and all(
             path.is_file() for path in (self.frames[frame], self.masks[frame])
         )
@@ -66,17 +67,17 @@ class FixedCamera:
 
 @dataclass(frozen=True)
 class Capture:
-    """People, and the pictures that show them; an estimator's file holds people alone."""
+    """People, and the pictures that show them."""
 
     tracks: list[Track]
     frames: Pictures
     masks: Pictures | None  # None: the source has none
     distortion: np.ndarray | None = None  # (k1, k2, p1, p2, k3) of the lens; None: a pinhole
-    meaning: MaskMeaning | None = None  # of the masks' values; None: what they say themselves
-    loose: bool = False  # pictures, masks and poses may differ in number; the fewest count
+    meaning: MaskMeaning | None = None  # of the masks' values; None: unknown
+    counts_may_differ: bool = False  # of pictures, masks and poses: the smallest count is used
     note: str = ""
-    own: FixedCamera | None = None  # the video's, where there are others
-    others: Mapping[str, Callable[[], FixedCamera]] = field(default_factory=dict)  # by name
+    video_camera: FixedCamera | None = None  # the one that becomes the video, of several
+    other_cameras: Mapping[str, Callable[[], FixedCamera]] = field(default_factory=dict)  # by name
 
     def read_masks(self, source: Pictures | None = None) -> Iterator[np.ndarray]:
         """Yield the data set's masks, or those of another source, with 255 inside."""
@@ -87,7 +88,7 @@ class Capture:
 class DataSet:
     """Rules that recognise and read a data set's folder."""
 
-    files: tuple[str, ...]  # all of them are there, each "a" or "a|b"
+    files: tuple[str, ...]  # that its folder holds; "a|b" means a or b
     read: Callable[[Path, str | None, TargetBody], Capture]  # folder, name of the camera, body
     expects: str  # for messages
 
@@ -127,7 +128,7 @@ def _instantavatar(folder: Path, camera: str | None, body: TargetBody) -> Captur
     track = make_track(str(path), "0", None, poses, K[:3, :3], body)
     track = track.seen_from(T[:3, :3], T[:3, 3])
     images = tuple(files_of(folder / "images"))
-    return Capture([track], images, folder / "masks", loose=True)
+    return Capture([track], images, folder / "masks", counts_may_differ=True)
 
 
 def _zju(folder: Path, camera: str | None, body: TargetBody) -> Capture:
@@ -149,11 +150,11 @@ def _zju(folder: Path, camera: str | None, body: TargetBody) -> Capture:
         for key in ("poses", "Rh", "Th", "shapes")
     }
     track = make_track(str(folder), "0", None, given, own.K, body).seen_from(own.R, own.T)
+    others = {k: lambda k=k: _zju_camera(folder, found, int(k)) for k in names if k != name}
     return Capture(
         [track], tuple(own.frames), tuple(own.masks), own.distortion, MaskMeaning(parts=True),
         note=f"camera {name} of {len(names)}; --camera takes another, --views holds others out",
-        own=own,
-        others={k: lambda k=k: _zju_camera(folder, found, int(k)) for k in names if k != name},
+        video_camera=own, other_cameras=others,
     )  # fmt: skip
 
 
@@ -170,7 +171,7 @@ def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
 
 
 def _inside(folder: Path, name: object) -> str:
-    """Return a path that a file names, if it stays in the folder."""
+    """Return a path that a file names; refuse a path that leaves the folder."""
     path = PurePosixPath(str(name))
     if path.is_absolute() or ".." in path.parts:
         raise InputError(f"{folder}: names the picture '{path}', which is outside of the folder")
@@ -189,11 +190,11 @@ DATASETS = {
 
 def known_names(where: str, capture: Capture, names: Sequence[str]) -> list[str]:
     """Return the names of the held-out cameras; "all" in ``names`` means every other camera."""
-    there = capture.others
-    names = list(there) if list(names) == [ALL_CAMERAS] and there else list(names)
+    others = capture.other_cameras
+    names = list(others) if list(names) == [ALL_CAMERAS] and others else list(names)
     for name in names:
-        if name not in there:
-            some = ", ".join(list(there)[:30]) or "none"
+        if name not in others:
+            some = ", ".join(list(others)[:30]) or "none"
             raise InputError(f"{where}: has no other camera '{name}' to hold out; it has {some}")
     return names
 
@@ -211,13 +212,13 @@ def write_views(
     Each camera of ``names`` sees at most :data:`FRAMES_PER_VIEW` of ``frames``; ``upright`` is W
     (4, 4).
     """
-    T_video = np.linalg.inv(capture.own.extrinsic) @ upright
+    T_video = np.linalg.inv(capture.video_camera.extrinsic) @ upright
     shown: list[tuple[int, str, Camera]] = []  # frame, name and camera of each picture
     left_out = []
     for name in names:
         at = f"{where}: camera {name}"
         with expecting(at, "K, R, T and its pictures, as the first camera has them"):
-            other = capture.others[name]()
+            other = capture.other_cameras[name]()
             T = other.extrinsic @ T_video
             Camera.from_matrices(other.K, T, 1, 1)  # refuses what no camera has
         for k in spread([k for k in frames if other.shows(k)], FRAMES_PER_VIEW):
@@ -238,5 +239,7 @@ def write_views(
     writer.views_record(numbers, seen_by)
     notes = [f"{len(shown)} views held out, of cameras {', '.join(dict.fromkeys(seen_by))}"]
     if left_out:
-        notes.append(f"left out, of another size of pictures: cameras {', '.join(left_out)}")
+        notes.append(
+            f"cameras left out, because their pictures have another size: {', '.join(left_out)}"
+        )
     return notes

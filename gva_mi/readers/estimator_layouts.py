@@ -53,14 +53,14 @@ class VideoInfo:
 
 
 def person_under(name: str) -> Callable[[str, dict], People]:
-    """Return a reader of one person, whose arrays lie under ``name``; with GVHMR's lens."""
+    """Return a reader of one person, whose arrays lie under ``name``; K is GVHMR's."""
     return lambda where, found: [
         SeenPerson("0", None, {**found[name], "K": found.get("K_fullimg")})
     ]
 
 
 def people_by_name(pose: str) -> Callable[[str, dict], People]:
-    """Return a reader of a dictionary by people, of those who have a ``pose``."""
+    """Return a reader of a dictionary by people; people without a ``pose`` are left out."""
 
     def people(where: str, found: dict) -> People:
         for name, person in found.items():
@@ -73,12 +73,12 @@ def people_by_name(pose: str) -> Callable[[str, dict], People]:
 
 
 def hybrik_person(where: str, found: dict) -> People:
-    """Read HybrIK's person, whose frames are known by the pictures' names."""
+    """Read HybrIK's person; the pictures' names number the frames."""
     yield SeenPerson("0", frames_named(np.ravel(found["img_path"])), found)
 
 
 def phalp_people(where: str, found: dict) -> People:
-    """Read PHALP's dictionary by frames, with lists of people; those that it tracks count."""
+    """Read PHALP's dictionary by frames, with lists of people; keep the tracked people."""
     rows: list[Row] = []
     for k, name in enumerate(sorted(found)):
         frame = found[name]
@@ -87,7 +87,7 @@ def phalp_people(where: str, found: dict) -> People:
         for person, smpl, camera in zip(frame["tid"], frame["smpl"], frame["camera"], strict=False):
             if int(person) in tracked:
                 some = {key: smpl[key] for key in ("global_orient", "body_pose", "betas")}
-                rows.append((str(int(person)), number, some | {"camera": camera}))
+                rows.append(Row(str(int(person)), number, some | {"camera": camera}))
     return stacked(where, rows)
 
 
@@ -100,11 +100,11 @@ def romp_people(where: str, found: Any) -> People:  # noqa: ANN401
         for k in range(len(x["smpl_thetas"])):
             person = str(np.ravel(x["track_ids"])[k]) if named else None
             some = {name: x[name][k] for name in ("smpl_thetas", "smpl_betas", "cam_trans")}
-            rows.append((person, number, some))
+            rows.append(Row(person, number, some))
     people = stacked(where, rows) if named else followed(where, rows, "cam_trans")
     for person in people:
         x = person.arrays
-        if x["smpl_betas"].shape[1] == 11:  # BEV, whose place is that of the hips
+        if x["smpl_betas"].shape[1] == 11:  # BEV, whose translation is the middle of the hips
             R = to_matrices(x["smpl_thetas"][:, :3])
             x["cam_trans"] = x["cam_trans"] - R @ _PELVIS_TO_HIPS - np.array(MEAN_PELVIS["SMPL"])
         x["smpl_betas"] = x["smpl_betas"][:, :10]
@@ -153,7 +153,7 @@ def smplerx_people(where: str, found: Path) -> People:
             lens = read_json(about, EXPECTED_CAMERA)
             K = pinhole_K(np.reshape(lens["focal"], 2), np.reshape(lens["princpt"], 2))
         arrays = {name: x for name, x in arrays.items() if name in _SMPLX_NAMES}
-        rows.append((None, frame, arrays | {"K": K}))
+        rows.append(Row(None, frame, arrays | {"K": K}))
     return followed(where, rows, "transl")
 
 
@@ -170,7 +170,7 @@ def named_person(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN40
     numbers = [k for k, x in each[0].items() if np.asarray(x).dtype.kind in "fiu"]
     rows = [{k: frame[k] for k in numbers if k in frame} for frame in each]
     frames = frames_named(files).tolist()
-    yield from stacked(found, (("0", k, row) for k, row in zip(frames, rows, strict=True)))
+    yield from stacked(found, (Row("0", k, row) for k, row in zip(frames, rows, strict=True)))
 
 
 def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
@@ -186,7 +186,7 @@ def phalp_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def hybrik_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """Return HybrIK's lens for each person's box, rescaled from its picture size to the video's."""
+    """Return HybrIK's lens, which follows from the person's box in each frame."""
     box = np.reshape(arrays["bbox"], (-1, 4))
     sizes = (np.broadcast_to(np.ravel(arrays[name]), len(box)) for name in ("width", "height"))
     widths = _HYBRIK_FOCAL * (box[:, 2] - box[:, 0])
@@ -205,7 +205,7 @@ def romp_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """Return the camera in a file, or one of the focal length that a user gives."""
+    """Return the camera in a file, or a centred one with the user's focal length."""
     for name in ("K", "cam_K", "intrinsic", "intrinsics"):
         if arrays.get(name) is not None:
             K = np.asarray(arrays[name], np.float64)
@@ -215,7 +215,7 @@ def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
     names = ("focal", "focal_length", "focal_l")
     focal = next((x for name in names if (x := arrays.get(name)) is not None), info.focal)
     if focal is None:
-        raise InputError(f"{where}: says no camera (K, or focal); give --lens, such as 26mm")
+        raise InputError(f"{where}: holds no camera (K, or focal); give --lens, such as 26mm")
     focal = np.ravel(np.asarray(focal, np.float64))
     if not focal.size or not (focal > 0).all():
         raise InputError(f"{where}: 'focal' must be one number above 0, or (T,); got {focal}")

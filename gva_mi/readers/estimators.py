@@ -114,7 +114,7 @@ class Estimator:
             return found, []
         known = {*NOT_BODY_NAMES, *self.arrays.values()}
         rest = sorted(k for k, x in found.items() if k not in known and is_numbers(x))
-        notes = [f"not used of the source: {listed_names(rest)}"] if rest else []
+        notes = [f"arrays of the source that are not used: {listed_names(rest)}"] if rest else []
         return {ours: found[x] for ours, x in self.arrays.items() if x in found}, notes
 
 

@@ -1,4 +1,4 @@
-"""Read motions of joints without rotations: HumanML3D's, and those of networks trained on it.
+"""Read motions that are joint positions without rotations: HumanML3D, and networks trained on it.
 
 =====================  ===========================================================================
 Shape                  What it is
@@ -44,14 +44,16 @@ from gva_mi.readers.retarget import Places, leg_length, on_body
 from gva_mi.readers.track import Track
 from gva_mi.readers.world import unit
 
-HUMANML3D_FPS = 20.0  # frames a second of HumanML3D
-HUMANML3D_FEATURES = 263
-_JOINT_COUNTS = (22, 24, 52, 55)  # joints of bodies that share the first 22
-_LEG_VARIATION = 0.2  # of a leg's length, by which it varies at most
-JOINT_COUNT = 22  # joints above hands and face
-_PARENT_WEIGHT = 0.08  # weight of the shortest rotation, where a limb bent by 90 degrees weighs 1
-_FOOT_WEIGHT = 0.2  # weight of the foot's direction
-_SMOOTHING_SECONDS = 0.12  # seconds, standard deviation
+HUMANML3D_FPS = 20.0
+HUMANML3D_FEATURES = 263  # numbers a frame
+JOINT_COUNT = 22  # SMPL's joints above hands and face
+_JOINT_COUNTS = (22, 24, 52, 55)  # joints of bodies whose first 22 are these
+# All chosen.
+_LEG_VARIATION = 0.2  # share of a leg's length by which it may vary; rotations vary by more
+_PARENT_WEIGHT = 0.08  # of the shortest rotation; a limb that is bent by 90 degrees has weight 1
+_FOOT_WEIGHT = 0.2  # of the foot's direction, likewise
+_SMOOTHING_SECONDS = 0.12  # standard deviation of the average over time
+# Joints that are fixed to these two, as seen from them.
 _FIXED_NEIGHBOURS = {"pelvis": ("left_hip", "right_hip", "spine1"),
           "spine3": ("neck", "left_collar", "right_collar")}  # fmt: skip
 _BONES = {
@@ -68,9 +70,9 @@ _HINGES = {  # limb: its lower part, and the axis about which that bends, in the
 
 
 def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | None:  # noqa: ANN401
-    """Return places (T, 22, 3) of a person's joints in a file's content, or None if it has none.
+    """Return the joint positions (T, 22, 3) in a file's content, or None if it holds none.
 
-    ``sample`` is the number of one of several motions.
+    ``sample`` is the number of the motion in a file of several.
     """
     if isinstance(found, Mapping) and np.ndim(found.get("motion")) == 4:
         motions = np.moveaxis(np.asarray(found["motion"], np.float64), 3, 1)
@@ -97,9 +99,9 @@ def joints_in(where: object, found: Any, sample: str | None) -> np.ndarray | Non
         return None  # rotations
     if not _is_person(places):
         raise InputError(
-            f"{where}: {array.shape} as of HumanML3D, but legs change their lengths or differ, so "
-            "these are no joints of a person; features that a network was given must be "
-            "multiplied by its Std.npy, and its Mean.npy added"
+            f"{where}: an array {array.shape} as in HumanML3D, but its legs change their lengths "
+            "or differ; expected joints of a person, in metres: multiply a network's normalised "
+            "features by its Std.npy and add its Mean.npy"
         )
     return places
 
@@ -117,9 +119,9 @@ def _of_features(features: np.ndarray) -> np.ndarray:
 
 
 def _is_person(places: np.ndarray) -> bool:
-    """Whether numbers (T, 22, 3) may be places of joints: legs keep their lengths and are alike.
+    """Whether numbers (T, 22, 3) may be joint positions: legs keep their lengths and are alike.
 
-    Rotations of somebody who stands still keep theirs, too, so a thigh, a shin and the way from
+    Rotations of a person who stands still are constant, too. So thigh, shin, and the distance from
     pelvis to head are also compared.
     """
     places = places[(np.abs(places) < LARGEST_IN_FILES["transl"]).all((1, 2))]  # finite, too
@@ -165,8 +167,8 @@ def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
             A[name] = _turned_by_hinge(A[name], at, name, fps)
     scale = leg_length(own) / leg_length(at)
     notes = [
-        "what turns about bones is inferred; head, hands and feet follow the bone before them",
-        f"places are scaled by {scale:.3g}, by which its legs are as long as the body's",
+        "rotations about bones are inferred; head, hands and feet follow the bone before them",
+        f"positions are scaled by {scale:.3g}, so that the legs are as long as the body's",
     ]
     return on_body("joints without rotations", known, A, at, own, scale, notes)
 

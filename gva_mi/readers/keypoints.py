@@ -30,7 +30,8 @@ from gva_mi.subject.footage import counted_from_0
 from gva_mi.subject.landmarks import Landmarks, hand_names
 
 _EXPECTED_KEYPOINTS = "keypoints of OpenPose, MMPose or AlphaPose (.json)"
-_LARGEST_OFFSET = 0.2  # of a person's height, by which keypoints lie off at most, in most frames
+# Of the person's height, the median over frames. Chosen: with more, it is another person or video.
+_LARGEST_OFFSET = 0.2
 
 
 def _sided(*names: str) -> list[str]:
@@ -44,7 +45,7 @@ _FACE = ("right_eye", "left_eye", "right_ear", "left_ear")
 _FEET = ("left_foot_index", "", "left_heel", "right_foot_index", "", "right_heel")
 _HANDS = (*hand_names("left"), *hand_names("right"))
 _HALPE = (*_COCO, "", "", "", *_sided("foot_index"), "", "", *_sided("heel"))
-LAYOUTS: Mapping[int, tuple[str, ...]] = {  # "" for points that nothing here is
+LAYOUTS: Mapping[int, tuple[str, ...]] = {  # by number of points; "" for those that are not used
     25: ("nose", "", *_ARMS, "", *_LEGS, *_FACE, *_FEET),
     18: ("nose", "", *_ARMS, *_LEGS, *_FACE),
     17: _COCO,
@@ -57,7 +58,7 @@ _OPENPOSE_HANDS = {f"hand_{side}_keypoints_2d": hand_names(side) for side in SID
 
 
 def read_keypoints(path: Path) -> dict[int, list[np.ndarray]]:
-    """Read all people of each frame, which count from 0.
+    """Read all people of each frame; frames are numbered from 0.
 
     A person is (P, 3): x, y in pixels and confidence of each of :data:`KEYPOINT_NAMES`; NaN where a
     point was not found.
@@ -125,10 +126,10 @@ def _person(where: Path, value: Mapping) -> np.ndarray:
 def with_keypoints(
     landmarks: Landmarks, path: Path, numbers: Iterable[int], scale: float
 ) -> tuple[Landmarks, list[str]]:
-    """Put a file's keypoints in the place of a network's, and return notes.
+    """Replace a network's landmarks by a file's keypoints, and return notes.
 
-    Of several people, the one nearest to the network's person is taken, or to the one before.
-    Depths stay the network's: keypoints have none.
+    Of several people, the one nearest to the network's person is taken, or, where the network found
+    nobody, the nearest to the frame before. Depths stay the network's, because keypoints have none.
 
     Args:
         landmarks: of the network, T frames.
@@ -162,8 +163,8 @@ def with_keypoints(
         confidence[:, hand] = np.median(seen, 1, keepdims=True) * (seen > 0)
     if not apart or not np.median(apart) < _LARGEST_OFFSET:
         raise InputError(
-            f"{path}: its keypoints do not lie on the person of the video; expected those of all "
-            "of the video's frames, numbered in their order, in pixels of its upright pictures"
+            f"{path}: its keypoints do not lie on the person of the video; expected keypoints of "
+            "all frames of the video, numbered in order, in pixels of its upright pictures"
         )
     count = int(np.isfinite(pixels[:, at]).any((1, 2)).sum())
     replaced = Landmarks(landmarks.names, pixels, confidence, spread, landmarks.metric)

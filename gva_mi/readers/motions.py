@@ -5,9 +5,9 @@ Facts about the files are from the public descriptions of AMASS (nghorbani/amass
 metres, or in centimetres with ``smpl_scaling``; a frame rate under several names; NaN where markers
 were lost; angles of more than half a turn; and any axis may be up.
 
-An estimator's motion is in world axes if the estimator gives them; else in camera axes, and then
-the camera is assumed to stand still. A lens of its own in each frame becomes
-one: :func:`.lens.usual_lens`. Estimators whose file does not say the lens are refused.
+An estimator's motion is in world axes if its file holds them. Otherwise it is in camera axes, and
+the camera is assumed to stand still. If each frame has a lens of its own, all get one usual lens
+(:func:`.lens.usual_lens`). An estimator whose positions depend on the video's size is refused.
 """
 
 from __future__ import annotations
@@ -40,28 +40,24 @@ from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.lens import is_one_lens, usual_lens
 
 EXPECTED_MOTION = "a motion such as AMASS's .npz or AIST++'s .pkl"
-MOST_FRAMES = 1_000_000  # of one motion, after resampling
-LONGEST_GAP = 1.0  # seconds in a row without numbers that are still interpolated
+MOST_FRAMES = 1_000_000  # of one motion, after resampling. Chosen: 11 hours at 25 a second
+LONGEST_GAP = 1.0  # seconds without numbers. Chosen: a longer gap would be invented motion
 FPS_RANGE = Within(0.001, 10_000)  # frames a second
 FrameRate = Annotated[float, FPS_RANGE]
 FPS_NAMES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
-AIST_FPS = 60.0  # frames a second of AIST++, whose files do not say so
-_FASTEST_PERSON = 15.0  # metres a second; nobody ran faster than 12.5
-_MOSH_NAMES = {  # of MoSh++ (SOMA), or of MoSh before: AMASS's names
+AIST_FPS = 60.0  # frames a second of AIST++, whose files do not hold it
+_FASTEST_PERSON = 15.0  # metres a second; the world record sprint reached 12.5
+_MOSH_NAMES = {  # names of MoSh++ (SOMA) and of MoSh: AMASS's names
     "fullpose": "poses", "trans": "trans", "betas": "betas", "expression": "expression",
     "pose_est_fullposes": "poses", "pose_est_trans": "trans", "shape_est_betas": "betas",
     "pose_est_exprs": "expression",
 }  # fmt: skip
-_MOSH_DETAILS = "stageii_debug_details"  # of MoSh++: frame rate and settings
-_MOSH_BETAS = 10  # of a body of which the settings say nothing
-_POSE_ROW_SHAPES = {
-    (72,),
-    (156,),
-    (165,),
-    (24, 3),
-    (52, 3),
-    (55, 3),
-}  # of a .npy, or matrices by joint
+_MOSH_DETAILS = "stageii_debug_details"  # MoSh++'s name for frame rate and settings
+_MOSH_BETAS = 10  # if the settings do not say how many
+# Shapes of a frame in an array without names: axis-angle, flat or by joint.
+_POSE_ROW_SHAPES = {(72,), (156,), (165,), (24, 3), (52, 3), (55, 3)}
+# An estimator's file does not say the size of its pictures: W, H in pixels, which a motion ignores.
+_ANY_VIDEO = VideoInfo((1000, 1000), 1.0)
 
 
 @options_of("motion")
@@ -177,11 +173,11 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
         poses = [n for n in (REFINED_POSES, POSES) if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
         raise InputError(
-            f"{path}: a folder of no motion that is known; expected a file such as AMASS's .npz or "
+            f"{path}: holds no motion in a known format; expected a file such as AMASS's .npz or "
             "AIST++'s .pkl, or the folder of ROMP, BEV or SMPLer-X" + hint
         )
     found = unnested(found)
-    K = lens_by_name(where, found, VideoInfo((1000, 1000), 1.0))
+    K = lens_by_name(where, found, _ANY_VIDEO)
     K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
     track = _before_one_lens(make_track(where, "0", None, found, K, body))
     own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
@@ -233,7 +229,7 @@ def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
         return AIST_FPS
     if name is None:
         raise InputError(
-            f"{where}: says no frame rate (none of {', '.join(FPS_NAMES)}); give --source-fps of "
+            f"{where}: holds no frame rate (none of {', '.join(FPS_NAMES)}); give --source-fps of "
             "gva-mi motion"
         )
     try:
@@ -252,12 +248,11 @@ def _estimated(
     """Return one person of an estimator's output, in world or camera axes (module docstring)."""
     if record.needs_video:
         raise InputError(
-            f"{path}: written by {kind}, whose places follow from a lens that it assumed; expected "
-            f"a motion in metres, or gva-mi prepare {kind} with its video"
+            f"{path}: written by {kind}, whose positions depend on a lens that it assumed; "
+            f"expected a motion in metres, or gva-mi prepare {kind} with its video"
         )
     with expecting(f"{path} (read as {kind})", "a motion of one person at least"):
-        # Of the size of its pictures nothing is known, nor of a lens that follows from it.
-        tracks = record.tracks(str(path), found, VideoInfo((1000, 1000), 1.0, body))
+        tracks = record.tracks(str(path), found, replace(_ANY_VIDEO, body=body))
         axes = "in the axes of the camera, which is taken to stand still"
         axes = "in the axes of its world" if record is WORLDS.get(kind) else axes
         track, chosen = choose(str(path), tracks, person, None)

@@ -1,23 +1,24 @@
-"""Choose the subject among an estimator's people: by name, by masks, or by number of frames.
+"""Choose the subject among the people in a source: by name, by masks, or by number of frames.
 
 A person's joints lie inside the person's mask. In each frame a joint inside the mask is a vote for
 its person, and a joint outside a vote against. So a passer-by in many frames collects votes
 against, and does not win by number of frames.
 
 A joint of a track is seen at ``K (p + place of the joint relative to the pelvis)``, with p the
-pelvis's place. Places relative to the pelvis are those of any body in the track's rotations: limbs
-are wider than the error that this makes.
+pelvis's position. Positions relative to the pelvis are computed with any body in the track's
+rotations; the error is smaller than limbs are wide.
 
-A file's single frames are joined to people by name, or because each continues as the nearest.
+Some files hold single frames. They become people by the names in the file, or, without names, each
+person continues as the nearest one in the next frame.
 
-Joints also tell a segmentation network where the person is, by a box and points: :func:`prompt_at`.
+The joints also prompt a segmentation network with a box and points: :func:`prompt_at`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,12 +30,13 @@ from gva_mi.subject.lens import seen_alike, usual_lens
 from gva_mi.subject.masks import INSIDE_ABOVE
 from gva_mi.subject.silhouettes import count_in_mask, joints_in_world
 
-_LONGEST_STEP = 1.0  # metres that a person moves from frame to frame at most
-BOX_MARGIN = 0.05  # of the longer side of the joints' box, round it
-HEAD_TOP = 1.3  # from the head's joint to its top, in lengths from neck to head
-OTHERS_DISTANCE = 0.12  # of that side: others' points nearer than this to a joint are left out
+# All chosen.
+_LONGEST_STEP = 1.0  # metres from frame to frame: a person who is farther away is another one
+BOX_MARGIN = 0.05  # around the joints' box, relative to its longer side: clothes and hair
+HEAD_TOP = 1.3  # distance from the head's joint to its top, over that from neck to head
+OTHERS_DISTANCE = 0.12  # of the box's longer side: nearer points of others are not prompts
 _NECK, _HEAD = JOINTS.index("neck"), JOINTS.index("head")
-_PROMPT_JOINTS = [  # points are in the middle of these joints
+_PROMPT_JOINTS = [  # a point is halfway between two joints
     (JOINTS.index(a), JOINTS.index(b))
     for a, b in (
         ("pelvis", "pelvis"), ("spine2", "spine2"), ("neck", "head"), ("head", "head"),
@@ -43,7 +45,14 @@ _PROMPT_JOINTS = [  # points are in the middle of these joints
 ]  # fmt: skip
 
 Arrays = Mapping[str, Any]  # (n, ...) each, under the file's own names
-Row = tuple[str | None, int, Arrays]  # person, frame, arrays of one frame
+
+
+class Row(NamedTuple):
+    """One person in one frame of a file."""
+
+    person: str | None  # the file's name of them
+    frame: int
+    arrays: Arrays  # of this frame
 
 
 @dataclass(frozen=True)
@@ -68,7 +77,7 @@ def choose(
     frames is chosen.
     """
     if not tracks:
-        raise InputError(f"{where}: holds nobody; expected one person at least")
+        raise InputError(f"{where}: holds no person; expected at least one")
     names = ", ".join(f"{t.person} ({len(t.frames)} frames)" for t in tracks[:20])
     if person is not None:
         chosen = next((t for t in tracks if t.person == person), None)
@@ -88,7 +97,8 @@ def choose(
         chosen, how = tracks[best], f"most inside the masks, of {shares}"
     else:
         chosen = max(tracks, key=lambda t: len(t.frames))
-        how = f"seen longest of {names}" + (", as nobody is in the masks" if votes else "")
+        why = ", because no person lies in the masks" if votes else ""
+        how = f"seen longest of {names}{why}"
     return chosen, [f"person {chosen.person}, {how}; --person takes another"]
 
 
@@ -131,15 +141,15 @@ def pixels_by_frame(
 def stacked(where: object, rows: Iterable[Row]) -> list[SeenPerson]:
     """Stack single frames to people; an array of one frame may have a leading axis of 1."""
     people: dict[str, list[tuple[int, Arrays]]] = {}
-    for person, frame, arrays in rows:
-        people.setdefault(person, []).append((frame, arrays))
+    for row in rows:
+        people.setdefault(row.person, []).append((row.frame, row.arrays))
     found = []
     for person, seen in people.items():
         names = dict.fromkeys(name for _, arrays in seen for name in arrays)
         arrays = {name: [_of_frame(x[name]) for _, x in seen if name in x] for name in names}
         for name, values in arrays.items():
             if len(values) < len(seen) or len({x.shape for x in values}) > 1:
-                raise InputError(f"{where}: '{name}' is not of one shape in all frames")
+                raise InputError(f"{where}: '{name}' must have the same shape in all frames")
         frames = np.array([frame for frame, _ in seen])
         found.append(SeenPerson(person, frames, {k: np.stack(x) for k, x in arrays.items()}))
     return found
@@ -156,8 +166,8 @@ def followed(where: object, rows: Iterable[Row], place: str) -> list[SeenPerson]
     People with a lens of their own, K, are compared before one.
     """
     by_frame: dict[int, list[Arrays]] = {}
-    for _, number, person in rows:
-        by_frame.setdefault(number, []).append(person)
+    for row in rows:
+        by_frame.setdefault(row.frame, []).append(row.arrays)
     frames = sorted(by_frame.items())
     everyone = [person for _, people in frames for person in people]
     places = np.array([np.ravel(person[place]) for person in everyone]).reshape(-1, 3)
@@ -167,7 +177,7 @@ def followed(where: object, rows: Iterable[Row], place: str) -> list[SeenPerson]
     ends = np.cumsum([len(people) for _, people in frames])[:-1]
     names = follow(np.split(places, ends))
     return stacked(where, (
-        (name, number, person)
+        Row(name, number, person)
         for (number, people), row in zip(frames, names, strict=True)
         for name, person in zip(row, people, strict=True)
     ))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Make a subject's folder of a pose estimator's output, or of a data set.
+"""Make a subject's folder from a pose estimator's output, or from a data set.
 
 The world is the camera turned upright, half a turn about x, so that y is up and the camera looks
 along −z. A body turns about its own pelvis p at rest: the root R of the source becomes W R, and its
@@ -6,7 +6,7 @@ translation t becomes
 
     t' = W (p + t) − p',
 
-where p' is the pelvis of the body that the folder is for, both pelvises those of the person's betas
+where p' is the pelvis of the target body. Both pelvises are at rest and have the person's betas
 (:meth:`.TargetBody.pelvises`).
 """
 
@@ -53,8 +53,9 @@ from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.silhouettes import COMPARED_FRAMES, doubt_of
 from gva_mi.subject.splits import spread
 
-_UPSIDE_DOWN = 135  # degrees from the picture's up, at the beginning and on average
-_T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])
+# Degrees between the person and the picture's up direction. Chosen: nobody films a handstand.
+_UPSIDE_DOWN = 135
+_T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
 
 
 @options_of("prepare")
@@ -104,8 +105,13 @@ def prepare_folder(
 ) -> list[str]:
     """Write a subject's folder, and return notes on what was found and done.
 
-    ``out`` is empty; ``kind`` is that of the estimator or the data set ``source``, or "auto"; poses
-    are for ``body``.
+    Args:
+        out: an empty folder.
+        kind: the estimator or the data set that wrote ``source``; "auto" recognises it.
+        source: a file or a folder.
+        options: of the command.
+        body: the body that the poses are converted to.
+        progress: called after each picture.
     """
     where = str(source)
     mask_network, normal_network = options.mask_network(), options.normal_network()
@@ -117,12 +123,12 @@ def prepare_folder(
     views, notes = known_names(where, capture, options.views), [*notes, *of_numbers]
     others = [t for t in capture.tracks if t is not track]
     of_lens = []
-    if kind not in DATASETS:  # which know their lenses
+    if kind not in DATASETS:  # data sets know their lenses
         track, of_lens = filmed_with(track, options.lens, capture.frames, size)
     straight = undistort(footage.folder_of(capture.frames), track.K[0], capture.distortion, size)
     writer = SubjectWriter(out)
     count = _write_pictures(writer, capture, straight, size, progress, int(track.frames.max()) + 1)
-    if capture.loose and (track.frames >= count).any():
+    if capture.counts_may_differ and (track.frames >= count).any():
         notes.append(f"{len(track.frames)} poses, but {count} pictures with masks")
         track = track.where(track.frames < count)
     track, inside, more = every_frame(where, track, count)
@@ -177,7 +183,7 @@ def _capture(
     capture = replace(capture, frames=frames, masks=None if makes_masks else masks)
     image = next(footage.pictures(frames, 3), None)
     if image is None:
-        raise InputError(f"{source}: no picture of it is there")
+        raise InputError(f"{source}: holds no picture")
     size = image.shape[1::-1]
     if kind not in DATASETS:
         lens = options.lens
@@ -238,12 +244,12 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
     where, masks = footage.folder_of(capture.masks), capture.read_masks()
     for count, image in enumerate(images):
         mask = next(masks, None)
-        if mask is None and capture.loose:
+        if mask is None and capture.counts_may_differ:
             return
         if mask is None:
             raise InputError(f"{where}: holds {count} masks, but there are more pictures")
         yield image, mask
-    if next(masks, None) is not None and not capture.loose:
+    if next(masks, None) is not None and not capture.counts_may_differ:
         raise InputError(f"{where}: holds more masks than there are pictures")
 
 
@@ -258,8 +264,10 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
         if track.betas is not None:
             notes.append(f"betas of {track.form} do not carry over to this body; they are zero")
         if track.of_mean:
-            notes.append(f"the pelvis is the mean person's, as the source's {track.form} is not at "
-                         "hand: betas move it by up to some centimetres")  # fmt: skip
+            notes.append(
+                f"the pelvis is the mean person's, because the source's {track.form} body is not "
+                "given: betas move it by up to some centimetres"
+            )
     elif len(betas) > body.model.num_betas:
         betas = betas[: body.model.num_betas]
         notes.append(f"the first {len(betas)} betas are kept, which this body's file has")
@@ -294,6 +302,6 @@ def _doubts(
     if doubt is None:
         return []
     return [
-        f"{doubt}: poses of a world and not of the camera, another person, or masks of another "
-        "video? gva-mi check of the subject's folder looks for the cause"
+        f"{doubt}: are the poses in world and not in camera axes, or of another person, or "
+        "the masks of another video? gva-mi check of the subject's folder looks for the cause"
     ]

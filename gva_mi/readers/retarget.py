@@ -1,8 +1,8 @@
-"""Retarget a skeleton of another rest pose and other bones to SMPL-X's joints.
+"""Retarget a skeleton with another rest pose and other bones to SMPL-X's joints.
 
-In one reference pose, the joints J of the source and the body's, B, stand alike. There the body is
-given rotations A_ref so that its limbs point as the source's do, each limb turned the shortest way
-from where its parent took it. From then on a body's joint turns with the source's, G:
+In one reference pose, source and body stand alike. There the body gets rotations A_ref, so that its
+limbs point as the source's do; each limb rotates the shortest way from where its parent moved it.
+In all other frames a joint of the body rotates with the source's joint, G:
 
     A(t) = G(t) G_refᵀ A_ref,    R_joint = A_parentᵀ A_joint
 
@@ -10,11 +10,11 @@ so limbs keep their directions and their twist. Trunk, neck and head have no dir
 own: skeletons place these joints differently, so in the reference pose they follow the pelvis.
 Soles stand on the ground.
 
-The reference pose is that of zero angles, if somebody stands in it (a T-pose or an A-pose). Some
-skeletons have no such pose; then G_refᵀ A_ref is the mean over the frames in which the person
-stands straightest, because in a single one they may look or point anywhere.
+The reference pose has zero angles, if a person stands in it (a T-pose or an A-pose). Some skeletons
+have no such pose. Then G_refᵀ A_ref is the mean over the frames in which the person stands
+straightest; in one frame alone they may look or point anywhere.
 
-Lengths are scaled so that the legs are as long as the body's: the files say no unit.
+Lengths are scaled so that the legs are as long as the body's, because the files have no unit.
 """
 
 from __future__ import annotations
@@ -32,9 +32,12 @@ from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track
 from gva_mi.readers.world import unit
 
-_STRAIGHT_FACTOR, _REFERENCE_POSES = 1.5, 40  # times the least doubt, of as many reference poses
-_STANDING_ANGLE = np.radians(60)  # a limb farther off the line of the body's axis does not stand
-_AXIS_COSINE = np.cos(np.radians(25))  # between the axis of the trunk and an axis of coordinates
+# All chosen.
+_STRAIGHT_FACTOR = 1.5  # a frame is a reference pose up to this times the smallest deviation
+_REFERENCE_POSES = 40  # at most, evenly spread; the mean of more hardly changes
+_STANDING_ANGLE = np.radians(60)  # legs and elbows of somebody who stands bend by less
+_AXIS_COSINE = np.cos(np.radians(25))  # a trunk within 25 degrees of an axis: this axis is up
+_FEET_BACK_COSINE = -0.3  # a foot whose direction has less of forward points backward
 _LIMBS = {
     f"{side}_{joint}": f"{side}_{child}"
     for side in SIDES
@@ -60,7 +63,7 @@ def bvh_track(path: Path, clip: BvhClip, body: TargetBody) -> Track:
     ref, ref_turns, more = _stances(path, human, clip, turns, places)
     notes += more
     if _faces_back(_frame_of(ref, 0)):
-        notes.append("left and right are those of left-handed axes; x is mirrored")
+        notes.append("left and right follow left-handed axes; x is mirrored")
         mirror = np.array([-1.0, 1.0, 1.0])
         turns, ref_turns = (mirror[:, None] * x * mirror for x in (turns, ref_turns))
         places, ref = places * mirror, {name: x * mirror for name, x in ref.items()}
@@ -81,7 +84,7 @@ def bvh_track(path: Path, clip: BvhClip, body: TargetBody) -> Track:
             weight * to_rotvecs(one.swapaxes(1, 2) @ two)
         )  # fmt: skip
     scale = leg_length(own) / leg_length(ref)
-    notes.append(f"its unit is taken as {scale:.4g} m, by which its legs are as long as the body's")
+    notes.append(f"its unit is taken as {scale:.4g} m, so that the legs are as long as the body's")
     track = on_body("BVH", np.arange(len(clip)), A, at, own, scale, notes)
     return replace(track, has_hands=human.has_hands)
 
@@ -95,9 +98,9 @@ def on_body(
         form: what kind of source it is.
         frames: (T,) frame numbers.
         A: rotation (T, 3, 3) of each of the body's joints in the world.
-        at: (T, 3) of the source's joints, whose hips the body's come to lie between.
+        at: (T, 3) of the source's joints; the middle of its hips becomes the body's.
         own: (3,) of the body's joints at rest, metres.
-        scale: metres in a unit of ``at``.
+        scale: metres per unit of ``at``.
         notes: of the track.
     """
     relative = [A[name] if parent < 0 else A[JOINTS[parent]].swapaxes(1, 2) @ A[name]
@@ -124,8 +127,8 @@ def _stances(
     stands, total = doubt[:, :2].max(1) < _STANDING_ANGLE, doubt.sum(1)
     if not stands.any():
         raise InputError(
-            f"{where}: nobody stands in its pose of zero angles nor in any frame, so its joints "
-            "cannot be compared with a body's; expected a T-pose or an A-pose in one of them"
+            f"{where}: the person stands neither in the pose of zero angles nor in any frame, so "
+            "the joints cannot be compared with a body's; expected a T-pose or an A-pose somewhere"
         )
     best = total[stands].min()
     straight = np.flatnonzero(stands & (total <= _STRAIGHT_FACTOR * best + 1e-6))
@@ -133,8 +136,8 @@ def _stances(
         np.linspace(0, len(straight) - 1, min(len(straight), _REFERENCE_POSES)).astype(int)
     ]
     note = (
-        "its pose of zero angles is nobody's; joints are compared where the person stands "
-        f"straightest, in {len(straight)} frames from {straight[0]} to {straight[-1]}"
+        "nobody could stand in its pose of zero angles; joints are compared where the person "
+        f"stands straightest, in {len(straight)} frames from {straight[0]} to {straight[-1]}"
     )
     return {name: x[straight] for name, x in at.items()}, turns[straight], [note]
 
@@ -158,7 +161,7 @@ def _trunk(at: Places) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _doubt(at: Places) -> np.ndarray:
-    """Return how far a person is from standing (T, 3): legs, elbows, arms; radians."""
+    """Return how far a person is from standing (T, 3): by legs, elbows, arms; radians."""
     left, up = _trunk(at)
     legs = [_angle(at[child] - at[joint], -up) for joint, child in _LIMBS.items()
             if joint.endswith(("hip", "knee"))]  # fmt: skip
@@ -172,7 +175,7 @@ def _doubt(at: Places) -> np.ndarray:
 
 
 def _frame(at: Places) -> np.ndarray:
-    """Return the axes of somebody who stands, in columns (3, 3): to the left, up, forward."""
+    """Return a standing person's axes, in columns (3, 3): to the left, up, forward."""
     left, up = _trunk(at)
     axis = np.eye(3)[np.abs(up).argmax()] * np.sign(up[np.abs(up).argmax()])
     up = axis if unit(up) @ axis > _AXIS_COSINE else unit(up)
@@ -181,14 +184,14 @@ def _frame(at: Places) -> np.ndarray:
 
 
 def _faces_back(at: Places) -> bool:
-    """Return whether both feet point backward, which no names of left and right explain."""
+    """Return whether both feet point backward: then the axes are left-handed."""
     forward = _frame(at)[:, 2]
     feet = [at[f"{side}_toe"] - at[f"{side}_ankle"] for side in SIDES if f"{side}_toe" in at]
-    return bool(feet) and all(unit(foot) @ forward < -0.3 for foot in feet)
+    return bool(feet) and all(unit(foot) @ forward < _FEET_BACK_COSINE for foot in feet)
 
 
 def _reference(ref: Places, body: Places) -> dict[str, np.ndarray]:
-    """Return A_ref (3, 3) of every joint."""
+    """Return A_ref (3, 3) of each joint of the body."""
     frame = _frame(ref) @ _frame(body).T
     A: dict[str, np.ndarray] = {}
     for name, parent in zip(JOINTS, PARENTS, strict=True):
@@ -210,9 +213,9 @@ def _swung(A: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 
 
 def _foot(frame: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """Return A of a foot, turned about the vertical; its slope is the skeleton's, not the pose's.
+    """Return A of a foot, rotated about the vertical alone, because its slope is the skeleton's.
 
-    A foot that points down stands on no ground, and its direction is kept.
+    A foot that points down does not stand on the ground; it gets the source's direction.
     """
     up = frame[:, 1]
     flat = lambda x: x - up * (x @ up)

@@ -57,8 +57,8 @@ class Track:
     has_hands: bool
     from_mean_hand: bool = False  # fingers are relative to the model's mean hand, not to the flat
     expression: np.ndarray | None = None  # (n, E)
-    of_mean: bool = False  # places follow from the mean person's pelvis, which betas move
-    notes: tuple[str, ...] = ()  # what of the source is not here
+    of_mean: bool = False  # places were made with the mean person's pelvis; betas move it
+    notes: tuple[str, ...] = ()  # what was left out of the source
 
     def where(self, rows: np.ndarray) -> Track:
         """Select rows of the track by a mask (n,) or by row numbers."""
@@ -101,9 +101,9 @@ def make_track(
     found: Mapping[str, Any],
     K: np.ndarray,
     body: TargetBody | None = None,
-    of_pelvis: bool = False,
+    gives_pelvis: bool = False,
 ) -> Track:
-    """Make a track of arrays that hold all its frames, by the names of :mod:`.body_arrays`.
+    """Make a track from arrays of all its frames, under any names of :mod:`.body_arrays`.
 
     Args:
         where: file and person, for errors.
@@ -111,9 +111,9 @@ def make_track(
         frames: (n,) frame numbers; None: 0 to n − 1.
         found: the arrays.
         K: (3, 3) or (n, 3, 3) pixels.
-        body: the body that poses are converted to, if it is known: its pelvis counts where the
-            source's body is the same.
-        of_pelvis: the translation is where the pelvis is, not the offset of the body's origin.
+        body: the body that poses are converted to, if known: if it is the source's body, its own
+            pelvis is used.
+        gives_pelvis: the translation is the pelvis's position, not the offset of the body's origin.
     """
     of = find_body(where, found)
     count = len(of.rotations)
@@ -131,14 +131,14 @@ def make_track(
         places = np.zeros((count, 3))
         notes.append("the source has no translation: the person stays in place")
     of_mean = False
-    if not of_pelvis:
+    if not gives_pelvis:
         of_mean = betas is not None and betas.any() and not (body and body.keeps_betas(of.form))
         pelvis = np.array(MEAN_PELVIS[of.form]) if body is None else body.pelvises(of.form, betas)
         if of.about_origin is not None:
             pelvis = np.einsum("nij,nj->ni", of.about_origin, np.broadcast_to(pelvis, (count, 3)))
         places = places + pelvis
     if unused := sorted(set(of.unused) - NOT_BODY_NAMES):
-        notes.append(f"not used of the source: {listed_names(unused)}")
+        notes.append(f"arrays of the source that are not used: {listed_names(unused)}")
     return Track(
         person, frames, of.rotations, places, betas, K, of.form, of.has_hands,
         expression=of.expression, of_mean=of_mean, notes=tuple(notes),
@@ -146,16 +146,16 @@ def make_track(
 
 
 def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray, list[str]]:
-    """Fill a track so that it has each of a video's ``count`` frames.
+    """Interpolate a track so that it has each of a video's ``count`` frames.
 
-    It is held before the first known frame and after the last. Returns the track, whether a frame
-    lies between these (count,), and notes.
+    The pose is constant before the first known frame and after the last. Returns the track, whether
+    each frame lies between these two (count,), and notes.
     """
     outside = track.frames[(track.frames < 0) | (track.frames >= count)]
     if len(outside):
         raise InputError(
             f"{where}: has frame {outside[0]}, but the video has frames 0 to {count - 1}; "
-            "expected poses of this very video"
+            "expected poses of this video"
         )
     good = np.isfinite(track.rotations).all((1, 2)) & np.isfinite(track.places).all(1)
     good &= np.isfinite(track.K).all((1, 2))
@@ -165,7 +165,7 @@ def every_frame(where: str, track: Track, count: int) -> tuple[Track, np.ndarray
     if not (focal > 0).all():
         raise InputError(f"{where}: focal lengths must be above 0 pixels, got {focal.min():g}")
     known, wanted = track.frames[good], np.arange(count)
-    # Before one lens, because the person is as many times farther away as a lens is longer.
+    # Interpolate as seen by one lens: a lens twice as long sees the person twice as far away.
     lens, expression = usual_lens(track.K[good]), track.expression
     rows = [seen_alike(track.places[good], track.K[good], lens)]
     rows += [] if expression is None else [expression[good]]
@@ -224,25 +224,28 @@ def median_betas(betas: np.ndarray | None) -> tuple[np.ndarray, list[str]]:
 def filmed_with(
     track: Track, given: str | None, frames: Pictures, size: tuple[int, int]
 ) -> tuple[Track, list[str]]:
-    """Return a track adapted to the lens of the video of ``size`` (W, H), and notes.
+    """Return a track adapted to the lens of the video, and notes.
 
-    ``given`` is the user's focal length, as :func:`asked_for` reads it; None keeps the one that the
-    estimator assumed.
+    Args:
+        track: by an estimator.
+        given: the user's focal length, as :func:`asked_for` reads it; None keeps the estimator's.
+        frames: the video file or the pictures.
+        size: (W, H) of the pictures.
     """
     known = recorded(frames, size)
     each = np.sqrt(track.K[:, 0, 0] * track.K[:, 1, 1])
     assumed = float(np.median(each))
     if given is None and not is_one_lens(track.K):
         return track, [
-            f"the estimator took another lens in each frame, of {each.min():.0f} to "
-            f"{each.max():.0f} pixels, and places in metres jump with it; --lens gives all one"
+            f"the estimator assumed another lens in each frame, {each.min():.0f} to "
+            f"{each.max():.0f} pixels, so that positions jump; --lens gives all frames one"
         ]
     if given is None and (known is None or abs(np.log(known / assumed)) < LENS_NOTE_DIFFERENCE):
         return track, []
     if given is None:
         return track, [
-            f"the poses are for a focal length of {assumed:.0f} pixels; the recording says "
-            f"{known:.0f}, or up to a fifth more if it was stabilised: --lens {RECORDED} takes it"
+            f"the poses are for a focal length of {assumed:.0f} pixels; the video file records "
+            f"{known:.0f}, up to a fifth too little if stabilised: --lens {RECORDED} takes it"
         ]
     focal = asked_for(given, known, size)
     if is_one_lens(track.K) and focal == assumed:
@@ -252,7 +255,7 @@ def filmed_with(
     if is_one_lens(track.K):  # else the axes are those of crops
         K[:2, 2] = track.K[0, :2, 2]
     return through_lens(track, K), [
-        f"the focal length is {focal:.0f} pixels, where the estimator took {assumed:.0f}: {moved}"
+        f"the focal length is {focal:.0f} pixels, the estimator assumed {assumed:.0f}: {moved}"
     ]
 
 

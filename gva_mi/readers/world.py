@@ -14,15 +14,12 @@ from gva_mi.subject.silhouettes import joints_in_world
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 UP_AXES: tuple[Axis, ...] = get_args(Axis)
-LEAN_NOTE_DEGREES = 20  # degrees from the up axis that are worth a note
-_UP_COSINE = 0.7  # share of the way from feet to head that must lie along one axis
-_BEGINNING_SECONDS = (
-    0.5  # seconds: people begin upright, also who lies down, dances on the hands, or swims
-)
-_FLOOR_TOLERANCE = (
-    0.15  # metres that the lowest joint rises and falls more than on the evenest floor
-)
-_QUARTER_TURNS_TO_Y = {  # axis-angle in quarter turns that takes an axis to y
+# All chosen.
+LEAN_NOTE_DEGREES = 20  # a person who leans by more from the up axis is worth a note
+_UP_COSINE = 0.7  # of the angle between the up axis and the direction from feet to head: 45 degrees
+_BEGINNING_SECONDS = 0.5  # people begin upright, even if they lie down, swim or do handstands later
+_FLOOR_TOLERANCE = 0.15  # metres that the lowest joint may drift more than along the evenest axis
+_QUARTER_TURNS_TO_Y = {  # axis-angle, in quarter turns, of the rotation that turns an axis to y
     "x": (0, 0, 1), "-x": (0, 0, -1), "y": (0, 0, 0), "-y": (2, 0, 0), "z": (-1, 0, 0),
     "-z": (1, 0, 0),
 }  # fmt: skip
@@ -30,7 +27,7 @@ _QUARTER_TURNS_TO_Y = {  # axis-angle in quarter turns that takes an axis to y
 
 @dataclass(frozen=True)
 class Upward:
-    """Where a person's head is above the feet, and where a floor may be."""
+    """The direction from a person's feet to the head, and how even a floor would be."""
 
     begins: np.ndarray  # (3,) unit vector from the feet to the head in the first frames
     mean: np.ndarray  # (3,) of all frames
@@ -40,7 +37,7 @@ class Upward:
 
     @staticmethod
     def of(rotations: np.ndarray, places: np.ndarray, joints: np.ndarray, rate: float) -> Upward:
-        """Measure rotations (T, 55, 3) and pelvises (T, 3) at so many frames a second.
+        """Measure rotations (T, 55, 3) and pelvises (T, 3) of ``rate`` frames a second.
 
         ``joints`` are (55, 3) at rest of any body.
         """
@@ -53,10 +50,10 @@ class Upward:
         return Upward(unit(upward[:first].mean(0)), unit(upward.mean(0)), drifts)
 
     def axis(self) -> str | None:
-        """Return the axis of :data:`UP_AXES` that is up; None if none is clearly, as for who lies.
+        """Return the axis of :data:`UP_AXES` that is up; None if none is clear (a lying person).
 
-        It is the one along which the person begins upright, of those with an even floor; if there
-        is none, of all; and then the one along which the person is upright on average.
+        It is the axis along which the person begins upright, among axes with an even floor, then
+        among all axes; otherwise the one along which the person is upright on average.
         """
         least = min(self.drifts.values()) + _FLOOR_TOLERANCE
         floors = [up for up in UP_AXES if self.drifts[up] <= least]
@@ -67,7 +64,7 @@ class Upward:
         return None
 
     def lean(self, up: str) -> float:
-        """Return the angle, degrees, from an axis to the person as they begin, or mostly are."""
+        """Return the angle, degrees, between an axis and the person, at first or on average."""
         cosine = max(float(x @ axis_of(up)) for x in (self.begins, self.mean))
         return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
@@ -83,7 +80,7 @@ def unit(x: np.ndarray) -> np.ndarray:
 
 
 def upright(rotations: np.ndarray, places: np.ndarray, up: str) -> tuple[np.ndarray, np.ndarray]:
-    """Turn rotations (T, 55, 3) and pelvises (T, 3) with their world, whose axis ``up`` becomes y.
+    """Rotate the world of rotations (T, 55, 3) and pelvises (T, 3) so that ``up`` becomes y.
 
     ``up`` is one of :data:`UP_AXES`.
     """

@@ -79,7 +79,7 @@ def test_without_a_world_the_camera_stands_still(tmp_path, before_camera):
     moves_alike(motion, rotations, places)
     assert "-y up" in motion.notes[0]
     assert any("the camera, which is taken to stand still" in n for n in motion.notes)
-    with pytest.raises(InputError, match="says no frame rate.*--source-fps of gva-mi motion"):
+    with pytest.raises(InputError, match="holds no frame rate.*--source-fps of gva-mi motion"):
         read_motion(tmp_path / name, TargetBody.read(None), MotionOptions())
 
 
@@ -95,7 +95,7 @@ def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):
 
 def test_places_by_an_assumed_lens_are_refused(tmp_path):
     phalp = dumped(tmp_path / "p.pkl", {"0.jpg": {"tid": [2], "smpl": [], "camera": []}})
-    with pytest.raises(InputError, match="written by 4dhumans, whose places follow from a lens"):
+    with pytest.raises(InputError, match="written by 4dhumans, whose positions depend on a lens"):
         read_motion(phalp, TargetBody.read(None), OF_ESTIMATORS)
 
 
@@ -105,9 +105,9 @@ def test_an_unknown_folder_is_described(tmp_path):
     for folder, words in (
         (
             tmp_path / "x/frames",
-            "frames: a folder of no motion that is known; expected a file",
+            "frames: holds no motion in a known format; expected a file",
         ),
-        (tmp_path / "x", "x: a folder of no motion.*its motion is .*poses.npz"),
+        (tmp_path / "x", "x: holds no motion.*its motion is .*poses.npz"),
         (tmp_path / "nowhere", "nowhere: no such file; expected a motion such as"),
     ):
         with pytest.raises(InputError, match=words):

@@ -48,7 +48,7 @@ def test_missing_or_encoded_parameters_are_named(tmp_path, seen):
         assert "\n" not in str(error.value)
 
     np.savez(tmp_path / "p.npz", **named(*seen))
-    refused("says no camera.*give --lens", tmp_path / "p.npz")
+    refused("holds no camera.*give --lens", tmp_path / "p.npz")
     np.savez(tmp_path / "no.npz", **{k: x for k, x in named(*seen).items() if k != "transl"})
     refused(r"no translation; expected transl \(T, 3\)", tmp_path / "no.npz", focal=70)
 

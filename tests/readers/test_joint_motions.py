@@ -65,7 +65,7 @@ def test_joints_become_poses(tmp_path, known):
     for name in ("left_shoulder", "right_shoulder", "left_hip", "right_hip"):
         assert apart[:, JOINTS.index(name)].max() < 8, name
     assert "joints without rotations, 30 frames at 20 a second, y up" in motion.notes[0]
-    assert "scaled by 1, by" in motion.notes[2] and "no hands; they are flat" in motion.notes[3]
+    assert "scaled by 1, so" in motion.notes[2] and "no hands; they are flat" in motion.notes[3]
 
 
 def test_a_taller_person_is_scaled_and_lost_frames_are_interpolated(tmp_path, known):
@@ -102,7 +102,7 @@ def test_features_hold_the_same_motion(tmp_path, known):
     found = posed(read(tmp_path / "b.npy", features_of(places, heading)[None].astype("f4")))
     assert np.abs(found - wanted).max() < 1e-4
     features = features_of(places, heading)
-    with pytest.raises(InputError, match="must be multiplied by its Std.npy, and its Mean.npy"):
+    with pytest.raises(InputError, match="features by its Std.npy and add its Mean.npy"):
         read(tmp_path / "c.npy", (features - features.mean(0)) / (features.std(0) + 1e-3))
 
 

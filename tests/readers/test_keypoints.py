@@ -108,7 +108,7 @@ def test_keypoints_that_do_not_fit_are_described(tmp_path, person):
     (tmp_path / "none.json").write_text("[]")
     (tmp_path / "still.json").write_text(json.dumps([{"keypoints": row_of(points, 0, 17)}]))
     for name, words in (
-        ("far", "do not lie on the person of the video; expected those of all"),
+        ("far", "do not lie on the person of the video; expected keypoints of"),
         ("few", "a person has 9 points; expected 17, 18, 25, 26, 133, 136"),
         ("none", "holds no people; expected keypoints of OpenPose"),
         ("still", "of another form .*expected keypoints"),

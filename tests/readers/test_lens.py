@@ -159,10 +159,10 @@ def test_prepare_reports_the_recorded_lens_and_takes_it(tmp_path, cli, seen, foo
     given = ("prepare", "parameters", tmp_path / "poses.npz", tmp_path / "s", *footage, "--frames",
              tmp_path / "photos", "--overwrite")  # fmt: skip
     said = cli.works(*given)
-    assert "the poses are for a focal length of 200 pixels; the recording says 48" in said
+    assert "the poses are for a focal length of 200 pixels; the video file records 48" in said
     far = load_video(tmp_path / "s")
     said = cli.works(*given, "--lens", "recorded")
-    assert "the focal length is 48 pixels, where the estimator took 200" in said
+    assert "the focal length is 48 pixels, the estimator assumed 200" in said
     near, body = load_video(tmp_path / "s"), load_body()
     assert near.cameras[0].fx == pytest.approx(26 / 43.27 * 80)
     a, b = (body(v.pose, v.shape).joints[:, 0].double().numpy() for v in (far, near))

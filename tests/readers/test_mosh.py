@@ -75,5 +75,5 @@ def test_stage_two_is_a_motion(tmp_path, walk, settings):
         assert motion.notes[0] == wanted.notes[0]
     del now["stageii_debug_details"]["mocap_frame_rate"]
     path.write_bytes(pickle.dumps(now))
-    with pytest.raises(InputError, match="says no frame rate .*give --source-fps"):
+    with pytest.raises(InputError, match="holds no frame rate .*give --source-fps"):
         read_motion(path, TargetBody.read(None), AS_IT_IS)

@@ -149,7 +149,7 @@ def test_varying_betas_become_their_median(read, walk):
 POSES = {"poses": np.zeros((2, 72)), "fps": 30}
 BAD = {
     "no poses": ({"a": np.ones(3), "fps": 30}, "holds no poses of one person;.*found: a"),
-    "no rate": ({"poses": np.zeros((2, 72))}, "says no frame rate.*give --source-fps"),
+    "no rate": ({"poses": np.zeros((2, 72))}, "holds no frame rate.*give --source-fps"),
     "a rate of 0": (POSES | {"fps": 0}, "'fps' must be frames a second, got 0"),
     "no scaling": (
         POSES | {"smpl_trans": np.zeros((2, 3)), "smpl_scaling": 0},

@@ -128,7 +128,7 @@ def test_what_is_not_used_is_named_and_a_missing_place_is_said(motion):
     track = make_track("x", "0", None, named | more, np.eye(3))
     assert track.notes == (
         "the source has no translation: the person stays in place",
-        "not used of the source: dmpls, markers",
+        "arrays of the source that are not used: dmpls, markers",
     )
 
 

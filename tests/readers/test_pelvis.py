@@ -97,7 +97,7 @@ def test_another_body_is_told_that_the_pelvis_is_the_mean_persons(tmp_path, cli,
     kind, source = parameters(tmp_path)
     said = cli.works("prepare", kind, source, tmp_path / "s", "--body", "built-in", *shot)
     assert "betas of SMPL-X do not carry over" in said
-    assert "the pelvis is the mean person's, as the source's SMPL-X is not at hand" in said
+    assert "the pelvis is the mean person's, because the source's SMPL-X body is not given" in said
     np.savez(source, **{**np.load(source), "betas": np.zeros(10)})
     said = cli.works("prepare", kind, source, tmp_path / "b", "--body", "built-in", *shot)
     assert "the mean person's" not in said

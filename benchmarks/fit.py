@@ -31,9 +31,9 @@ from gva_mi.splat import Camera, Screen, look_at, render
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.video import Video, load_video
 
-FRAMES = 9  # of the turn; every eighth is a test frame
-FILLED = 0.8  # of the picture's height by the subject
-DISTANCE = 3.0  # metres to the camera
+FRAMES = 9  # of the turn; chosen: eight train frames, as every eighth is a test frame
+HEIGHT_SHARE = 0.8  # of the picture's height, filled by the subject; chosen: as in a video
+EYE_DISTANCE = 3.0  # metres from the subject to the camera; chosen: as in a video
 
 
 def run(repeats: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Table]:
@@ -72,8 +72,8 @@ def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Vi
     avatar = seed_avatar(body, shape, None, AvatarOptions(seed=seeds), colors=stripes)
     low, high = x.amin(0), x.amax(0)
     center = ((low + high) / 2).numpy()
-    focal = FILLED * size * DISTANCE / float(high[1] - low[1])
-    view = look_at(center + (0, 0, DISTANCE), center)
+    focal = HEIGHT_SHARE * size * EYE_DISTANCE / float(high[1] - low[1])
+    view = look_at(center + (0, 0, EYE_DISTANCE), center)
     camera = Camera(focal, focal, size / 2, size / 2, view, size, size)
     writer = SubjectWriter(folder)
     for k in range(FRAMES):

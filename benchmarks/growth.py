@@ -12,9 +12,9 @@ from benchmarks.timing import Table, timed
 from gva_mi.splat.kernels import tiles
 from gva_mi.splat.scene import Scene
 
-COUNTS = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
-WIDTHS = (128, 256, 512, 1024, 2048, 4096)  # px, of square pictures
-SHARED = ((20_000, 512), (100_000, 512), (1_000_000, 1024))  # Gaussians and px, for more threads
+GAUSSIAN_COUNTS = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
+PICTURE_WIDTHS = (128, 256, 512, 1024, 2048, 4096)  # px, a side of square pictures
+THREAD_SCENES = ((20_000, 512), (100_000, 512), (1_000_000, 1024))  # Gaussians, and px of a side
 
 
 def run(repeats: int) -> Iterator[Table]:
@@ -28,8 +28,8 @@ def larger_scenes(repeats: int) -> Table:
 
     A pair is a Gaussian and a tile of pixels that it reaches.
     """
-    scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in COUNTS]
-    scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in WIDTHS]
+    scenes = [("more Gaussians", lambda n=n: person(n, 512)) for n in GAUSSIAN_COUNTS]
+    scenes += [("more pixels", lambda w=w: person(20_000, w)) for w in PICTURE_WIDTHS]
     scenes.append(("full HD", lambda: _wide(person(1_000_000, 1080), 1920)))
     rows = []
     for name, make in scenes:
@@ -69,7 +69,7 @@ def more_threads(repeats: int) -> Table:
     counts = [*(n for n in (2**k for k in range(16)) if n < most), most]
     rows = []
     try:
-        for n, size in SHARED:
+        for n, size in THREAD_SCENES:
             work, found = Work.on(person(n, size)), []
             for threads in counts:
                 dr.set_thread_count(threads)

@@ -16,7 +16,7 @@ from gva_mi.body.smplx import load_body
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 
-STEP = 1e-3  # metres from one step to the next
+VERTEX_STEP = 1e-3  # metres from one step to the next; chosen: as far as a refinement moves
 
 
 def run(repeats: int, sizes: tuple[int, ...] = (256, 512)) -> Iterator[Table]:
@@ -32,7 +32,7 @@ def run(repeats: int, sizes: tuple[int, ...] = (256, 512)) -> Iterator[Table]:
         noise = np.random.default_rng(0).normal(size=(size, size, 4))
         grad, clock = mi.TensorXf(noise.astype(np.float32)), Clock()
         for k in range(WARM_UP + repeats):
-            moved = template + STEP * (k + 1)
+            moved = template + VERTEX_STEP * (k + 1)
             with clock("whole step"):
                 with clock("ray tracer's update"):
                     scene.show(moved)

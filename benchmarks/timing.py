@@ -12,7 +12,7 @@ import drjit as dr
 
 from gva_mi.core.console import aligned
 
-WARM_UP = 2  # calls before the first that counts: they compile and allocate
+WARM_UP = 2  # calls before the first that counts; chosen: they compile and allocate
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,9 @@ from gva_mi.prior.stage1_poses import Stage1, turns_between
 from gva_mi.subject.folder import POSES
 from gva_mi.subject.ground_truth import load_ground_truth
 
-LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l
-ROUNDS = 12  # of the weights
-LEAST_SLOW = 0.2  # relative to the whole error: a joint that rests errs, too
+FRAME_LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l; chosen: up to a second
+REWEIGHTINGS = 12  # rounds of the weights; chosen: they have settled
+LEAST_SLOW_SHARE = 0.2  # of the whole error; chosen: a joint that rests errs, too
 
 
 class SolvedTrack(NamedTuple):
@@ -47,6 +47,15 @@ class SolvedTrack(NamedTuple):
 
     errors: Tensor  # (T, C, d) radians or metres
     steps: Tensor  # (T - 1, C, d) of stage 1
+
+
+class Rows(NamedTuple):
+    """Eq. 1 for N pairs of frames."""
+
+    products: np.ndarray  # (N,)
+    terms: np.ndarray  # (N, 3) of slow², lag² and bias²
+    recording: np.ndarray  # (N,) number of the video
+    lag: np.ndarray  # (N,) frames
 
 
 def solver_errors(subject: Path) -> dict[str, SolvedTrack]:
@@ -83,27 +92,25 @@ def _fit(recordings: list[SolvedTrack]) -> Stage1ErrorModel:
         float(np.median([float(recording.errors.square().mean()) for recording in recordings]))
         ** 0.5
     )
-    rows = products, terms, _, _ = _rows(recordings)
+    rows = _rows(recordings)
     weights = _weights(rows, len(recordings))
-    squares, _ = nnls(terms * weights[:, None], products * weights)
+    squares, _ = nnls(rows.terms * weights[:, None], rows.products * weights)
     slow, lag, bias = np.sqrt(squares).tolist()
     return Stage1ErrorModel(
-        0.0, max(slow, LEAST_SLOW * size), STAGE1_MEMORY, bias, lag / STAGE1_FPS
+        0.0, max(slow, LEAST_SLOW_SHARE * size), STAGE1_MEMORY, bias, lag / STAGE1_FPS
     )
 
 
-def _weights(
-    rows: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], recordings: int
-) -> np.ndarray:
+def _weights(rows: Rows, recordings: int) -> np.ndarray:
     """Return the weight (N,) of each row, from the sizes of errors alone (k = l)."""
     from scipy.optimize import nnls
 
-    products, terms, recording, lags = rows
+    products, terms, recording = rows.products, rows.terms, rows.recording
     sizes = np.stack([np.ones(len(terms)), terms[:, 1] / terms[:, 0]], axis=1)
-    now, of_video = lags == 0, np.ones(recordings)
+    now, of_video = rows.lag == 0, np.ones(recordings)
     square = np.full(len(products), products[now].mean())
-    least = LEAST_SLOW**2 * square[0]
-    for _ in range(ROUNDS):
+    least = LEAST_SLOW_SHARE**2 * square[0]
+    for _ in range(REWEIGHTINGS):
         weights = of_video[recording] / square
         found, _ = nnls(sizes[now] * weights[now, None], products[now] * weights[now])
         square = np.maximum(sizes @ found, least)
@@ -114,8 +121,8 @@ def _weights(
     return of_video[recording] / square
 
 
-def _rows(recordings: list[SolvedTrack]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return eq. 1: products (N,), the terms of its squares (N, 3), numbers of videos, and lags."""
+def _rows(recordings: list[SolvedTrack]) -> Rows:
+    """Return eq. 1 for all pairs of frames."""
     rows = []
     model = Stage1ErrorModel(
         0.0, 1.0, STAGE1_MEMORY * STAGE1_FPS, 0.0, lag=1.0
@@ -124,14 +131,14 @@ def _rows(recordings: list[SolvedTrack]) -> tuple[np.ndarray, np.ndarray, np.nda
         times = torch.arange(len(errors))
         growth = torch.stack([model.growth(own, times) for own in steps.unbind(1)], 1)
         square_speed, kernel = growth.square() - 1, model.lasting(times, torch.ones(len(times)))[0]
-        for lag in (lag for lag in LAGS if lag < len(errors)):
+        for lag in (lag for lag in FRAME_LAGS if lag < len(errors)):
             stop = len(errors) - lag
             product = (errors[lag:] * errors[:stop]).mean(-1).flatten()
             speed = ((square_speed[lag:] + square_speed[:stop]) / 2).flatten()
             kappa, one = torch.full_like(speed, float(kernel[lag])), torch.ones_like(speed)
             rows.append(torch.stack([product, kappa, kappa * speed, one, number * one, lag * one]))
     found = torch.cat(rows, 1).double().numpy()
-    return found[0], found[1:4].T, found[4].astype(int), found[5].astype(int)
+    return Rows(found[0], found[1:4].T, found[4].astype(int), found[5].astype(int))
 
 
 def table(errors: Mapping[str, Stage1ErrorModel]) -> Iterator[str]:

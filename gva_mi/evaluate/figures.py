@@ -61,8 +61,8 @@ METRICS = {
     **{f"{stage} depth, mm": Metric("+.1f", farthest) for stage in STAGES},
     "change": Metric("+.0%"),  # of an error by the refinement, relative
     "increased": Metric(".0%"),  # share of frames whose error increased
-    **{f"{who} IoU": Metric(".3f", min) for who in (*STAGES, "true", "mask")},
-    "IoU - limit": Metric("+.3f", min),  # of refined poses, to that of the true ones
+    **{f"{stage} IoU": Metric(".3f", min) for stage in (*STAGES, "true", "mask")},
+    "IoU - limit": Metric("+.3f", min),  # of refined poses, less the IoU of true poses
     "s a frame": Metric(".2f"),
     "steps": Metric(",.0f"),
     "seconds": Metric(",.0f"),
@@ -71,7 +71,7 @@ METRICS = {
     "spacing": Metric(".2f"),
     "bias, mm": Metric(".1f"),
     "stray, mm": Metric(".1f"),
-    # of videos by several cameras, gva_mi.study.multiview
+    # of videos by several cameras: gva-mi study multiview
     **{f"{name}, px": Metric(".0f") for name in ("lens", "true lens", "points")},
     "up, degrees": Metric(".1f"),
     **{f"{name}, mm": Metric(".0f") for name in ("joints", "depth", "aligned", "aside", "network")},

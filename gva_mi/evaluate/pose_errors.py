@@ -13,7 +13,7 @@ arm does, and leaves the bending of the fingers and the size of the hand. (4) is
 mean says that a limb is too far away.
 
 If the true body is the fitted one, the points are its vertices. A foreign body has other vertices:
-then the points are the 22 joints of the body and those of hands and feet.
+then the points are the joints: 22 of the body, and the joints of hands and feet.
 
 All errors are taken on the bare body: the displacement for clothes is not part of a pose.
 """

@@ -1,6 +1,6 @@
 """Measure a refinement, and the files that it leaves in the subject's folder.
 
-Errors are those of :mod:`gva_mi.evaluate.pose_errors`. The silhouette IoU compares the bare body
+Errors are defined in :mod:`gva_mi.evaluate.pose_errors`. The silhouette IoU compares the bare body
 with a mask. Not even the ground-truth pose reaches an IoU of 1 under clothes: its IoU is the limit.
 
 ::
@@ -91,7 +91,7 @@ class MeasuredRefinement:
         return measure(self.video, self.body, self.refined, self.truth)
 
     def figures(self, split: str = "", frames: Sequence[int] | None = None) -> list[Figure]:
-        """Average its figures over all frames, or over those of a split."""
+        """Average its figures over all frames, or over the frames of a split."""
         found = means(self.per_frame, frames)
         if self.refined is not None:
             found.append(Figure(metric="s a frame", value=self.refined.seconds_per_frame))

@@ -1,7 +1,7 @@
 """The pages of a run (its pictures and figures) and of a video's avatar.
 
-Both are made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. There
-is no ground truth of a real video. So the page of its avatar begins with the avatar from all around
+Both are made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. A real video
+has no ground truth. So the page of its avatar begins with the avatar from all around
 and in two motions that the video does not have, and says how to film it better
 (:mod:`gva_mi.stage1.video_check`). The moving pictures are also written as .mp4 files.
 """

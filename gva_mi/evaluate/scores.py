@@ -1,7 +1,7 @@
 """Metrics of renders against their targets, and scores of any method's renders.
 
 * PSNR is limited to what rounding to 8 bits allows, :data:`PSNR_MAX`, which equal pictures reach;
-* SSIM is that of Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance;
+* SSIM as Wang et al. 2004 define it: 11 x 11 Gaussian window, sigma 1.5, population covariance;
 * LPIPS and ``rand_vgg`` are distances between features of a network, :mod:`gva_mi.fit.perceptual`.
   The deepest layers would see only the border of a picture below 64 pixels: there each pixel is
   repeated until both sides are long enough. Of one beyond 1024 pixels they see means over squares,
@@ -17,12 +17,12 @@ region   pixels
 =======  =========================================================================================
 whole    all
 box      the box of the person's mask (:func:`gva_mi.evaluate.regions.person_box`)
-mask     those of the mask alone: PSNR of them, and the mean of SSIM's map over them
+mask     only the mask's: PSNR over them, and the mean of the SSIM map over them
 hands    boxes of visible hands, from the poses of a subject (:mod:`gva_mi.evaluate.regions`)
 face     likewise
 =======  =========================================================================================
 
-PSNR of a person who fills a tenth of a white picture is 10 dB higher whole than of the mask, so
+If a person fills a tenth of a white picture, the PSNR of the whole is 10 dB above the mask's. So
 figures of different regions cannot be compared.
 """
 

@@ -26,7 +26,7 @@ The avatar stays as it is; true poses and cameras are transformed into its world
 A focal length that was estimated wrongly, f instead of f*, puts the person f / f* times as far
 away. So true cameras first get the focal length f, and true poses that distance (:func:`zoomed`).
 
-Only evaluation uses it, and the strict figures are reported beside.
+Only evaluation uses it, and figures without it are reported beside.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def in_avatars_world(similarity: Similarity, source: Video, rig: Rig, body: Body
     """Transform the poses and cameras of a ground-truth video to the avatar's world.
 
     Args:
-        similarity: from the avatar's world to that of the video.
+        similarity: from the avatar's world to the video's.
         source: opened with true poses of ``body``, such as ``truth/novel_pose``.
         rig: the avatar's rest body.
         body: the fitted body model.

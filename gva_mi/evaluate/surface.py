@@ -23,7 +23,7 @@ for a larger one has a larger avatar, which is not an error. So the true surface
 
     5. x = x* + Σ_v b_xv (V_v - V*_v)
 
-with V the vertices of the avatar's rest body, V* those of the true body, and b the weights of the
+with V the vertices of the avatar's rest body, V* of the true body, and b the weights of the
 body vertices that a point of skin, cloth or hair follows.
 """
 

@@ -1,4 +1,4 @@
-"""What a fit knows of colours before and beside its frames: first colours, unseen ones, the light.
+"""Colours of a fit that no loss gives: first ones, unseen ones, and how they follow the light.
 
 A fit starts from the colours c of the body's vertices v that the training frames k show:
 
@@ -21,36 +21,37 @@ fit, f, by the solution of
 
     3. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
 
-What frames show keeps its colour. The rest takes that of the j that face the same way
+A Gaussian that frames show keeps its colour. Others take the colours of Gaussians j that face the
+same way
 
 * around i,
-* at the place of i in a mirror: people are alike on the left and on the right,
+* at the mirrored place: the left and the right of a person look alike,
 * before or behind i, on arms and legs: trousers end at one height,
 
-and, where b_i is not zero, that of a guess h_i,
+and, where b_i is not zero, a guessed colour h_i,
 
-* of the back of a head: as the highest part of it that frames show, hair or a hat,
-* of chest and back: the median of what frames show at that height. A shirt is red all around, but
+* on the back of a head: the colour of its highest part that frames show, hair or a hat,
+* on chest and back: the median of what frames show at that height. A shirt is red all around, but
   its print is on one side.
 
-So the far arm of somebody who only walks past is that of the near one, and the back of somebody who
-never turns has the colours of the front.
+So the far arm of a person who only walks past takes the colours of the near arm, and the back of a
+person who never turns takes the colours of the front.
 
 The colour of a Gaussian is linear in the direction t of the light at rest
 (:mod:`gva_mi.avatar.skin_gaussians`). Pictures teach its slopes only along directions that the
 light takes: a person who turns upright never shows a surface in the light from below. So slopes are
-learned as differences from those of a matt surface, Lambert's law:
+learned as differences from the slopes of a matt surface, Lambert's law:
 
     4. f_k = s n_k a + δ_k          k = x, y, z at rest
 
 with n the normal of the rest surface beside the Gaussian, a its mean colour, and s one number for
-the whole person, learned with them: how strong the light is beside that from all around. δ starts
+the whole person, learned with them: the light's strength, relative to the ambient light. δ starts
 at zero. What turning around teaches of s and of the light's direction then holds for raised arms.
 Its adjoint, for gradients g_k of f_k (a is a constant):
 
     5. grad_δ_k = g_k,    grad_s = Σ n_k (Σ_c g_kc a_c)         over Gaussians and k; c: channels
 
-When the fit is over, f takes the place of δ: an avatar knows nothing of this law.
+When the fit is over, f takes the place of δ, so an avatar stores no trace of this law.
 """
 
 from __future__ import annotations
@@ -82,9 +83,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-GREY = 0.5  # colour of the whole person if no frame shows it
-SMOOTH_SURFACE = 0.01  # λ of eq. 1, frames
-HARDLY = 1e-6  # frames: far less than any that shows a vertex
+UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
+VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
+MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
 
 
 @torch.no_grad()
@@ -104,9 +105,9 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
         total += seen * color
         weight += seen
     # Every vertex tends a little to the mean of all, also one that is connected to none of these.
-    mean = total.sum(0) / weight.sum() if weight.sum() > 0 else torch.full((3,), GREY)
-    total, weight = total + HARDLY * mean, weight[:, 0] + HARDLY
-    smooth = SMOOTH_SURFACE * as_scipy(uniform_laplacian(body.faces.numpy(), len(weight)))
+    mean = total.sum(0) / weight.sum() if weight.sum() > 0 else torch.full((3,), UNSEEN_COLOR)
+    total, weight = total + MEAN_COLOR_WEIGHT * mean, weight[:, 0] + MEAN_COLOR_WEIGHT
+    smooth = VERTEX_SMOOTHNESS * as_scipy(uniform_laplacian(body.faces.numpy(), len(weight)))
     colors = splu((diags_array(weight.numpy()) + smooth).tocsc()).solve(total.numpy())
     return torch.from_numpy(colors).to(body.v_template)
 
@@ -128,17 +129,20 @@ def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tens
     return image[row, column], (mask * inside * facing.clamp_min(0).square())[:, None]
 
 
-SEEN = 32  # frames, at most, that eq. 2 is the mean of
-SMOOTH = 0.005  # λ of eq. 3, as a share of the mean of w
-AROUND, OPPOSITE = 8, 3  # neighbours j of each kind; a guess counts as all those around
-TOP = 0.1  # share of what frames show of a head, by w: from the top down
-ROW, BESIDE = 0.01, 0.015  # metres: heights in rows, and how far above and below each one looks
-AWAY = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
+# Completion, eq. 2 and 3: chosen on rendered persons, by eye.
+COMPLETION_FRAMES = 32  # at most, that eq. 2 is the mean of
+COMPLETION_SMOOTHNESS = 0.005  # λ of eq. 3, as a share of the mean of w
+NEAREST_NEIGHBOURS = 8  # j around i; a guess counts as all of them
+OPPOSITE_NEIGHBOURS = 3  # j at the mirrored place, and as many before or behind
+HEAD_TOP_SHARE = 0.1  # of what frames show of a head, by w, from the top down: the guess for it
+ROW_HEIGHT = 0.01  # metres; a guess for the trunk is made for each row
+ROW_REACH = 0.015  # metres above and below a row's middle, of the Gaussians that its guess is from
+OPPOSITE_RANGE = 0.03  # metres from the opposite place at which a weight has fallen to 1 / e
 # What turns left into right, and front into back.
 LEFT_RIGHT, FRONT_BACK = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
-LEAST = 1e-3  # weight of neighbours that face another way: nobody is left alone
-RIM = 0.4  # s, cosine: hair and loose clothes are seen beyond the rim of the body
-NEVER = 1e-7  # pixels: far less than any frame shows of a Gaussian
+SMALLEST_COSINE = 1e-3  # of neighbours that face another way, so that each Gaussian has some
+RIM_COSINE = 0.4  # s: hair and loose clothes are seen beyond the rim of the body
+UNSEEN_WEIGHT = 1e-7  # pixels: far less than any frame shows of a Gaussian
 HEAD = JOINTS.index("head")
 _TRUNK = [
     JOINTS.index(k) for k in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")
@@ -160,13 +164,13 @@ def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int]
     G, rig = avatar.canonical, avatar.rig
     on_body = vertex_normals(rig.vertices, rig.faces)
     normals = normalize(avatar.skin.beneath_points(G.means, on_body), dim=1)
-    some = [samples[k] for k in range(min(SEEN, len(samples)))]
+    some = [samples[k] for k in range(min(COMPLETION_FRAMES, len(samples)))]
     shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in some])
-    w = shown.mean(0).double().numpy() + NEVER
+    w = shown.mean(0).double().numpy() + UNSEEN_WEIGHT
     f = G.sh.flatten(1).double().numpy()
     places = Places.of(avatar, normals)
     h, b = guesses(places, w, f)
-    a, b = (SMOOTH * w.mean() * x for x in (neighbours(places), b))
+    a, b = (COMPLETION_SMOOTHNESS * w.mean() * x for x in (neighbours(places), b))
     system = diags_array(w + b + a.sum(1)) - a
     found = splu(system.tocsc()).solve(w[:, None] * f + b[:, None] * h)
     G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
@@ -194,7 +198,7 @@ def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
     T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
     ahead = places + T[:3, :3].T @ T[:3, 3]
     away = (normalize(normals, dim=1) * normalize(ahead, dim=1)).sum(1)
-    return ((RIM - away) / (RIM + 1)).clamp_min(0).square()
+    return ((RIM_COSINE - away) / (RIM_COSINE + 1)).clamp_min(0).square()
 
 
 @dataclass(frozen=True)
@@ -232,22 +236,22 @@ def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, n
 
     A guess counts less if frames hardly show what it is of.
     """
-    h, b, faint = f.copy(), np.zeros(len(w)), SMOOTH * w.mean()
+    h, b, faint = f.copy(), np.zeros(len(w)), COMPLETION_SMOOTHNESS * w.mean()
     height, ahead = places.points[:, 1], places.normals[:, 2]
 
     def guess(of: np.ndarray, color: np.ndarray, source: np.ndarray, facing: np.ndarray) -> None:
         shown = w[source].mean()
-        h[of], b[of] = color, AROUND * facing[of] * shown / (shown + faint)
+        h[of], b[of] = color, NEAREST_NEIGHBOURS * facing[of] * shown / (shown + faint)
 
     if places.skull.any():
         skull = np.flatnonzero(places.skull)
         from_top = skull[np.argsort(-height[skull], kind="stable")]
         shown = np.cumsum(w[from_top])
-        top = from_top[: 1 + np.searchsorted(shown, TOP * shown[-1])]
+        top = from_top[: 1 + np.searchsorted(shown, HEAD_TOP_SHARE * shown[-1])]
         guess(skull, np.average(f[top], axis=0, weights=w[top]), top, (-ahead).clip(0))
-    row = np.floor(height / ROW)
+    row = np.floor(height / ROW_HEIGHT)
     for one in np.unique(row[places.trunk]):
-        beside = places.trunk & (np.abs(height - (one + 0.5) * ROW) < BESIDE)
+        beside = places.trunk & (np.abs(height - (one + 0.5) * ROW_HEIGHT) < ROW_REACH)
         median = weighted_median(f[beside], w[beside])
         guess(places.trunk & (row == one), median, beside, np.abs(ahead))
     return h, b
@@ -272,7 +276,7 @@ def _around(points: np.ndarray, normals: np.ndarray) -> csr_array:
     """Return the weights of the nearest points."""
     from scipy.spatial import cKDTree
 
-    nearest = cKDTree(points).query(points, k=min(AROUND + 1, len(points)))[1][:, 1:]
+    nearest = cKDTree(points).query(points, k=min(NEAREST_NEIGHBOURS + 1, len(points)))[1][:, 1:]
     return _symmetric(nearest, _alike(normals, normals[nearest]))
 
 
@@ -280,7 +284,9 @@ def _mirrored(points: np.ndarray, normals: np.ndarray) -> csr_array:
     """Return the weights of points at the mirrored place."""
     from scipy.spatial import cKDTree
 
-    distance, there = cKDTree(points).query(points * LEFT_RIGHT, k=min(OPPOSITE, len(points)))
+    distance, there = cKDTree(points).query(
+        points * LEFT_RIGHT, k=min(OPPOSITE_NEIGHBOURS, len(points))
+    )
     return _symmetric(there, _near(distance) * _alike(normals * LEFT_RIGHT, normals[there]))
 
 
@@ -288,12 +294,12 @@ def _front_and_back(points: np.ndarray, normals: np.ndarray, some: np.ndarray) -
     """Return the weights, among some (N,) bool, of points at the same x and y that face away."""
     from scipy.spatial import cKDTree
 
-    there = np.zeros((len(points), OPPOSITE), np.int64)
+    there = np.zeros((len(points), OPPOSITE_NEIGHBOURS), np.int64)
     weights = np.zeros(there.shape)
     front, back = (np.flatnonzero(some & (z > 0)) for z in (normals[:, 2], -normals[:, 2]))
-    if min(len(front), len(back)) >= OPPOSITE:
+    if min(len(front), len(back)) >= OPPOSITE_NEIGHBOURS:
         for these, those in ((front, back), (back, front)):
-            distance, j = cKDTree(points[those, :2]).query(points[these, :2], k=OPPOSITE)
+            distance, j = cKDTree(points[those, :2]).query(points[these, :2], k=OPPOSITE_NEIGHBOURS)
             there[these] = those[j]
             turned = normals[these] * FRONT_BACK
             weights[these] = _near(distance) * _alike(turned, normals[those[j]])
@@ -302,12 +308,12 @@ def _front_and_back(points: np.ndarray, normals: np.ndarray, some: np.ndarray) -
 
 def _near(distance: np.ndarray) -> np.ndarray:
     """Return how much points count by their distance from the opposite place, metres."""
-    return np.exp(-((distance / AWAY) ** 2))
+    return np.exp(-((distance / OPPOSITE_RANGE) ** 2))
 
 
 def _alike(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return cosines (N, K), at least LEAST, between normals (N, 3) and others (N, K, 3)."""
-    return np.maximum(np.einsum("ik,ijk->ij", normals, others), LEAST)
+    """Return cosines (N, K) between normals (N, 3) and others (N, K, 3), clamped from below."""
+    return np.maximum(np.einsum("ik,ijk->ij", normals, others), SMALLEST_COSINE)
 
 
 def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
@@ -319,7 +325,7 @@ def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
     return (a + a.T) / 2
 
 
-STRENGTH = 1.0  # s at the start: turned to the light, a colour is 0.3 brighter than its mean
+FIRST_STRENGTH = 1.0  # s; chosen: turned to the light, a colour is 0.3 brighter than its mean
 
 
 class Lambert(nn.Module):
@@ -334,7 +340,7 @@ class Lambert(nn.Module):
         super().__init__()
         rig = avatar.rig
         self._on_body = vertex_normals(rig.vertices, rig.faces)
-        self.strength = nn.Parameter(self._on_body.new_tensor(STRENGTH))
+        self.strength = nn.Parameter(self._on_body.new_tensor(FIRST_STRENGTH))
         self.follow(avatar)
 
     def follow(self, avatar: Avatar) -> None:

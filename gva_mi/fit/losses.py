@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from gva_mi.fit.samples import SampleTarget
 
 SSIM_SIDE, SSIM_SIGMA = 11, 1.5  # pixels, of the window of Wang et al. (2004)
-SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values in [0, 1]
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # of Wang et al. (2004), for values in [0, 1]
 
 Distance = Callable[[Tensor, Tensor], Tensor]  # of two images (H, W, 3)
 

@@ -15,13 +15,16 @@ from gva_mi.fit.losses import LossOptions
 from gva_mi.fit.poses import PoseOptions
 
 # Defaults of the parts in a fit, where they differ from the parts' own.
-REINIT = ReinitOptions(floater_sigmas=3.0)  # 2 tears holes into a skirt
+REINIT = ReinitOptions(floater_sigmas=3.0)  # chosen: 2 tears holes into a skirt
 
-# For videos. Weight of the alpha term: where a mask may be wrong, the picture outvotes it only if
-# person and background differ by more than this, the mean over channels in [0, 1].
+# For phone videos: the weight of the alpha term. Chosen: where a mask may be wrong, the picture
+# outvotes it only if person and background differ by more, in the mean over channels in [0, 1].
 VIDEO_ALPHA = 0.05
-VIDEO_MASK_ERROR = 0.003  # masks that follow the pictures are off by a pixel, others by several
-VIDEO_SH_DECAY = 0.01  # errors of poses look like changes of the light, and slopes would learn them
+# Share of the person's size; chosen: masks that follow the pictures are off by a pixel, others by
+# several.
+VIDEO_MASK_ERROR = 0.003
+# Share a step; chosen: errors of poses look like changes of the light, and slopes would learn them.
+VIDEO_SH_DECAY = 0.01
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -30,7 +33,7 @@ FromOne = Annotated[int, Within(1, 1_000_000)]
 
 @options_of("fit")
 class Rates:
-    """Learning rates of Adam: those of 3DGS (Kerbl et al. 2023) except for means and colours.
+    """Learning rates of Adam, from 3DGS (Kerbl et al. 2023) except for means and colours.
 
     3DGS uses 1.6e-4 for means and 2.5e-3 for colours, enough for tens of thousands of steps. In the
     two or three thousand that a CPU has time for, means would never reach hair and skirts, and
@@ -111,8 +114,8 @@ class FitOptions:
     # Steps between perceptual terms, which take longer than the render.
     perceptual_every: PythonOnly[FromOne] = 4
     vgg16: Path | None = None  # the user's VGG16 weights for the perceptual term; None: rand_vgg
-    # For a person who may never turn round: Gaussians do not wander along the line of sight, and in
-    # the end what no frame shows takes colours around it and from the body's other side.
+    # For a person who may never turn around: Gaussians do not wander along the line of sight, and
+    # unseen surfaces take their colours from neighbours and from the body's other side.
     complete: PythonOnly[bool] = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
@@ -134,8 +137,8 @@ class FitOptions:
         a Gaussian in the colours of the background before it costs nothing
         (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
-        Hands keep their turn at the wrist: training leaves it farther off than the refinement does.
-        Many people do not turn all the way round: what no frame shows is completed.
+        Hands keep their turn at the wrist, because training makes it worse than the refinement.
+        Many people do not turn all the way around, so unseen colours are completed.
         Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error

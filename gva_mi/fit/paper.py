@@ -1,7 +1,7 @@
 """The fit and the refinement as the paper prints them: ``--preset paper``.
 
 ``docs/paper.md`` compares each with the defaults, and says what the paper leaves open. Rates that
-it does not print are those of GART (Lei et al. 2023), whose code it builds on.
+it does not print are from GART (Lei et al. 2023), whose code it builds on.
 """
 
 from __future__ import annotations

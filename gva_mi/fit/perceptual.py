@@ -30,15 +30,16 @@ from torch.nn.utils import skip_init
 from gva_mi.core.cpu import core_for_torch, in_torch_thread, sqrt
 from gva_mi.core.errors import InputError, reason_of
 
-WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)  # a pool after each group
+# Channels of VGG16 (Simonyan and Zisserman 2015), with a pool after each group.
+VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)
 TAPS = (3, 8, 15, 22, 29)  # the last ReLU of each group, as an index into the layers
-LOSS_TAPS = TAPS[:3]  # deeper layers see more than a training window holds
+LOSS_TAPS = TAPS[:3]  # chosen: deeper layers see more than a training window holds
 RAND_SEED = 0  # part of the definition of rand_vgg
-RAND_WIDTH = 0.25  # share of VGG16's channels: a tenth of its time on a CPU
-BETA = 1e-12  # differences of features that count as none
+RAND_WIDTH = 0.25  # share of VGG16's channels; chosen: a tenth of its time on a CPU
+L1_BETA = 1e-12  # differences of features below it count as none; chosen: below any real one
 
-# Input of the trained networks: ImageNet's mean and standard deviation per channel.
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+# Input of the trained networks: ImageNet's mean and standard deviation per channel, in [0, 1].
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class FeatureDistance(nn.Module):
@@ -50,8 +51,8 @@ class FeatureDistance(nn.Module):
         # Channels last, as in pictures: a quarter less time on a CPU.
         self.layers.to(memory_format=torch.channels_last)
         self.taps = tuple(taps)
-        self.register_buffer("mean", torch.tensor(MEAN).view(1, 3, 1, 1))
-        self.register_buffer("std", torch.tensor(STD).view(1, 3, 1, 1))
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(1, 3, 1, 1))
+        self.register_buffer("std", torch.tensor(IMAGENET_STD).view(1, 3, 1, 1))
 
     def features(self, image: Tensor) -> list[Tensor]:
         """Return features of an image (H, W, 3) in [0, 1] at the taps, each (1, D, H', W')."""
@@ -148,7 +149,7 @@ def lpips(weights: Weights) -> FeatureMetric | None:
     if not weights.of_lpips:
         return None
     layers, state, heads = load_vgg16(weights.vgg16), _load_state(weights.lpips), []
-    for k, group in enumerate(WIDTHS):
+    for k, group in enumerate(VGG16_WIDTHS):
         key = f"lin{k}.model.1.weight"
         if key not in state or state[key].numel() != group[-1]:
             raise InputError(
@@ -161,7 +162,7 @@ def lpips(weights: Weights) -> FeatureMetric | None:
 def vgg16(width: float = 1.0) -> nn.Sequential:
     """Make VGG16's convolutions, with layers indexed as in the keys ``features.N``."""
     layers, channels = [], 3
-    for group in WIDTHS:
+    for group in VGG16_WIDTHS:
         for full in group:
             wanted = round(full * width)
             # without weights; torch's default would draw from the global seed
@@ -217,7 +218,7 @@ def mean_absolute(f: Tensor, g: Tensor) -> Tensor:
     """
     # In the order of memory: in another one the gradient takes four times as long.
     f, g = f.permute(0, 2, 3, 1), g.permute(0, 2, 3, 1)
-    return torch.nn.functional.smooth_l1_loss(f, g, beta=BETA)
+    return torch.nn.functional.smooth_l1_loss(f, g, beta=L1_BETA)
 
 
 def _unit(features: Tensor) -> Tensor:

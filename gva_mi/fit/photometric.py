@@ -30,8 +30,8 @@ Initial poses are those the avatar was trained under, or others of the same pers
 one video tracks its person through another. Tracked poses are fitted to the pictures they are
 evaluated on, so scores of test frames under them have a separate row.
 
-Pictures of a tall person are shrunk first, to :data:`TALL` pixels of height or a little more: poses
-are as good, and take half the time or less. A long video is cut into overlapping clips
+Pictures of a tall person are shrunk first, to :data:`PERSON_PIXELS` of height or a little more:
+poses are as good, and take half the time or less. A long video is cut into overlapping clips
 (:mod:`gva_mi.refine.clips`), which are fitted separately because distant frames share no unknowns.
 
 Tracking writes two files into the subject's folder::
@@ -82,8 +82,8 @@ from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Frame, Video
 
-MARGIN = 0.1  # share of the box around the person, added on each side
-SMALLEST_SIDE = 16  # pixels of that box
+PERSON_MARGIN = 0.1  # share of the person's box added on each side; chosen: poses may move there
+SMALLEST_SIDE = 16  # pixels of that box; chosen: below it a picture says little
 
 
 @options_of("track")
@@ -123,7 +123,7 @@ class PictureAndMask:
             NoEvidence: the mask is empty, or the camera does not see the points.
         """
         extent = person_extent(frame.mask, frame.camera, points, "its avatar")
-        box = extent.box(MARGIN, np.array([frame.camera.width, frame.camera.height]))
+        box = extent.box(PERSON_MARGIN, np.array([frame.camera.width, frame.camera.height]))
         if min(box.width, box.height) < SMALLEST_SIDE:
             raise NoEvidence("it shows too little of the person")
         return PictureAndMask(
@@ -146,7 +146,7 @@ class PictureAndMask:
 
 
 class PictureEvidence:
-    """Pictures of some frames under one avatar: a :class:`gva_mi.refine.optimize.Evidence`.
+    """Evidence on the poses of a clip from its pictures, :class:`gva_mi.refine.optimize.Evidence`.
 
     The avatar is fixed, so frames share no unknowns; the leaves beside their poses are their faces.
 
@@ -199,8 +199,8 @@ class PictureEvidence:
         return self._options.prior_weight * self.face.energy()
 
 
-COUNTED = 16  # masks that tell how tall the person is in the pictures
-TALL = 300  # pixels: poses that are fitted to a taller person are hardly better
+HEIGHT_FRAMES = 16  # masks whose median says how tall the person is; chosen: enough for one
+PERSON_PIXELS = 300  # height; chosen: poses that are fitted to a taller person are hardly better
 FITTED = "poses fitted to the pictures"  # row of scores under such poses
 
 
@@ -269,14 +269,14 @@ def fit_poses(
 
 
 def shrunk_to_tall(video: Video) -> Video:
-    """Return the video with the smallest pictures in which the person is TALL pixels or more.
+    """Shrink a video as far as the person stays PERSON_PIXELS tall.
 
-    The person's height is the median of some masks.
+    The person's height is the median over HEIGHT_FRAMES masks.
     """
-    seen = spread((k for k in range(len(video)) if k not in video.absent), COUNTED)
+    seen = spread((k for k in range(len(video)) if k not in video.absent), HEIGHT_FRAMES)
     rows = [np.flatnonzero((outline.mask > 0.5).any(1)) for outline in video.outlines(seen)]
     height = np.median([row[-1] + 1 - row[0] for row in rows])
-    return video.shrunk(max(1, int(height // TALL)))
+    return video.shrunk(max(1, int(height // PERSON_PIXELS)))
 
 
 def _fit_clips(

@@ -33,8 +33,8 @@ Cubic splines in time instead of the process prior fit the pictures as well, but
 errors. Foot contacts, which the refinement has used, no longer change the result here.
 
 Related work that alternates between poses and an avatar: GART (Lei et al. 2023), ExAvatar (Moon et
-al. 2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). Here the prior is that of the
-refinement, a Gaussian process in time whose smoothness is estimated from the video.
+al. 2024), *Better Together* (2503.09293), HumanSplatHMR (2605.02784). Here the prior is the
+refinement's: a Gaussian process in time whose smoothness is estimated from the video.
 """
 
 from __future__ import annotations
@@ -62,12 +62,11 @@ from gva_mi.refine.optimize import PriorWeight, Steps, VectorAdam, lever_arms, o
 from gva_mi.splat import Camera
 
 JAW = JOINTS.index("jaw")
-# Prior of slow errors before pictures have shown them. Coefficients do much of what a jaw does: the
-# jaw would take up their errors if a turn of a few degrees were as probable.
-TURN = Stage1ErrorModel(white=0.0, slow=0.02, memory=6.0)  # radians
-EXPRESSION = Stage1ErrorModel(
-    white=0.0, slow=0.25, memory=6.0
-)  # standard deviations of a coefficient
+# Priors of slow errors before pictures have shown them, in radians and in standard deviations of a
+# coefficient; frames. Chosen: coefficients do much of what a jaw does, and the jaw would take up
+# their errors if a turn of a few degrees were as probable.
+JAW_ERRORS = Stage1ErrorModel(white=0.0, slow=0.02, memory=6.0)
+EXPRESSION_ERRORS = Stage1ErrorModel(white=0.0, slow=0.25, memory=6.0)
 
 
 class FaceSteps(Steps, Protocol):
@@ -77,7 +76,7 @@ class FaceSteps(Steps, Protocol):
 
 
 class Face:
-    """Corrections ``δ`` and ``ε`` of some frames.
+    """Corrections ``δ`` and ``ε`` of a clip.
 
     Attributes:
         parts: the jaw and the expression, if they were estimated.
@@ -95,11 +94,11 @@ class Face:
         parts = []
         if bool(jaw.any()):
             steps = turns_between(jaw[:-1], jaw[1:])
-            parts.append(FacePart.map_estimate("jaw", moving[:0], stage1.times, steps, TURN))
+            parts.append(FacePart.map_estimate("jaw", moving[:0], stage1.times, steps, JAW_ERRORS))
         if len(moving):
             steps = pose.expression[:, moving].diff(dim=0)[..., None]
             parts.append(
-                FacePart.map_estimate("expression", moving, stage1.times, steps, EXPRESSION)
+                FacePart.map_estimate("expression", moving, stage1.times, steps, EXPRESSION_ERRORS)
             )
         return Face(stage1, parts)
 
@@ -212,8 +211,9 @@ class FacePart:
         return FacePart(self.name, self.coefficients, prior, found)
 
 
-LEARN_AT = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
-DECAY = 0.1  # what is left of the step sizes at the end
+# Chosen: corrections are sizeable by then, and half of the steps follow.
+PRIOR_UPDATES = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
+STEP_DECAY = 0.1  # what is left of the step sizes at the end; chosen: poses settle
 
 
 @options_of("fit")
@@ -255,8 +255,8 @@ class TrainedPoses:
     ) -> None:
         """Start from the MAP estimate of the given poses, T frames, before any picture.
 
-        ``steps`` counts those of the whole fit. ``as_given``: start with refined bodies as they
-        are. (Faces, which a refinement leaves alone, start from the MAP estimate.)
+        ``steps`` is the number of steps of the fit. ``as_given``: start with refined bodies
+        unchanged. (Faces, which a refinement leaves alone, start from the MAP estimate.)
         """
         self.given, self._options, self._steps = given, options, steps
         self._clips: list[_Clip] = []
@@ -292,9 +292,9 @@ class TrainedPoses:
             clip.waiting += frame in clip.frames
         if done % options.every:
             return
-        rounds = {round(at * self._steps / options.every) for at in LEARN_AT}
+        rounds = {round(at * self._steps / options.every) for at in PRIOR_UPDATES}
         for clip in self._clips:
-            clip.step(options.prior_weight, DECAY ** (done / self._steps))
+            clip.step(options.prior_weight, STEP_DECAY ** (done / self._steps))
             if done // options.every in rounds:
                 clip.learn(options)
 
@@ -336,7 +336,7 @@ class _Clip:
         self._adam = self._optimiser(options)
 
     def pose(self, which: Sequence[int]) -> Pose:
-        """Return poses of some frames by their places, differentiable in the corrections."""
+        """Return poses of frames of the clip, differentiable in the corrections."""
         return self.face.corrected(self.corrections.pose(which), which)
 
     def step(self, prior_weight: float, factor: float) -> None:

@@ -30,10 +30,10 @@ from gva_mi.subject.pictures import MOST_PIXELS, in_8_bits, require_size
 from gva_mi.subject.video import Frame
 
 Kind = Literal["turntable", "orbit", "static"]
-_TURN = 72  # default number of pictures of a turntable
-_FOCAL = 2.0  # focal length / longer side of the picture: little perspective, as in a portrait
-_MARGIN = 1.1  # room in the picture for hair and hems outside the body
-_EVERY = 16  # every 16th vertex measures the person
+_TURNTABLE_VIEWS = 72  # default number of pictures; chosen: 5 degrees from one to the next
+_FOCAL_RATIO = 2.0  # focal length / longer side; chosen: little perspective, as in a portrait
+_ROOM_AROUND = 1.1  # factor on the distance; chosen: hair and hems reach out of the body
+_VERTEX_STRIDE = 16  # chosen: every 16th vertex measures the person
 
 
 @options_of("cameras")
@@ -81,13 +81,13 @@ def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
     The motion of T frames repeats if more pictures are wanted; a turntable shows the first frame.
     """
     T, still = len(motion), options.path == "turntable"
-    count = options.frames or (_TURN if still else T)
+    count = options.frames or (_TURNTABLE_VIEWS if still else T)
     frames = [0 if still else k % T for k in range(count)]
     around = cylinder(rig, motion[0] if still else motion[: max(frames) + 1])
     width, height = options.size
-    focal = _FOCAL * max(width, height)
+    focal = _FOCAL_RATIO * max(width, height)
     fits = max(around.height / height, 2 * around.radius / width) * focal
-    distance = options.distance * (around.radius + _MARGIN * fits)
+    distance = options.distance * (around.radius + _ROOM_AROUND * fits)
     angle = math.radians(options.turn)
     angles = angle + np.linspace(0, 2 * np.pi, count, endpoint=False)
     if options.path == "static":
@@ -120,7 +120,7 @@ class UprightCylinder:
 def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
     """Measure the cylinder around a motion."""
     maps = joint_transforms(motion.rotations, rig.joints, rig.parents, motion.transl)
-    some = slice(None, None, _EVERY)
+    some = slice(None, None, _VERTEX_STRIDE)
     points = skin_points(rig.vertices[some], rig.weights[some], maps).double().numpy()
     root = maps[:, 0, :3, :3].double().numpy()  # columns: to the left, up, ahead
     up = root[:, :, 1].mean(0)
@@ -140,8 +140,8 @@ def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
     return UprightCylinder(middle @ axes, up, front, radius, float(high[1] - low[1]))
 
 
-# Splat options of all avatars. The area of a pixel has a variance of 1/12; the 0.3 of 3DGS makes
-# outlines wider than in pictures.
+# How all avatars are splatted. Blur in pixels², chosen: the area of a pixel has a variance of 1/12,
+# and the 0.3 of 3DGS makes outlines wider than in pictures.
 AVATAR_SPLATTING = SplatOptions(blur=0.1, depth=False)
 WHITE = (1.0, 1.0, 1.0)
 

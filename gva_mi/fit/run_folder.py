@@ -63,7 +63,8 @@ def prepare(
     that later commands look for: see :func:`sources_of`.
 
     Raises:
-        InputError: a run is there and is not to be resumed, or has other options or another video.
+        InputError: the folder holds a run that is not to be resumed, or one of other options or
+            another video.
     """
     held = out / OPTIONS
     if not held.exists():
@@ -87,7 +88,7 @@ def prepare(
 
 
 def require_none_begun(out: Path, overwrite: bool) -> None:
-    """Raise an InputError if an unfinished run is there and may not be overwritten."""
+    """Raise an InputError if the folder holds an unfinished run that may not be overwritten."""
     if not overwrite and (out / OPTIONS).exists() and not (out / AVATAR).exists():
         raise InputError(
             f"{out}: holds a run that was stopped; give --resume to go on with it, or --overwrite "
@@ -115,7 +116,7 @@ def stamps(video: Video) -> dict[str, str]:
 
 
 def other_parts(run: Path, video: Video) -> list[str]:
-    """Return which parts differ between a video and that of a run; none if it keeps no record."""
+    """Return which parts of a video differ from the run's video; none if it keeps no record."""
     if not (run / OPTIONS).exists():
         return []
     known, found = load_options(run)["video"], stamps(video)
@@ -123,7 +124,7 @@ def other_parts(run: Path, video: Video) -> list[str]:
 
 
 def other_pictures(run: Path, video: Video) -> str:
-    """Name what of frames and cameras differs between a video and that of a run; "" for nothing."""
+    """Say whether frames, cameras or both differ from the run's video; "" for neither."""
     return " and ".join(sorted({"frames", "cameras"} & set(other_parts(run, video))))
 
 
@@ -164,11 +165,13 @@ def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
     """Return the file of a run's poses or body; None if it was fitted with the usual one.
 
     Raises:
-        InputError: the file is gone.
+        InputError: the file does not exist any more.
     """
     path = _recorded(run, what, subject)
     if path is not None and not path.exists():
-        raise InputError(f"{run}: was fitted with {path}, which is gone; give it with --{what}")
+        raise InputError(
+            f"{run}: was fitted with {path}, which does not exist any more; give it with --{what}"
+        )
     return path
 
 
@@ -181,7 +184,7 @@ def open_fitted(
 
 
 def body_of_run(run: Path, given: Path | None) -> Path | None:
-    """Return the body file that ``--body`` names; without it that of a run, if it is not gone."""
+    """Return the body file that ``--body`` names, or else the run's, if the file still exists."""
     own = _recorded(run, "body", run)
     return own if given is None and own is not None and own.exists() else given
 

@@ -13,8 +13,8 @@ each frame, and cutting by them blurs the avatar's edge. The picture itself show
 fraction of a pixel if the render is composited on what is behind the person, B. So eq. 1 is used
 only for what is plainly inside or outside.
 
-B must be known: between two shins, say, all of the background lies near an outline, and with a
-wrong one Gaussians in the colours of the floor would fill the gap. A camera that stands still shows
+B must be known. Between two shins, for example, all of the background lies near an outline; with a
+wrong B, Gaussians in the colours of the floor would fill the gap. A camera that stands still shows
 it in other frames (:mod:`gva_mi.matting.plate`). Where no frame does, or where the plate
 disagrees with what is seen nearby, the nearest background of the same frame takes its place.
 
@@ -143,9 +143,9 @@ def _box_of(mask: np.ndarray, margin: int = 0) -> Box:
     return Box(left, top, right, bottom)
 
 
-REACH = 3.4  # standard deviations at which a Gaussian's alpha is below 1/255
-BORDER = 2  # pixels, for the blur that every Gaussian gets
-GATHERED = 32  # frames that the background is gathered from
+ALPHA_SIGMAS = 3.4  # standard deviations at which alpha is below 1/255: √(2 ln 255) = 3.33
+BLUR_BORDER = 2  # pixels; chosen: more than the blur that every Gaussian gets
+PLATE_FRAMES = 32  # that the background is gathered from; chosen: they fit in memory
 
 
 class RandomStream(IntEnum):
@@ -265,7 +265,7 @@ class FrameSampler:
             self._people[k] = person
         place, plate = joined(*kept), None
         if still_camera:
-            some = spread(range(len(self)), GATHERED)
+            some = spread(range(len(self)), PLATE_FRAMES)
             people = map(self._people.__getitem__, some)
             seen = zip(video.frames(self.frames[k] for k in some), people, strict=True)
             plate = background_of(seen, place)
@@ -336,7 +336,9 @@ def _reached(means: Array, sizes: Array, view: Array, *, n: int, columns: int) -
         radius = dr.maximum(dr.maximum(size[0], size[1]), size[2])
     x, y = x / z, y / z
     # Off centre, a ball looks longer by the secant of its angle.
-    reach = REACH * radius * dr.sqrt(1 + x * x + y * y) / z * dr.maximum(fx, fy) + BORDER
+    reach = (
+        ALPHA_SIGMAS * radius * dr.sqrt(1 + x * x + y * y) / z * dr.maximum(fx, fy) + BLUR_BORDER
+    )
     before, places = z > SplatOptions.near, (fx * x + cx, fy * y + cy)
     low = [dr.select(before, at - reach, dr.inf) for at in places]
     high = [dr.select(before, at + reach, -dr.inf) for at in places]
@@ -360,7 +362,7 @@ def joined(*boxes: Box | None) -> Box:
 def in_tiles(box: Box, camera: Camera) -> Box:
     """Widen a box to whole tiles of the renderer, where the picture has room.
 
-    The memory of a picture in whole tiles is that of its tensor, which need not be copied.
+    A picture in whole tiles shares its memory with its tensor, which need not be copied.
     """
     height, width = Layout(box.width, box.height).padded
     height, width = min(height, camera.height), min(width, camera.width)

@@ -10,9 +10,9 @@ Each step uses one training frame of the video:
 5. one step of Adam, and sometimes one of the poses (:mod:`gva_mi.fit.poses`);
    decay what colours owe to the light; clamp the scales to the resolution of the pictures
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
-   bind them to the outer skin again; hold those of fingers and armpits
+   bind them to the outer skin again; hold Gaussians of fingers and armpits
 
-With ``complete``, what no frame shows takes other colours in the end (:mod:`gva_mi.fit.colors`).
+With ``complete``, unseen surfaces take colours of others in the end (:mod:`gva_mi.fit.colors`).
 
 Adam has one group of parameters for each kind. With the gradient g of a parameter x, and means m
 and v over steps,
@@ -70,7 +70,8 @@ from gva_mi.fit.samples import (
 from gva_mi.splat import Screen, render
 from gva_mi.subject.video import Video
 
-# Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left.
+# Steps between two checks that Gaussians of fingers and armpits, and of the rest, have not left;
+# chosen: steps in which fingers merge, and a check of the whole body takes longer than a step.
 HOLD_EVERY, HOLD_BODY_EVERY = 10, 100
 
 
@@ -114,15 +115,19 @@ def fit(
         run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
-    chosen = options.seed, options.window, options.mask_error, options.still_camera
     if samples is None:
-        samples = FrameSampler(video, video.splits.train, *chosen, out)
+        samples = FrameSampler(
+            video, video.splits.train, options.seed, options.window, options.mask_error,
+            options.still_camera, out,
+        )  # fmt: skip
     if options.first_steps:
         first, steps = out / run_folder.FIRST, options.first_steps
         report = part_of_progress(progress, 0, steps, options.all_steps)
         alone = replace(options, steps=steps, first_steps=0, complete=False)
-        same = {"offsets": offsets, "resume": True, "samples": samples}
-        fit(video, body, alone, first, progress=report, **same)
+        fit(
+            video, body, alone, first, offsets=offsets, resume=True, progress=report,
+            samples=samples,
+        )  # fmt: skip
         trained = load_poses(first / run_folder.TRAINED_POSES)[0]
         video = replace(video, pose=trained, stage=2)
         progress = part_of_progress(progress, steps, options.steps, options.all_steps)
@@ -285,9 +290,10 @@ class Run:
         }
 
 
-NOISE = {"means": 1e-5, "sh": 3e-7}  # ε
-VECTORS = ("means", "quats")  # whose coordinates share a v, of one-sided people
-TINY = 1e-15
+# ε; chosen: about a tenth of the gradient of a Gaussian in plain view.
+ADAM_EPSILON = {"means": 1e-5, "sh": 3e-7}
+DEFAULT_EPSILON = 1e-15  # of 3DGS
+VECTOR_PARAMETERS = ("means", "quats")  # whose coordinates share a v, of one-sided people
 
 
 def make_adam(
@@ -298,7 +304,12 @@ def make_adam(
     ``one_sided``: the pictures may show the person from one side only.
     """
     groups = [
-        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": NOISE.get(k, TINY)}
+        {
+            "name": k,
+            "params": [x],
+            "lr": getattr(rates, k),
+            "eps": ADAM_EPSILON.get(k, DEFAULT_EPSILON),
+        }
         for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
@@ -309,16 +320,16 @@ def make_adam(
     if lambert is not None:
         groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
     adam = AdamOfVectors if one_sided else torch.optim.Adam
-    return adam(groups, lr=0.0, eps=TINY, fused=True)
+    return adam(groups, lr=0.0, eps=DEFAULT_EPSILON, fused=True)
 
 
 class AdamOfVectors(torch.optim.Adam):
-    """Adam with eq. 9 for the groups named in VECTORS, of one parameter (..., D) each."""
+    """Adam with eq. 9 for the groups named in VECTOR_PARAMETERS, of one parameter (..., D) each."""
 
     @torch.no_grad()
     def step(self) -> None:
         """Take one step."""
-        groups = [group for group in self.param_groups if group["name"] in VECTORS]
+        groups = [group for group in self.param_groups if group["name"] in VECTOR_PARAMETERS]
         gradients = [group["params"][0].grad for group in groups]
         for group in groups:
             group["params"][0].grad = None  # torch's step leaves such parameters alone

@@ -117,7 +117,7 @@ def prepare_case(
     stamp: str,
     progress: Progress | None = None,
 ) -> None:
-    """Write refined poses into a case's folder, unless it has those of the same options."""
+    """Write refined poses into a case's folder, unless it has some of the same options."""
     if not is_fresh(subject / REFINED_WITH, stamp):
         write_refinement(refine_case(subject, case, body, options, progress=progress))
         (subject / PRINTED_POSES).unlink(missing_ok=True)

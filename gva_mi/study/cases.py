@@ -6,7 +6,7 @@ some cases and judged on others.
 Choices (weights, rates, what is inferred and how) may use :data:`TUNING`. They are judged on
 held-out cases, once, after the last choice: other subjects, and other draws of the error models.
 Some of the error models, and half a turn, do not occur in TUNING at all. The draws of TUNING are
-below 100, those of held-out sets from 1000.
+below 100, the draws of held-out sets from 1000.
 
 Once you tune on these results they are no longer held out. So HELD_OUT is only set 1:
 :func:`held_out` draws other subjects and errors for each further set, with the same motions,

@@ -224,7 +224,7 @@ def multiview(
         motions.append(motion_of_video(recording, options, body, lens=lens, progress=part))
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(
-                f"{recording}: its pictures are not at the same times as those of {recordings[0]}; "
+                f"{recording}: its pictures have other times than {recordings[0]}; "
                 "expected videos that start together and have one rate and length"
             )
     rays, seen, tau = (np.stack(x) for x in zip(*map(_seen, cameras, motions), strict=True))

@@ -96,7 +96,7 @@ LADDER = tuple(
 
 
 def variants_named(names: Sequence[str]) -> list[AvatarVariant]:
-    """Return the variants of some names, in the order of the study.
+    """Return the named variants, in the order of the study.
 
     Without names: all that change one part. The name "ladder" is all of :data:`LADDER`.
 

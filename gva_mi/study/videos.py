@@ -81,7 +81,7 @@ class StudyVideos:
     def make(
         self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
     ) -> None:
-        """Make the videos of some cases that are missing."""
+        """Make the missing videos of some cases."""
         for case in cases:
             take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
             options = self.options
@@ -110,9 +110,9 @@ class StudyVideos:
 def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> None:
     """Write a copy of a synthetic subject with what its video gives: pictures, masks and poses.
 
-    The video is the compressed one, ``phone.mp4``; the steps are those of ``gva-mi prepare video``.
-    The height is known. A camera that was held by hand is taken for one that stands, as in any
-    video: then the true poses are those that the first camera would have seen so.
+    The video is the compressed one, ``phone.mp4``; the steps are the same as in ``gva-mi prepare
+    video``. The height is known. A hand-held camera is treated as standing, as in any video: the
+    true poses become the poses that the first camera would have to see.
 
     Args:
         take: a folder that ``gva-mi synth --scene room`` made.

@@ -16,7 +16,7 @@ focal length may be wrong. All in ``truth`` is exact:
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
 ``novel_pose``          poses that the video does not hold
-``person.json``           height of the person, of a video in a room
+``person.json``         height of the person, for a video in a room
 ======================  ========================================================================
 
 A picture depends only on its :class:`RenderJob`: one process computes all surfaces, and every job
@@ -169,7 +169,7 @@ def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyMod
 def remake_subject(subject: Path, body: BodyModel) -> tuple[PersonSurface, BodyModel]:
     """Make the person of a folder again, with materials and binding, and the body drawn on.
 
-    ``body`` is that of its stage-1 poses.
+    ``body`` is the one of its stage-1 poses.
 
     Raises:
         InputError: the folder was not made by ``gva-mi synth``, or on another body.

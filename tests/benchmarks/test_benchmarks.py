@@ -39,8 +39,9 @@ def test_a_benchmark_runs(name):
 
 def test_growth_counts_the_pairs_and_restores_the_count_of_threads(monkeypatch):
     growth, before = import_module("benchmarks.growth"), dr.thread_count()
-    for name, value in (("COUNTS", (40,)), ("WIDTHS", ()), ("SHARED", ((300, 48),))):
-        monkeypatch.setattr(growth, name, value)
+    monkeypatch.setattr(growth, "GAUSSIAN_COUNTS", (40,))
+    monkeypatch.setattr(growth, "PICTURE_WIDTHS", ())
+    monkeypatch.setattr(growth, "THREAD_SCENES", ((300, 48),))
     monkeypatch.setattr(growth, "_wide", lambda scene, width: scene)
     small = lambda n, size: person_scene(np.random.default_rng(0), min(n, 300), 48)
     monkeypatch.setattr(growth, "person", small)

@@ -73,7 +73,7 @@ def test_large_pictures_are_shrunk_for_the_networks_alone():
 
 def test_networks_and_weights_are_named(tmp_path, monkeypatch):
     small = ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3)
-    monkeypatch.setattr("gva_mi.fit.perceptual.WIDTHS", small)
+    monkeypatch.setattr("gva_mi.fit.perceptual.VGG16_WIDTHS", small)
     assert Scorer(Weights()).networks()["lpips"] is None
     layers, weights, heads = vgg16(), tmp_path / "vgg16.pth", tmp_path / "lpips_vgg.pth"
     torch.save(

@@ -10,7 +10,7 @@ from torch.nn.functional import normalize
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.fit.colors import (
-    AWAY,
+    OPPOSITE_RANGE,
     Places,
     complete_colors,
     guesses,
@@ -76,8 +76,8 @@ def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
     true, away = avatar.canonical.sh.detach()[:, 0], n @ torch.tensor(away)
     there = (away > 0.7) & (avatar.canonical.means[:, 1] < -0.3)  # of the legs
     error = []
-    for reach in (AWAY, 1e-9):  # with and without the other side
-        monkeypatch.setattr("gva_mi.fit.colors.AWAY", reach)
+    for reach in (OPPOSITE_RANGE, 1e-9):  # with and without the other side
+        monkeypatch.setattr("gva_mi.fit.colors.OPPOSITE_RANGE", reach)
         colors = completed(avatar, away > 0.6, turn, camera, tmp_path)
         error.append(float((colors - true)[there][:, channels].abs().mean()))
     assert error[0] < 0.7 * error[1]

@@ -70,7 +70,7 @@ def weights(tmp_path, monkeypatch):
     noise = lambda state: {
         f"features.{k}": 0.1 * torch.randn(x.shape, generator=generator) for k, x in state.items()
     }
-    monkeypatch.setattr(perceptual, "WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
+    monkeypatch.setattr(perceptual, "VGG16_WIDTHS", ((4, 4), (8, 8), (8,) * 3, (8,) * 3, (8,) * 3))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     folder = tmp_path / "hub" / "checkpoints"
     folder.mkdir(parents=True)

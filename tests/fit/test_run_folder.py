@@ -56,7 +56,9 @@ def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
     assert run_folder.load_options(run)["sources"]["poses"] == "poses.npz"
     found = run_folder.source_of(run, "poses", video.folder)
     assert found == video.folder / "poses.npz"
-    with pytest.raises(InputError, match=r"b.npz, which is gone; give it with --body$"):
+    with pytest.raises(
+        InputError, match=r"b.npz, which does not exist any more; give it with --body$"
+    ):
         run_folder.source_of(run, "body", video.folder)
     assert run_folder.sources_of(body, None, video.folder) == {"poses": str(body), "body": None}
     assert run_folder.source_of(tmp_path, "poses", video.folder) is None  # an older run

@@ -11,7 +11,7 @@ def tall(video, monkeypatch):
     """The person's height in the video, pixels, which is enough."""
     rows = [np.flatnonzero((frame.mask > 0.5).any(1)) for frame in video.frames()]
     height = np.median([row[-1] + 1 - row[0] for row in rows])
-    monkeypatch.setattr("gva_mi.fit.photometric.TALL", height)
+    monkeypatch.setattr("gva_mi.fit.photometric.PERSON_PIXELS", height)
     return height
 
 
@@ -27,7 +27,7 @@ def test_a_shrunk_video_has_the_means_of_blocks_and_sees_the_same(video, doubled
 
 def test_the_smallest_pictures_are_taken_that_are_enough(video, doubled, tall, monkeypatch):
     for enough, shrink in ((2.1 * tall, 1), (tall, 2), (tall / 1.9, 3)):
-        monkeypatch.setattr("gva_mi.fit.photometric.TALL", enough)
+        monkeypatch.setattr("gva_mi.fit.photometric.PERSON_PIXELS", enough)
         assert shrunk_to_tall(doubled).shrink == shrink
     monkeypatch.undo()
     assert shrunk_to_tall(doubled) is doubled

@@ -24,8 +24,8 @@ from tools.body_generator.solids import (
     without_chords,
 )
 
-FACES = 22_000  # of the whole body
-_EYE_FACES = 350  # of the visible part of one eyeball
+BODY_FACES = 22_000  # of the whole body; chosen: about as many as SMPL-X has
+_EYE_FACES = 350  # of the visible part of one eyeball; chosen: it looks round
 
 
 def generate() -> dict[str, np.ndarray]:
@@ -34,7 +34,7 @@ def generate() -> dict[str, np.ndarray]:
 
     vertices, faces = _half_surface()
     outline = vertices[border_of(faces)]
-    vertices, faces = without_chords(*_decimate(vertices, faces, FACES // 2))
+    vertices, faces = without_chords(*_decimate(vertices, faces, BODY_FACES // 2))
     vertices, faces, image = mirrored(onto_border(vertices, faces, outline), faces)
     # The rest is exact on the float32 vertices of the file.
     vertices = vertices.astype(np.float32).astype(np.float64)

@@ -25,6 +25,7 @@ _LEFT = {
     "wrist": (0.703, 0.436, -0.008), "eye_smplhf": (0.0322, 0.672, 0.070),
 }  # fmt: skip
 
+# Metres, chosen: the proportions of an adult's eye.
 EYE = _LEFT["eye_smplhf"]
 EYE_RADIUS, LID_RADIUS = 0.0122, 0.0140
 EYE_SLIT = (0.0134, 0.0060)  # half width and half height of the opening between the lids

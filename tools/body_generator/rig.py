@@ -19,8 +19,8 @@ from tools.body_generator.anatomy import (
 if TYPE_CHECKING:
     import scipy.sparse as sparse
 
-_NEAREST = 90  # vertices that regress a joint
-_QUANTUM = 4096  # weights are multiples of 1/4096, so that rows sum to exactly 1
+_REGRESSED_FROM = 90  # nearest vertices that regress a joint; chosen: more than shapes to meet
+_WEIGHT_STEPS = 4096  # chosen: weights are multiples of 1/4096, so that rows sum to exactly 1
 MIRRORED = [JOINTS.index(mirrored_name(name)) for name in JOINTS]  # of each joint
 
 
@@ -135,7 +135,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[sparse.csr_matr
         a, b, c = (faces[:, (k + i) % 3] for i in range(3))
         u, v = vertices[b] - vertices[a], vertices[c] - vertices[a]
         double = np.linalg.norm(np.cross(u, v), axis=1)
-        # Positive, so that temperatures stay between those of the bones.
+        # Positive, so that temperatures stay between the bones'.
         half_cot = np.clip((u * v).sum(1) / (2 * double + 1e-12), 0.02, 20)
         edges = sparse.coo_matrix((half_cot, (b, c)), (n, n))
         L = L - edges - edges.T
@@ -150,7 +150,7 @@ def joint_regressor(
 
     They are the smallest weights on the nearest vertices that are exact on the template and, up to
     ill-conditioned directions, on every shape: ``directions`` (V, 3, K) of the vertices, ``moves``
-    (55, 3, K) of the joints. Mirror images have mirrored rows; ``image`` (V,) is that of a vertex.
+    (55, 3, K) of the joints. Mirror images have mirrored rows; ``image`` (V,) is each vertex's.
     """
     J = joint_positions()
     regressor = np.zeros((len(J), len(vertices)))
@@ -159,7 +159,7 @@ def joint_regressor(
             left = JOINTS.index(JOINTS[j].replace("right_", "left_"))
             regressor[j, image] = regressor[left]
             continue
-        near = np.argsort(((vertices - joint) ** 2).sum(1), kind="stable")[:_NEAREST]
+        near = np.argsort(((vertices - joint) ** 2).sum(1), kind="stable")[:_REGRESSED_FROM]
         affine = np.vstack([np.ones(len(near)), 10 * (vertices[near] - joint).T])
         rows = np.vstack([affine, 10 * directions[near].transpose(1, 2, 0).reshape(-1, len(near))])
         goal = np.concatenate([[1], np.zeros(3), 10 * moves[j].ravel()])
@@ -183,6 +183,6 @@ def _four_strongest(weights: np.ndarray) -> np.ndarray:
     # Subtracting the fifth keeps four, without a jump where fourth and fifth change places.
     fifth = -np.partition(-weights, 4, axis=1)[:, 4:5]
     weights = np.maximum(weights - np.maximum(fifth, 0.003), 0)
-    steps = np.round(_QUANTUM * weights / weights.sum(1, keepdims=True))
-    steps[np.arange(len(steps)), weights.argmax(1)] += _QUANTUM - steps.sum(1)
-    return steps / _QUANTUM
+    steps = np.round(_WEIGHT_STEPS * weights / weights.sum(1, keepdims=True))
+    steps[np.arange(len(steps)), weights.argmax(1)] += _WEIGHT_STEPS - steps.sum(1)
+    return steps / _WEIGHT_STEPS

@@ -35,8 +35,8 @@ _TRUNK = ("pelvis", "spine1", "spine2", "spine3")
 _HAND = ("wrist", *(n.removeprefix("left_") for n in JOINTS[LEFT_HAND]))
 _FOOT = ("ankle", "foot")
 _HEAD = ("head", "jaw", "eye_smplhf")
-_LID_FOLD = 1.25  # radians over the eye's centre, beyond which the lids do not move
-_LID_SKIN = 0.0008  # metres between the eyeball and a sliding lid
+_LID_FOLD = 1.25  # rad over the eye's centre; chosen: beyond it the lids do not move
+_LID_SKIN = 0.0008  # metres between the eyeball and a sliding lid; chosen: they never touch
 
 
 def shapes(vertices: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

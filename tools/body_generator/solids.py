@@ -1,8 +1,8 @@
 """Implicit solids, the surface of their smooth union, and its mirror image.
 
 Each solid has a signed ``distance`` at points, about Euclidean near the surface, metres, and a box
-``bounds`` that contains it. A body is a list of
-solids; each is joined to those before it (or carved out) with a fillet of k metres:
+``bounds`` that contains it. A body is a list of solids; each is joined to the ones before it (or
+carved out) with a fillet of k metres:
 
     union(a, b) = min(a, b) − k h³ / 6,    h = max(k − |a − b|, 0) / k
 
@@ -28,7 +28,7 @@ import numpy as np
 Coordinates = Sequence[np.ndarray]  # x, y, z, metres
 Box = tuple[np.ndarray, np.ndarray]  # the lowest and the highest corner, (3,) each
 
-_TINY = 1e-9
+_NO_DIVISION_BY_ZERO = 1e-9  # added to a divisor; chosen: far below any size here, metres
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class Cone:
     def distance(self, at: Coordinates) -> np.ndarray:
         a, b = np.asarray(self.start), np.asarray(self.end)
         bone = b - a
-        along = sum((x - a[k]) * bone[k] for k, x in enumerate(at)) / (bone @ bone + _TINY)
+        along = sum((x - a[k]) * bone[k] for k, x in enumerate(at)) / (
+            bone @ bone + _NO_DIVISION_BY_ZERO
+        )
         along = np.clip(along, 0, 1)
         square = sum((x - a[k] - along * bone[k]) ** 2 for k, x in enumerate(at))
         return np.sqrt(square) - (self.radius_start + (self.radius_end - self.radius_start) * along)
@@ -66,7 +68,9 @@ class Ball:
         local = [sum(row[k] * offset[k] for k in range(3)) for row in self._axes().T]
         level = np.sqrt(sum((p / r) ** 2 for p, r in zip(local, self.radii, strict=True)))
         slope = np.sqrt(sum((p / r**2) ** 2 for p, r in zip(local, self.radii, strict=True)))
-        return np.where(level > 1e-3, level * (level - 1) / (slope + _TINY), -min(self.radii))
+        return np.where(
+            level > 1e-3, level * (level - 1) / (slope + _NO_DIVISION_BY_ZERO), -min(self.radii)
+        )
 
     def bounds(self) -> Box:
         half = np.sqrt((self._axes() ** 2) @ np.square(self.radii))
@@ -110,7 +114,9 @@ class Loft:
         level = (np.abs(u / a) ** self.power + np.abs(v / b) ** self.power) ** (2 / self.power)
         level = np.sqrt(level + (beyond / np.where(beyond > 0, self.caps[1], self.caps[0])) ** 2)
         length = np.sqrt(u * u + v * v + beyond * beyond)
-        return np.where(level > 1e-3, length * (1 - 1 / (level + _TINY)), -np.minimum(a, b))
+        return np.where(
+            level > 1e-3, length * (1 - 1 / (level + _NO_DIVISION_BY_ZERO)), -np.minimum(a, b)
+        )
 
     def bounds(self) -> Box:
         table = np.asarray(self.sections, dtype=np.float64)

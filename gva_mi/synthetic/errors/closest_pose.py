@@ -32,12 +32,12 @@ from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.synthetic.person.level_sets import vertex_normals
 
-DISTANCE_SCALE, TURN_SCALE = 0.01, 0.1  # m, rad of eq. 4; chosen: the lengths of limbs hardly vary
-POSE_STEPS = 4  # of eq. 4; chosen: Gauss-Newton has converged
-SHAPE_ROUNDS = 8  # of eq. 3, each with new pairs of points; chosen: betas no longer change
+DISTANCE_SCALE, TURN_SCALE = 0.01, 0.1  # m, rad of eq. 4; chosen: places matter more than turns
+POSE_STEPS = 4  # of eq. 4; chosen: they start close, with the true bones' directions
+SHAPE_ROUNDS = 8  # of eq. 3, each with new pairs of points; chosen: pairs settle
 VERTEX_STRIDE = 5  # eq. 3 uses every fifth vertex; chosen: thousands of points for tens of unknowns
-PAIR_DISTANCE = 0.04  # m, largest distance of paired points; chosen: about a limb's radius
-LARGEST_BETA = 3.0  # standard deviations; chosen: beyond it bodies are no people
+PAIR_DISTANCE = 0.04  # m, largest distance of paired points; chosen: leaves out wrong pairs
+LARGEST_BETA = 3.0  # standard deviations; chosen: keeps the body plausible
 RIDGE = 1e-9  # m², on squared betas; chosen: only keeps undetermined betas at zero
 # Joints with the same orientation in every rest pose: level soles, an upright head.
 LEVEL = tuple(
@@ -160,10 +160,10 @@ def _linear(body: BodyModel, C: Tensor) -> tuple[np.ndarray, np.ndarray]:
     pose = Pose.rest(1, 0, C.dtype)
     pose = Pose(so3.to_rotvec(above.mT @ C)[None], pose.transl, pose.expression)
     basis = torch.eye(body.num_betas, dtype=C.dtype)
-    people = [body(pose, Shape(betas)) for betas in (0 * basis[0], *basis)]
+    bodies = [body(pose, Shape(betas)) for betas in (0 * basis[0], *basis)]
     found = []
     for part in ("vertices", "joints"):
-        states = np.stack([getattr(person, part)[0].numpy() for person in people])
+        states = np.stack([getattr(posed, part)[0].numpy() for posed in bodies])
         axes = np.broadcast_to(np.eye(3)[:, None], (3, *states.shape[1:]))
         found.append(np.concatenate([states[:1], states[1:] - states[:1], axes]))
     return found[0], found[1]

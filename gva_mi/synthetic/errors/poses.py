@@ -1,11 +1,11 @@
-"""Error model of stage-1 poses, as of an estimator on single frames.
+"""Errors of stage-1 poses, like those of an estimator that sees single frames.
 
 Rotation errors grow toward hands and feet and persist over some frames; depth has the largest
 translation error. :class:`PoseErrors` holds the sizes of all errors.
 
 Some are constant in camera axes over all frames:
 
-* Limbs tilt toward the camera: with A the global rotation of a joint, A_p that of its parent, and L
+* Limbs tilt toward the camera: with A the global rotation of a joint, A_p of its parent, and L
   a constant rotation about the camera's x axis, brought to world axes,
 
       A' = L A,    that is  R' = A_pᵀ L A_p R  for the rotation R relative to the parent.
@@ -222,7 +222,7 @@ def placed(
     """Move translations (T, 3) so that a misjudged size or focal length keeps the picture.
 
     The person is estimated ``growth`` times as large, the focal length wrong by the fraction
-    ``focal``. The pelvises (3,) are those of the true and the estimated shape at rest, metres.
+    ``focal``. The pelvises (3,) belong to the true and the estimated shape at rest, metres.
     """
     if growth == 1 and focal == 0:
         return transl

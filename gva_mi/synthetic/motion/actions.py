@@ -15,7 +15,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
 class Action:
     """An action."""
 
-    joints: Mapping[str, AxisAngle]  # rotations in place of those of the A-pose, by name
+    joints: Mapping[str, AxisAngle]  # rotations that replace the A-pose's, by name
     left: str  # gesture of the left hand
     right: str  # gesture of the right hand
 

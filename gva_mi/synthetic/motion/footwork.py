@@ -55,7 +55,7 @@ class Path:
     low: Callable[[np.ndarray], np.ndarray]  # (T,) m, pelvis below its highest position
     lean: Callable[[np.ndarray], np.ndarray]  # (T, 2) rad, of the pelvis about x and z
     cycles: int  # of two steps per round; 0: fixed feet
-    apart: float = 1.0  # distance of the feet over that of the hips
+    apart: float = 1.0  # distance of the feet over the hips'
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class _Foot:
 def follow(path: Path, rotations: np.ndarray, t: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Write root and legs into rotations (T, 55, 3) in place, and return translations (T, 3).
 
-    ``t`` are moments (T,) in rounds, ``joints`` (55, 3) those of the body at rest, metres.
+    ``t`` are moments (T,) in rounds, ``joints`` (55, 3) of the body at rest, metres.
     """
     legs = [Leg.of(joints, side) for side in SIDES]
     pelvis = joints[0].astype(float)

@@ -9,8 +9,8 @@ Each vertex of a piece follows vertices of the body by sparse weights that sum t
         left     s = smoothstep(x / half the body's width)
         weights  (1 - t) nearest,  t s of the left thigh's mean,  t (1 - s) of the right one's
 
-With nearest vertices alone, a skirt would tear in two between the legs. A thigh's mean is that of
-the vertices that its joint moves most. Both functions return (N, V) for N points and V vertices of
+With nearest vertices alone, a skirt would tear in two between the legs. A thigh's mean is over the
+vertices that its joint moves most. Both functions return (N, V) for N points and V vertices of
 the body.
 """
 

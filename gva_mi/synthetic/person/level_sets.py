@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-EXACT_BAND = 0.05  # m from the body; chosen: looser than any garment but a skirt or wide trousers
-SMALLEST_COMPONENT = 400  # faces; chosen: crumbs at openings are smaller, garments far larger
+EXACT_BAND = 0.05  # m from the body; chosen: most clothes lie closer
+SMALLEST_COMPONENT = 400  # faces; chosen: crumbs are smaller, garments larger
 
 
 def smoothstep(x: np.ndarray, lo: float, hi: float) -> np.ndarray:

@@ -92,7 +92,7 @@ def stretched(body: BodyModel, stretch: BodyStretch) -> BodyModel:
 
 
 def _sides(joints: tuple[str, ...]) -> list[list[str]]:
-    """Return the joints of a segment on each side; those of the middle once."""
+    """Return the joints of a segment on each side, or once if it lies in the middle."""
     if joints[0] in JOINTS:
         return [list(joints)]
     return [[f"{side}_{name}" for name in joints] for side in SIDES]
@@ -111,7 +111,7 @@ def _maps(joints: np.ndarray, stretch: BodyStretch) -> np.ndarray:
 
 
 def _bone(joints: np.ndarray, joint: str) -> np.ndarray:
-    """Return the unit direction of the bone at a joint; at a fingertip, that of the bone before."""
+    """Return the unit direction of the bone at a joint; at a fingertip, of the bone before it."""
     end = JOINTS.index(joint)
     begin = PARENTS[end]
     if end in PARENTS:  # it has a child

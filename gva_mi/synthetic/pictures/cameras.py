@@ -19,7 +19,7 @@ MARGIN_ON_WHITE = 0.06  # share of the picture kept free around the person
 # Ranges of a phone; chosen: how people prop up or hold one.
 PHONE_HEIGHTS = (1.2, 1.7)  # m above the floor
 PHONE_FOCALS = (1.1, 1.5)  # focal length over the width of the picture
-PERSON_SHARES = (0.60, 0.86)  # largest height of the person over that of the picture
+PERSON_SHARES = (0.60, 0.86)  # largest height of the person over the picture's
 PHONE_MARGIN = 0.03  # share of the picture that is free around all places of the person
 MAX_TILT = np.radians(15)  # most that the phone looks down
 # Size of a hand's motion; chosen: a slow sway of some pixels, and a tremor of about one.

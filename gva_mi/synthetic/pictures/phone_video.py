@@ -17,7 +17,7 @@ from gva_mi.core.atomic import atomic_write
 
 PHONE_VIDEO = "phone.mp4"  # in a subject's folder
 SENSOR_NOISE = (1.0, 3.5)  # grey levels of 255, range of σ₀; chosen: from clean to plainly noisy
-BITS_PER_PIXEL = 0.27  # chosen: as of 17 Mbit/s for 1920 x 1080 at 30 a second
+BITS_PER_PIXEL = 0.27  # chosen: 17 Mbit/s at 1920 x 1080 and 30 a second
 MIN_BIT_RATE = 10_000  # bits a second, the least that the encoder accepts
 # Always one thread; mbtree reads uninitialised memory: see gva_mi.subject.pictures.
 ENCODER = {"threads": "1", "mbtree": "0", "preset": "veryfast"}

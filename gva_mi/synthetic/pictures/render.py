@@ -12,10 +12,10 @@ albedo a:
     6. light    = Σ radiance / Σ a  of the samples that miss the person, over 5 × 5 pixels
 
 On white, eq. 5 blends encoded values, so color and mask agree as a renderer of 8-bit pictures
-expects; in a room light is blended, as in a camera. By eq. 6 few samples beside the person do.
-Lights and directions are stratified over the S samples and every sample uses all lights, because
-Mitsuba's path tracer, which picks one at random, is noisier. All sums have a fixed order: a seed
-always gives the same bits.
+expects; in a room light is blended, as in a camera. By eq. 6, few samples suffice beside the
+person. Lights and directions are stratified over the S samples and every sample uses all lights,
+because Mitsuba's path tracer, which picks one at random, is noisier. All sums have a fixed order: a
+seed always gives the same bits.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ RAY_OFFSET = 1e-4  # m, of secondary rays' origins from the surface; chosen: abo
 FEWER_SAMPLES = 4  # times fewer beside the person; chosen: eq. 6 smooths the light there
 PERSON_MATERIALS = len(Material)  # finishes of a room have the numbers from here on
 GROUND_RADIANCE = (0.30, 0.29, 0.28)  # ambient, from below, on white; chosen: half of the sky's
-# Columns of what a ray finds; ALBEDO is there in a room that is shown.
+# Columns of what a ray finds; ALBEDO only if the room is shown.
 RADIANCE, NORMAL, DEPTH, HIT, ALBEDO = slice(0, 3), slice(3, 6), 6, slice(7, 8), slice(8, 11)
 OF_PERSON, OF_ROOM = slice(0, 7), np.r_[RADIANCE, ALBEDO]
 

@@ -39,7 +39,7 @@ class Room:
     uv: np.ndarray  # (N, 2) float32 metres
     faces: np.ndarray  # (F, 3)
     finish: np.ndarray  # (F,) index of a triangle's finish
-    finishes: tuple[Finish, ...]  # first those of the box's BOX_SIDES
+    finishes: tuple[Finish, ...]  # first of the box's BOX_SIDES
     gain: Color  # exposure and white balance of the camera: factors on the light
 
     @property
@@ -73,8 +73,8 @@ def draw_room(
 ) -> Room:
     """Draw a room that holds a person's points (..., 3) of all frames, and all cameras.
 
-    Colours of its walls and cloth are near those of the person now and then. The camera's exposure
-    fits the colours.
+    Its walls and cloth sometimes have nearly the colours of the person. The camera's exposure fits
+    the colours.
     """
     like = [person.skin, person.top.colors[0], person.bottom.colors[0], person.shoes]
     points = points.reshape(-1, 3)

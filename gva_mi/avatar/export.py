@@ -1,4 +1,4 @@
-"""Export of an avatar's surface and poses to other programs, which know meshes but no Gaussians.
+"""Export an avatar's surface and poses to other programs, which know meshes but no Gaussians.
 
 :mod:`gva_mi.splat.formats` writes the Gaussians of one pose.
 
@@ -10,9 +10,9 @@ surface of the rest body hangs on 55 nodes, one per joint, with
     3. x' = Σ_j w_j global_j inverse_bind_j x      so that global_j inverse_bind_j = T_world_rest[j]
 
 of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first one too. glTF cannot
-express the blend shapes of bent joints, so they are left out with those of the face, and so are all
-but the four largest skinning weights of a vertex. Vertices take their colours from the Gaussians
-around them, lit in the rest pose, and are shown unlit.
+express the blend shapes of bent joints. So they are left out, as well as the blend shapes of the
+face and all but the four largest skinning weights of a vertex. Vertices take their colours from the
+Gaussians around them, lit in the rest pose, and are shown unlit.
 
 ``save_amass`` writes poses in AMASS's format, which most programs that know a body can read:
 
@@ -27,6 +27,9 @@ around them, lit in the rest pose, and are shown unlit.
 ========================  ===========  =====================================================
 
 Hands are relative to the flat hand. The world stays the poses' own; AMASS's has z upward.
+
+Sources: the glTF 2.0 specification (Khronos, 2021) with KHR_materials_unlit; AMASS (Mahmood et al.,
+"AMASS: Archive of Motion Capture as Surface Shapes", 2019).
 """
 
 from __future__ import annotations
@@ -50,8 +53,9 @@ from gva_mi.core.files import write_arrays
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.formats.spz import plain_colors
 
-NEIGHBOURS = 8  # Gaussians that colour a vertex
-_NEAR = 0.003  # metres: the smallest distance in the weights
+COLORING_GAUSSIANS = 8  # nearest Gaussians that colour a vertex; chosen: all around it
+# Metres: the smallest distance in the weights. Chosen: less than the Gaussians' spacing.
+SMALLEST_DISTANCE = 0.003
 _UNLIT = "KHR_materials_unlit"
 
 
@@ -60,12 +64,23 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
     """Write the surface with skeleton, skin and colours to a .glb, atomically.
 
     A ``motion`` of T frames, ``fps`` a second, is written as its animation.
+
+    Example:
+        >>> import tempfile
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_gltf(Path(folder) / "avatar.glb", avatar, Pose.rest(frames=30))
+        ...     (Path(folder) / "avatar.glb").read_bytes()[:4]
+        b'glTF'
     """
     file, rig = Glb(), avatar.rig
     joints = rig.joints.double().numpy()
     inverse_bind = np.broadcast_to(np.eye(4, dtype=np.float32), (len(joints), 4, 4)).copy()
     inverse_bind[:, :3, 3] = -joints
-    surface = len(JOINTS)  # the node after those of the joints
+    surface = len(JOINTS)  # its node comes after the nodes of the joints
     file.description |= {
         "extensionsUsed": [_UNLIT],
         "scene": 0,
@@ -130,18 +145,28 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
     """Return colours (V, 3) in [0, 1] of points (V, 3) at rest, from the Gaussians around them.
 
     The nearest ones are weighted by opacity / distance².
+
+    Example:
+        A new avatar is grey.
+
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> surface_colors(avatar, avatar.rig.vertices[:1]).round(3)
+        array([[0.5, 0.5, 0.5]])
     """
     from scipy.spatial import cKDTree
 
     expressions = avatar.rig.expression_joints.shape[2]
     gaussians = avatar(Pose.rest(1, expressions, avatar.canonical.means.dtype))
     tree = cKDTree(gaussians.means.double().numpy())
-    count = min(NEIGHBOURS, len(gaussians))
+    count = min(COLORING_GAUSSIANS, len(gaussians))
     distance, nearest = (
         x.reshape(len(points), count) for x in tree.query(points.double().numpy(), k=count)
     )
     opacities = gaussians.opacities.double().numpy()[nearest]
-    share = (opacities + 1e-6) / np.maximum(distance, _NEAR) ** 2
+    share = (opacities + 1e-6) / np.maximum(distance, SMALLEST_DISTANCE) ** 2
     share /= share.sum(1, keepdims=True)
     return np.einsum("vk,vkc->vc", share, plain_colors(gaussians)[nearest])
 
@@ -179,6 +204,13 @@ class Glb:
 
     Attributes:
         description: the JSON; the caller adds scenes, nodes, meshes and so on.
+
+    Example:
+        >>> file = Glb()
+        >>> file.add(np.zeros((100, 3), np.float32), VERTICES)
+        0
+        >>> file.description["accessors"][0]["type"], file.description["accessors"][0]["count"]
+        ('VEC3', 100)
     """
 
     def __init__(self) -> None:
@@ -228,7 +260,15 @@ class Glb:
 
 
 def save_amass(path: Path, pose: Pose, shape: Shape, fps: float) -> None:
-    """Write T poses in AMASS's format, atomically."""
+    """Write T poses in AMASS's format, atomically.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_amass(Path(folder) / "poses.npz", Pose.rest(8), Shape(torch.zeros(10)), fps=30)
+        ...     np.load(Path(folder) / "poses.npz")["poses"].shape
+        (8, 165)
+    """
     array = lambda tensor: tensor.detach().numpy()
     write_arrays(
         path,

@@ -3,8 +3,8 @@
     1. A_n  = Σ_p W_np T_p                                       Eq. 5, row by row
     2. E_nc = Σ_p ∂W_np/∂x_c T_p [μ_n; 1]                        column c of E
 
-A Gaussian follows at most eight of the 55 joints: one lane per Gaussian walks the list of its
-joints. The adjoint, for gradients of A and E:
+A Gaussian follows at most eight of the 55 joints: one lane per Gaussian iterates over the list of
+its joints. The adjoint, for gradients of A and E:
 
     3. h_np     = Σ_c ∂W_np/∂x_c grad_E_nc
     4. grad_μ_n = Σ_p T_p,rotᵀ h_np
@@ -14,8 +14,19 @@ In eq. 5 one lane adds up a piece of the list of a joint's Gaussians, and the pi
 their order, so the bits do not depend on the number of threads.
 
 Weights change by up to 100/m on fingers, and joints lie metres from the origin: E is a small
-difference of large numbers, so the sums of eq. 1 and 2 are in float64. Those of eq. 3 to 5 are
+difference of large numbers, so the sums of eq. 1 and 2 are in float64. The sums of eq. 3 to 5 are
 in the precision of the model, because eq. 4 has no positions of joints.
+
+Eq. 1 is Eq. 5 of the paper; eq. 2-5 are derived here.
+
+Example:
+    Three Gaussians that follow the first two of 55 joints.
+
+    >>> W = torch.zeros(3, 55)
+    >>> W[:, 0], W[:, 1] = 0.25, 0.75
+    >>> weights = SparseWeights.of(W, slopes=torch.zeros(3, 3, 55))
+    >>> weights.gaussians, weights.joints
+    (tensor([0, 0, 1, 1, 2, 2]), tensor([0, 1, 0, 1, 0, 1]))
 """
 
 from __future__ import annotations
@@ -34,15 +45,20 @@ from torch import Tensor
 from gva_mi.jit.rowwise import Lane, load_columns, to_tensors
 from gva_mi.jit.tensors import PRECISION
 
-PIECE = 64  # Gaussians of a joint whose contributions one lane adds up
-LARGEST = 3.0  # of |J - A_rot|: cloth that is pulled to four times its length would tear
+# Gaussians of a joint whose contributions one lane adds up. Chosen: enough lanes for all cores.
+GAUSSIANS_PER_PIECE = 64
+# Bound of |J - A_rot|, no unit. Chosen: cloth that is pulled to four times its length would tear.
+MAX_STRETCH = 3.0
 AXES = range(3)
 ENTRIES = [(i, k) for i in AXES for k in range(4)]  # of a transform, row by row
 
 
 @dataclass(frozen=True)
 class PairLists:
-    """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel."""
+    """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel.
+
+    Made by :meth:`SparseWeights.of`.
+    """
 
     begin: UInt32  # (L,) start of each lane's list in the next two
     end: UInt32  # (L,) its end
@@ -51,7 +67,7 @@ class PairLists:
 
     @staticmethod
     def of(begin: Tensor, end: Tensor, others: Tensor, four: Tensor) -> PairLists:
-        """Convert the lists of M pairs with weights (M, 4)."""
+        """Convert lists of M pairs with weights (M, 4) to Dr.Jit arrays."""
         whole = lambda numbers: UInt32(numbers.numpy().astype(np.uint32))
         weights = PRECISION[four.dtype](four.flatten().numpy())
         return PairLists(whole(begin), whole(end), whole(others), weights)
@@ -59,13 +75,16 @@ class PairLists:
 
 @dataclass(frozen=True)
 class SparseWeights:
-    """Skinning weights of N Gaussians and their derivatives without the zeros, constant."""
+    """Skinning weights of N Gaussians and their derivatives without the zeros, constant.
+
+    The module has an example.
+    """
 
     gaussians: Tensor  # (M,) int64, the Gaussian of each pair
     joints: Tensor  # (M,) int64, its joint
     four: Tensor  # (M, 4) W and its derivatives along x, y, z
     of_gaussians: PairLists  # one list per Gaussian
-    of_pieces: PairLists  # lists of at most ``PIECE`` Gaussians of one joint
+    of_pieces: PairLists  # lists of at most GAUSSIANS_PER_PIECE Gaussians of one joint
     piece_joints: Tensor  # (P,) int64, the joint of each piece
 
     @staticmethod
@@ -79,17 +98,17 @@ class SparseWeights:
 
         order = torch.argsort(joints, stable=True)
         within = torch.bincount(joints)
-        pieces = -(-within // PIECE)
+        pieces = -(-within // GAUSSIANS_PER_PIECE)
         of_piece = torch.repeat_interleave(torch.arange(len(pieces)), pieces)
         number = torch.arange(len(of_piece)) - (pieces.cumsum(0) - pieces)[of_piece]
-        begin = (within.cumsum(0) - within)[of_piece] + PIECE * number
-        end = torch.minimum(begin + PIECE, within.cumsum(0)[of_piece])
+        begin = (within.cumsum(0) - within)[of_piece] + GAUSSIANS_PER_PIECE * number
+        end = torch.minimum(begin + GAUSSIANS_PER_PIECE, within.cumsum(0)[of_piece])
         of_pieces = PairLists.of(begin, end, gaussians[order], four[order])
         return SparseWeights(gaussians, joints, four, of_gaussians, of_pieces, of_piece)
 
 
 def _sums(pairs: PairLists, zero: Array, count: int, add: Callable[[UInt32, Lane], Lane]) -> Lane:
-    """Walk the list of each lane, adding to ``count`` numbers of the type of ``zero``."""
+    """Iterate over the list of each lane; add to ``count`` numbers of the type of ``zero``."""
     zero = dr.zeros(type(zero), dr.width(pairs.begin))
 
     def body(k: UInt32, *sums: Array) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""Surface-guided re-initialisation (Sec. 4.3): put the Gaussians back on the person's surface.
+"""Surface-guided re-initialisation (Sec. 4.3): put Gaussians back on the person's surface.
 
 Cloning and splitting crowd Gaussians where texture is rich. A start on the naked body leaves hair
 and loose clothes to a few large Gaussians that come apart in new poses. So, 2-3 times in a fit:
@@ -23,6 +23,9 @@ Differences from the paper (``surface="alpha"`` and ``random`` of the options ar
   Faces, which viewers look at first, get more.
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
   about the normal; their sizes are the spacing of the points times a random factor.
+
+Sources beside the paper: Taubin, "A signal processing approach to fair surface design", 1995;
+floaters are found as in PCL's ``StatisticalOutlierRemoval`` (Rusu et al., 2008).
 """
 
 from __future__ import annotations
@@ -60,18 +63,27 @@ from gva_mi.body.skinning import finger_weights
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.mesh.surface import vertex_normals
 
-# In distances of the eyes: a face's radius, and how far below the eyes its middle lies.
+# In distances of the eyes: a face's radius, and how far below the eyes its middle lies. Chosen:
+# from the brows to the chin.
 FACE_RADIUS, BELOW_EYES = 1.4, 0.6
-
-OPAQUE = 0.5  # only Gaussians above this opacity carry the surface
-FLOATER_NEIGHBOURS = 16  # that a floater is far away from
-CURVATURE_GAIN = 2.0  # density at the most curved places / in flat ones, minus 1
-NEIGHBOURS = 4  # K old Gaussians that opacity and colour are taken from
+# Only Gaussians above this opacity carry the surface. Chosen: they hide what is behind them.
+SURFACE_OPACITY = 0.5
+FLOATER_NEIGHBOURS = 16  # whose mean distance makes a floater; chosen: more than float together
+CURVATURE_GAIN = (
+    2.0  # density at the most curved places / in flat ones, minus 1; chosen: an ear has 3 ×
+)
+COLOR_NEIGHBOURS = 4  # K, of opacity and colour; chosen: the old Gaussians all around
+COINCIDENT = 1e-8  # m², added to squared distances; chosen: a tenth of a millimetre counts as equal
 
 
 @options_of("fit")
 class ReinitOptions:
-    """Sizes of the four operations, in metres where they are lengths."""
+    """Sizes of the four operations, in metres where they are lengths.
+
+    Example:
+        >>> ReinitOptions(count=5000, face_gain=0.0).alpha
+        0.015
+    """
 
     # Gaussians afterwards, within a few percent; 0: as many as before.
     count: PythonOnly[Count] = 0
@@ -99,7 +111,7 @@ class ReinitOptions:
 
 @dataclass(frozen=True)
 class Reinitialised:
-    """Result of a re-initialisation; the avatar itself has not changed yet."""
+    """Result of :func:`reinitialise`; the avatar itself has not changed yet."""
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # smooth and watertight
@@ -111,15 +123,29 @@ def reinitialise(
     options: ReinitOptions = ReinitOptions(),  # noqa: B008 (frozen)
     generator: torch.Generator | None = None,
 ) -> Reinitialised | None:
-    """Make new Gaussians on the surface of an avatar's opaque ones; the generator draws points,
-    angles and sizes.
+    """Make new Gaussians on the surface of an avatar's opaque Gaussians.
 
-    None if too few are opaque to be a surface, as in a fit that has diverged or only just begun.
+    The generator draws points, angles and sizes. None if too few Gaussians are opaque to be a
+    surface, as in a fit that has diverged or only just begun.
+
+    Example:
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> found = reinitialise(avatar, ReinitOptions(alpha=0.04), torch.manual_seed(0))
+        >>> print(f"about {len(found.canonical):.1g} Gaussians")
+        about 5e+02 Gaussians
+        >>> avatar.canonical.logit_opacities.data.fill_(-5)  # nearly transparent
+        tensor(...)
+        >>> reinitialise(avatar) is None
+        True
     """
     # One draw starts a numpy generator: the geometry below lives in numpy and float64.
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     G = avatar.canonical
-    solid = torch.nonzero(G.opacities.detach() > OPAQUE).flatten()
+    solid = torch.nonzero(G.opacities.detach() > SURFACE_OPACITY).flatten()
     if len(solid) <= max(FLOATER_NEIGHBOURS, FEWEST_GAUSSIANS):
         return None
     means = G.means.detach()[solid].double().numpy()
@@ -138,7 +164,14 @@ def reinitialise(
 
 
 def find_floaters(points: np.ndarray, neighbours: int, sigmas: float) -> np.ndarray:
-    """Mark points (N, 3) that are far from all others, (N,) bool: a statistical outlier test."""
+    """Mark points (N, 3) that are far from all others, (N,) bool: a statistical outlier test.
+
+    Example:
+        >>> line = np.arange(20.0)[:, None] * [1, 0, 0]
+        >>> line[-1, 1] = 30
+        >>> np.flatnonzero(find_floaters(line, neighbours=2, sigmas=2))
+        array([19])
+    """
     distance = mean_distance(points, neighbours)
     return distance > distance.mean() + sigmas * distance.std()
 
@@ -148,7 +181,16 @@ def mesh_gaussians(
 ) -> SurfaceMesh:
     """Wrap points (N, 3), and the rest body inside them, in a smooth surface.
 
-    ``weights`` (N, 55) are the points' skinning weights; None: those of the body beneath.
+    ``weights`` (N, 55) are the points' skinning weights; None: the weights of the body beneath.
+
+    Example:
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> points = rig.vertices[::20].double().numpy()
+        >>> surface = mesh_gaussians(points, rig, ReinitOptions(alpha=0.04))
+        >>> bool(abs(np.ptp(surface.vertices[:, 1]) - np.ptp(points[:, 1])) < 0.03)  # as tall
+        True
     """
     from scipy.spatial import cKDTree
 
@@ -159,8 +201,7 @@ def mesh_gaussians(
     filler, own = _filler(rig, options.filler_depth), rig.weights.double().numpy()
     if weights is None:
         weights = own[cKDTree(filler.vertices).query(points)[1]]
-    both = np.vstack([points, filler.vertices]), np.vstack([weights, own])
-    spread = SpreadLimbs.of(rig, *both)
+    spread = SpreadLimbs.of(rig, np.vstack([points, filler.vertices]), np.vstack([weights, own]))
     outer, inner = np.split(spread.points, [len(points)])
     filled = SurfaceMesh(inner, filler.faces)
     found = offset_surface(outer, filled, reach(outer), options.smoothing)
@@ -170,9 +211,18 @@ def mesh_gaussians(
 def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np.ndarray:
     """Return the wanted density of points at the vertices of a surface, (V,), 1 where it is flat.
 
-    That is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th percentile), and
-    (1 + face gain) times as much in the face: within :data:`FACE_RADIUS` times the
+    The density is (1 + gain · c), with c the curvature between 0 (flat) and 1 (the 95th
+    percentile), and (1 + face gain) times as much in the face: within :data:`FACE_RADIUS` times the
     distance of the eyes from a place below them.
+
+    Example:
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> body = SurfaceMesh(rig.vertices.double().numpy(), rig.faces.numpy())
+        >>> density = wanted_density(body, rig, ReinitOptions(face_gain=5.0))
+        >>> density.min().round(), density.max().round()  # at most (1 + 2) (1 + 5)
+        (np.float64(1.0), np.float64(18.0))
     """
     left, right = rig.joints[EYES].double().numpy()
     apart = np.linalg.norm(left - right)
@@ -194,16 +244,17 @@ def regaussian(
 
     Opacity and colour are means over the K nearest of ``sources`` (M,) int64, the Gaussians of the
     avatar that lie on the surface, weighted by 1 / distance². ``rng`` draws angles and sizes.
+    :func:`reinitialise` has an example.
     """
     from scipy.spatial import cKDTree
 
     old, shape = avatar.canonical, avatar.options.seed
     N, dtype = len(samples.points), old.means.dtype
     tensor = lambda array: torch.from_numpy(np.ascontiguousarray(array)).to(dtype)
-    K = min(NEIGHBOURS, len(sources))
+    K = min(COLOR_NEIGHBOURS, len(sources))
     tree = cKDTree(old.means.detach()[sources].double().numpy())
     distance, nearest = (x.reshape(N, K) for x in tree.query(samples.points, k=K, workers=-1))
-    share = 1 / (distance**2 + 1e-8)  # a tenth of a millimetre counts as touching
+    share = 1 / (distance**2 + COINCIDENT)
     share = tensor(share / share.sum(1, keepdims=True))
     nearest = sources[torch.from_numpy(nearest)]
 

@@ -1,11 +1,12 @@
 """The rest body of an avatar, and the outer skin that clothes, hair and face of a person follow.
 
 A point on the body follows the vertex beneath it. A point of a wide skirt has no vertex beneath it,
-and the nearest ones belong sometimes to one leg and sometimes to the other: weights of the nearest
-vertex jump, and a wide step tears the cloth there. So weights are diffused on the outer surface S
-of the person, which connects parts of one garment, and more where cloth is looser:
+and the nearest vertices belong sometimes to one leg and sometimes to the other. So weights of the
+nearest vertex jump, and a wide step tears the cloth there. Therefore weights are diffused on the
+outer surface S of the person, which connects the parts of a garment. They are diffused more where
+cloth is looser:
 
-    1. ℓ(x) = spread · d(x), d the distance from the bare skin;  0 where d is below CLOSE
+    1. ℓ(x) = spread · d(x), d the distance from the bare skin;  0 where d is below CLOSE_TO_SKIN
     2. W - ℓ² Δ_S W = W_near
 
 with W_near the weights of the body's nearest vertex. Eq. 2 is one implicit step of diffusion: W
@@ -13,14 +14,15 @@ lies between the values of W_near around x, stays positive, and sums to one. Abd
 in weights where they cannot be trusted ("Robust Skin Weights Transfer via Weight Inpainting",
 2023); a hem filled in from close points alone would hang from the waist and not follow the thighs.
 
-Blend shapes, which make joints bulge and the face move, are those of the body's nearest vertex.
+Blend shapes, which make joints bulge and the face move, come from the body's nearest vertex.
 
 Gaussians take both from the vertices of S around them by Shepard's interpolation, which is
-continuous and exact at the vertices, so they can be bound again as they move. The slopes of
-weights, by which cloth stretches, are those of a plane fitted by least squares to some more
-vertices:
+continuous and exact at the vertices, so they can be bound again as they move (with the weights of
+Franke and Nielson, "Smooth interpolation of large sets of scattered data", 1980). The slopes of
+weights, by which cloth stretches, come from a plane that is fitted to PLANE_VERTICES vertices by
+least squares:
 
-    3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    X the vertices around, without their mean;  ε = FLAT tr XᵀX
+    3. ∂W/∂x = (XᵀX + ε I)⁻¹ Xᵀ W,    ε = FLATNESS tr XᵀX,    X: these vertices minus their mean
 
 Where the vertices lie in a plane, the slope across it is zero.
 
@@ -46,15 +48,22 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-CLOSE = 0.02  # metres off the bare skin: closer points follow the vertex beneath
-PLANE = 12  # vertices that eq. 3 is fitted to
-STEEP = 0.1  # 1/m; where a joint's weight changes less, 10 cm apart stretch by 1 %: left out
-FLAT = 0.005  # of eq. 3; a surface this thin has no slope across
+CLOSE_TO_SKIN = 0.02  # metres off the bare skin; chosen: tight cloth follows the vertex beneath
+PLANE_VERTICES = 12  # that eq. 3 is fitted to; chosen: two rings around a vertex
+# 1/m; smaller slopes of a weight are left out. Chosen: they stretch cloth by 1 % in 10 cm.
+SMALLEST_SLOPE = 0.1
+# Of eq. 3, no unit. Chosen: a surface that is thinner than this share has no slope across.
+FLATNESS = 0.005
+COTANGENTS = (0.01, 100)  # of eq. 2, clipped; chosen: weights stay in the range of their neighbours
 
 
 @options_of("fit")
 class SkinningOptions:
-    """How Gaussians take their skinning weights from the outer skin."""
+    """How Gaussians take their skinning weights from the outer skin.
+
+    Example:
+        >>> as_in_the_paper = SkinningOptions(spread=0, neighbours=1)
+    """
 
     # Of eq. 1; with 1 a skirt lags behind the legs; 0: weights are not diffused.
     spread: PythonOnly[Annotated[float, Within(0, 4)]] = 0.5
@@ -66,7 +75,19 @@ class SkinningOptions:
 
 @dataclass(frozen=True)
 class Skin:
-    """A surface at rest with its skinning weights and blend shapes."""
+    """A surface at rest with its skinning weights and blend shapes.
+
+    Example:
+        A point close to the left wrist follows forearm and hand.
+
+        >>> from gva_mi.body.pose import JOINTS
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> skin = rig.skin(SkinningOptions())
+        >>> bound = skin.bind(rig.joints[JOINTS.index("left_wrist")][None])
+        >>> sorted(JOINTS[j] for j in bound["weights"][0].topk(2).indices)
+        ['left_elbow', 'left_wrist']
+    """
 
     vertices: Tensor  # (V, 3) metres
     weights: Tensor  # (V, 55) skinning weights, rows sum to 1
@@ -93,7 +114,7 @@ class Skin:
                 "slopes": slopes,
                 "directions": self.directions[:0],
             }
-        distance, nearest = self._nearest(points, PLANE)
+        distance, nearest = self._nearest(points, PLANE_VERTICES)
         share, few = self._shares(distance, nearest)
         weights = _means(share, few, self.weights)
         blend_shapes = mean_directions(share, self.beneath[few], self.directions)
@@ -109,7 +130,7 @@ class Skin:
         count = nearest.shape[1]
         X = vertices[nearest] - vertices[nearest].mean(1, keepdims=True)
         square = np.einsum("nki,nkj->nij", X, X)
-        flat = FLAT * np.trace(square, axis1=1, axis2=2) + 1e-12
+        flat = FLATNESS * np.trace(square, axis1=1, axis2=2) + 1e-12
         shares = np.einsum("nij,nkj->nik", inverse(square + flat[:, None, None] * np.eye(3)), X)
         rows = np.arange(0, shares.size + 1, count)
         columns = np.repeat(nearest, 3, axis=0).ravel()
@@ -152,7 +173,12 @@ class Skin:
 
 
 def inverse(A: np.ndarray) -> np.ndarray:
-    """Invert matrices (N, 3, 3) by cofactors: bits of LAPACK depend on the processor."""
+    """Invert matrices (N, 3, 3) by cofactors, because LAPACK's bits depend on the processor.
+
+    Example:
+        >>> inverse(np.diag([1.0, 2, 4])[None])[0].diagonal()
+        array([1.  , 0.5 , 0.25])
+    """
     a, b, c = A[:, 0], A[:, 1], A[:, 2]
     columns = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     return columns / (a * columns[:, :, 0]).sum(1)[:, None, None]
@@ -162,14 +188,20 @@ def _largest(slopes: Tensor, joints: int, like: Tensor) -> Tensor:
     """Keep the joints with the largest slopes (N, 3, J), make their sum zero, typed as ``like``."""
     found = slopes.abs().amax(1).topk(min(joints, slopes.shape[2]), dim=1)
     chosen = found.indices[:, None].expand(-1, 3, -1)
-    steep = (found.values > STEEP)[:, None].to(slopes)
+    steep = (found.values > SMALLEST_SLOPE)[:, None].to(slopes)
     kept = slopes.gather(2, chosen) * steep
     kept = steep * (kept - kept.sum(2, keepdim=True) / steep.sum(2, keepdim=True).clamp_min(1))
     return like.new_zeros(slopes.shape).scatter(2, chosen, kept.to(like))
 
 
 def mean_directions(share: Tensor, vertices: Tensor, directions: Tensor) -> Tensor:
-    """Return means (N, 3, K) of k vertices' blend shapes (V, 3, K), by their shares (N, k)."""
+    """Return means (N, 3, K) of k vertices' blend shapes (V, 3, K), by their shares (N, k).
+
+    Example:
+        >>> directions = torch.tensor([[[0.0], [0], [0]], [[0], [2], [0]]])  # of two vertices
+        >>> mean_directions(torch.tensor([[0.5, 0.5]]), torch.tensor([[0, 1]]), directions)[0, :, 0]
+        tensor([0., 1., 0.])
+    """
     return _means(share, vertices, directions.flatten(1)).unflatten(1, directions.shape[1:])
 
 
@@ -190,6 +222,16 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
         vertices, faces: the outer surface at rest, metres.
         body: the skin of the rest body; it is the result if its options have no spread.
         looseness: metres by which clothes displaced each vertex of the body.
+
+    Example:
+        Around a body whose clothes stand 10 cm off, weights are smoother than on the skin.
+
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> skin, loose = rig.skin(SkinningOptions()), torch.full((len(rig.vertices),), 0.1)
+        >>> outer = diffused(rig.vertices.double().numpy(), rig.faces.numpy(), skin, loose)
+        >>> bool(outer.weights.amax(1).mean() < skin.weights.amax(1).mean())
+        True
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
@@ -201,10 +243,10 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
     distance, nearest = cKDTree(body.vertices.double().numpy()).query(vertices)
     off = distance + looseness.double().numpy()[nearest]
     weights = body.weights.double().numpy()[nearest]
-    loose = off > CLOSE
+    loose = off > CLOSE_TO_SKIN
     if loose.any():
         area, laplacian = _laplacian(vertices, faces)
-        width = spread * np.where(loose, off, 1e-3 * CLOSE)  # eq. 1
+        width = spread * np.where(loose, off, 1e-3 * CLOSE_TO_SKIN)  # eq. 1
         pull = diags_array(area / width**2)
         used = weights.any(0)
         weights[:, used] = splu((pull + laplacian).tocsc()).solve(pull @ weights[:, used])
@@ -216,6 +258,7 @@ def diffused(vertices: np.ndarray, faces: np.ndarray, body: Skin, looseness: Ten
 def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr_array]:
     """Return areas of vertices (V,) m², and the Laplacian of linear elements (V, V).
 
+    Source: Pinkall and Polthier, "Computing discrete minimal surfaces and their conjugates", 1993.
     Cotangents of obtuse angles are clipped above zero; otherwise weights could leave the range of
     their neighbours.
     """
@@ -228,7 +271,7 @@ def _laplacian(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, csr
         i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
         a, b = (corners[:, (k + s) % 3] - corners[:, k] for s in (1, 2))
         cotangent = (a * b).sum(1) / np.maximum(2 * area, 1e-12)
-        half = np.clip(cotangent, 0.01, 100) / 2
+        half = np.clip(cotangent, *COTANGENTS) / 2
         edges = edges + coo_array((half, (i, j)), shape=(count, count))
     edges = (edges + edges.T).tocsr()
     share = np.bincount(faces.ravel(), np.repeat(area / 3, 3), count)
@@ -243,7 +286,14 @@ RIG_TENSORS = (  # the tensors of a Rig
 
 @dataclass(frozen=True)
 class Rig:
-    """Skeleton and surface of a person at rest."""
+    """Skeleton and surface of a person at rest.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> rig.vertices.shape, rig.joints.shape, rig.looseness.max()
+        (torch.Size([10989, 3]), torch.Size([55, 3]), tensor(0.))
+    """
 
     joints: Tensor  # (55, 3) metres, rest pose
     parents: tuple[int, ...]  # 55, -1 for the root
@@ -270,7 +320,7 @@ class Rig:
     @staticmethod
     @torch.no_grad()
     def of(body: BodyModel, shape: Shape, offsets: Tensor | None = None) -> Rig:
-        """Take the rest body of a person from a body model.
+        """Build the rest body of a person from a body model.
 
         ``offsets`` (V, 3) displace the rest surface (SMPL-X + D), metres; None: naked.
         """
@@ -294,10 +344,21 @@ class Rig:
 
 
 def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:
-    """Return metres (N, 3) that blend shapes (N, 3, K) move points; coefficients are (up to K,)."""
+    """Return metres (N, 3) that blend shapes (N, 3, K) move points; coefficients are (up to K,).
+
+    Example:
+        >>> moved_by(torch.tensor([2.0]), torch.tensor([[[0.0, 1], [0.5, 1], [0, 1]]]))
+        tensor([[0., 1., 0.]])
+    """
     return directions[..., : len(coefficients)] @ coefficients
 
 
 def digest(body: BodyModel) -> str:
-    """Return a fingerprint of a body model, by which an avatar knows the one it was fitted with."""
+    """Return a fingerprint of a body model: an avatar records the one that it was fitted with.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> len(digest(load_body()))
+        16
+    """
     return hashlib.sha256(body.v_template.numpy().tobytes()).hexdigest()[:16]

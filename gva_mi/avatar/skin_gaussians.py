@@ -5,7 +5,7 @@ the derivative of x' = A(x) x moves its surroundings. Beside A_rot it has a part
 itself changes from place to place:
 
     1. A, E  a Gaussian's LBS transform and its derivative        gva_mi.avatar.lbs_transforms
-    2. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       no more than cloth would bear
+    2. J  = A_rot + β E,   β = (1 + |E|² / LARGEST²)^(-1/2)       as much as cloth bears
     3. F  = J M S,   Σ' = F Fᵀ                                    M, S: the Gaussian at rest
     4. μ' = A_rot μ + A_trans                                     Eq. 5
 
@@ -18,11 +18,11 @@ Colours depend on the direction of the light, for red, green and blue:
     5. t_k = Σ_i A_ik l_i                         A_rotᵀ l: the light, seen from the rest pose
     6. f   = f_0 + Σ_k t_k f_k                    a Gaussian's colour
 
-The light l has a direction; its length is always SHARE, so that slopes are learned more slowly
-than f_0, like the higher bands in 3D Gaussian splatting. Otherwise details that hardly depend on
-light while a person turns upright, such as the pattern of a cloth, would be learned half as slopes
-and be wrong once an arm is raised. Near a bent joint the blend A_rot is no rotation and shortens
-the slopes, which is harmless.
+The light l has a direction; its length is always LIGHT_LENGTH, so that slopes are learned more
+slowly than f_0, like the higher bands in 3D Gaussian splatting. Otherwise details that hardly
+depend on light while a person turns upright, such as the pattern of a cloth, would be learned half
+as slopes and be wrong once an arm is raised. Near a bent joint the blend A_rot is no rotation and
+shortens the slopes, which is harmless.
 
 The adjoint, for gradients g of μ', G of Σ' (symmetric) and h of f:
 
@@ -36,6 +36,9 @@ Separate kernels would move 33 numbers per Gaussian to memory and back, which ta
 computing them. The backward pass reads the A and E that the forward pass kept. It writes rows of 24
 numbers, [grad_A | grad_E | μ], from which the gradients of the joints' transforms are summed.
 Tangents, which no fit needs, come from :mod:`gva_mi.avatar.lbs_reference`.
+
+Sources: eq. 3 deforms a Gaussian by the linear part of a map, as in EWA splatting (Zwicker et al.,
+2001) and PhysGaussian (Xie et al., 2024); eq. 2 and 5-11 are ours.
 """
 
 from __future__ import annotations
@@ -51,7 +54,7 @@ from torch.autograd.function import FunctionCtx
 from torch.nn.functional import pad
 
 from gva_mi.avatar import lbs_reference, lbs_transforms
-from gva_mi.avatar.lbs_transforms import AXES, LARGEST, PairLists, SparseWeights
+from gva_mi.avatar.lbs_transforms import AXES, MAX_STRETCH, PairLists, SparseWeights
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.splat.kernels.ellipse import Rotation
@@ -59,7 +62,7 @@ from gva_mi.splat.kernels.vectors import Mat3, Quat
 
 WIDTHS = (3, 4, 3, 12)  # widths of rows of means, quats, scales and colours
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]  # of a covariance's six numbers
-SHARE = 0.3  # |l|
+LIGHT_LENGTH = 0.3  # |l|, no unit; chosen: slopes are learned at a third of the rate of f_0
 
 
 def skin_gaussians(
@@ -85,6 +88,21 @@ def skin_gaussians(
     Returns:
         Means (N, 3), covariances (N, 6) as xx, xy, xz, yy, yz, zz, and colours (N, 1, 3).
         Differentiable in all tensors, both ways.
+
+    Example:
+        Two joints move apart along x, and the Gaussian between them grows along x.
+
+        >>> W, slopes = torch.full((1, 2), 0.5), torch.zeros(1, 3, 2)
+        >>> slopes[0, 0] = torch.tensor([-1.0, 1.0])  # 1/m, along x
+        >>> T = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+        >>> T[1, 0, 3] = 1  # the second joint: 1 m along x
+        >>> means, covars, colors = skin_gaussians(
+        ...     SparseWeights.of(W, slopes), T, torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]),
+        ...     torch.full((1, 3), 0.1), torch.zeros(1, 1, 3), torch.tensor([0.0, 1, 0]),
+        ... )
+        >>> means, covars.sqrt().round(decimals=3)
+        (tensor([[0.5000, 0.0000, 0.0000]]),
+         tensor([[0.1950, 0.0000, 0.0000, 0.1000, 0.0000, 0.1000]]))
     """
     T, direction = T_world_rest[:, :3].flatten(1), light_vector(light)
     coefficients = sh.flatten(1)
@@ -98,7 +116,7 @@ def skin_gaussians(
 
 def _bound(E: Lane) -> Any:  # noqa: ANN401
     """Return β of eq. 2."""
-    return 1 / dr.sqrt(1 + _dot(E, E) / LARGEST**2)
+    return 1 / dr.sqrt(1 + _dot(E, E) / MAX_STRETCH**2)
 
 
 def _jacobian(A: Lane, E: Lane, beta: Any) -> Lane:  # noqa: ANN401
@@ -125,7 +143,15 @@ def _dot(X: Lane, Y: Lane) -> Any:  # noqa: ANN401
 
 
 def stretch(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane, Lane]:
-    """Evaluate eq. 2 to 4: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz)."""
+    """Evaluate eq. 2 to 4: μ', and the six numbers of Σ' (xx, xy, xz, yy, yz, zz).
+
+    Example:
+        Kernel functions work on plain numbers, too: a Gaussian that is moved by 2 along x.
+
+        >>> A = [1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0]
+        >>> stretch(A, [0.0] * 9, [0, 0, 0], [1.0, 0.0, 0.0, 0.0], [1, 2, 3])
+        ([2, 0, 0], [1.0, 0.0, 0.0, 4.0, 0.0, 9.0])
+    """
     JM = _times(_jacobian(A, E, _bound(E)), Rotation.of(Quat(*quat)).M.flat())
     F = _scaled(JM, scale)
     moved = [sum(A[4 * i + k] * mean[k] for k in AXES) + A[4 * i + 3] for i in AXES]
@@ -135,7 +161,15 @@ def stretch(A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane) -> tuple[Lane
 def stretch_adjoint(
     A: Lane, E: Lane, mean: Lane, quat: Lane, scale: Lane, g: Lane, G: Lane
 ) -> tuple[Lane, Lane, Lane, Lane, Lane]:
-    """Evaluate eq. 7 to 9."""
+    """Evaluate eq. 7 to 9: gradients of A, E, mean, quaternion and scale.
+
+    Example:
+        >>> A = [1, 0, 0, 2, 0, 1, 0, 0, 0, 0, 1, 0]
+        >>> at = A, [0.0] * 9, [0, 0, 0], [1.0, 0.0, 0.0, 0.0], [1, 2, 3]
+        >>> *_, grad_scale = stretch_adjoint(*at, g=[0, 0, 0], G=[1, 0, 0, 1, 0, 1])
+        >>> grad_scale  # of s², s = 1, 2, 3
+        [2.0, 4.0, 6.0]
+    """
     rotation, beta = Rotation.of(Quat(*quat)), _bound(E)
     J, M = _jacobian(A, E, beta), rotation.M.flat()
     JM = _times(J, M)
@@ -145,7 +179,7 @@ def stretch_adjoint(
     grad_scale = [sum(grad_F[3 * i + j] * JM[3 * i + j] for i in AXES) for j in AXES]
     grad_JM = _scaled(grad_F, scale)
     grad_J, grad_M = _times(grad_JM, _transposed(M)), _times(_transposed(J), grad_JM)
-    along = beta * beta * beta / LARGEST**2 * _dot(grad_J, E)
+    along = beta * beta * beta / MAX_STRETCH**2 * _dot(grad_J, E)
     grad_E = [beta * a - along * b for a, b in zip(grad_J, E, strict=True)]
     grad_A = []
     for i in AXES:
@@ -155,8 +189,13 @@ def stretch_adjoint(
 
 
 def light_vector(light: Tensor) -> Tensor:
-    """Return l (1, 3) of length SHARE, from a direction (3,) of any length."""
-    return SHARE * torch.nn.functional.normalize(light, dim=0).unsqueeze(0)
+    """Return l (1, 3) of length LIGHT_LENGTH, from a direction (3,) of any length.
+
+    Example:
+        >>> light_vector(torch.tensor([0.0, 5, 0]))
+        tensor([[0.0000, 0.3000, 0.0000]])
+    """
+    return LIGHT_LENGTH * torch.nn.functional.normalize(light, dim=0).unsqueeze(0)
 
 
 def _light_at_rest(A: Lane, light: Lane) -> Lane:
@@ -165,13 +204,27 @@ def _light_at_rest(A: Lane, light: Lane) -> Lane:
 
 
 def lit_color(A: Lane, sh: Lane, light: Lane) -> Lane:
-    """Evaluate eq. 5 and 6."""
+    """Evaluate eq. 5 and 6: the colour of a Gaussian.
+
+    Example:
+        >>> A = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
+        >>> sh = [0.5, 0.5, 0.5, 0.1, 0.1, 0.1, 0, 0, 0, 0, 0, 0]  # brighter toward +x
+        >>> lit_color(A, sh, light=[1, 0, 0])
+        [0.6, 0.6, 0.6]
+    """
     t = _light_at_rest(A, light)
     return [sh[c] + sum(t[k] * sh[3 * (1 + k) + c] for k in AXES) for c in AXES]
 
 
 def lit_color_adjoint(A: Lane, sh: Lane, light: Lane, g: Lane) -> tuple[Lane, Lane, Lane]:
-    """Evaluate eq. 10 and 11: gradients of sh, A and the light."""
+    """Evaluate eq. 10 and 11: gradients of sh, A and the light.
+
+    Example:
+        >>> A = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
+        >>> grad_sh, _, _ = lit_color_adjoint(A, [0] * 12, light=[1, 0, 0], g=[1, 2, 3])
+        >>> grad_sh
+        [1, 2, 3, 1, 2, 3, 0, 0, 0, 0, 0, 0]
+    """
     t = _light_at_rest(A, light)
     grad_sh = [*g, *(t[k] * g[c] for k in AXES for c in AXES)]
     grad_t = [sum(sh[3 * (1 + k) + c] * g[c] for c in AXES) for k in AXES]
@@ -254,16 +307,23 @@ class _Skinned(torch.autograd.Function):
 
     @staticmethod
     @exclusive
-    def forward(ctx: FunctionCtx, *inputs: Any) -> tuple[Tensor, ...]:  # noqa: ANN401
-        *given, weights = inputs
-        T, *parts, light = given
-        n = len(parts[0])
+    def forward(
+        ctx: FunctionCtx,
+        T: Tensor,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        sh: Tensor,
+        light: Tensor,
+        weights: SparseWeights,
+    ) -> tuple[Tensor, ...]:
+        given, n = (T, means, quats, scales, sh, light), len(means)
         ctx.weights = weights
         ctx.save_for_backward(*given)
         ctx.save_for_forward(*given)
         if not n:
-            return parts[0].clone(), parts[0].new_zeros(0, 6), parts[0].clone()
-        numbers = [flat_array(part) for part in parts]
+            return means.clone(), means.new_zeros(0, 6), means.clone()
+        numbers = [flat_array(part) for part in (means, quats, scales, sh)]
         found = _forward(weights.of_gaussians, flat_array(T), numbers, flat_array(light), n=n)
         ctx.kept = found[3:]
         return to_tensors(found[:3], n)
@@ -272,18 +332,19 @@ class _Skinned(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     @exclusive
     def backward(ctx: FunctionCtx, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        T, *parts, light = ctx.saved_tensors
-        n, weights = len(parts[0]), ctx.weights
+        T, means, quats, scales, sh, light = ctx.saved_tensors
+        n, weights = len(means), ctx.weights
         if not n:
-            return *(torch.zeros_like(x) for x in (T, *parts, light)), None
-        memory = (
-            [flat_array(part) for part in parts],
+            return *(torch.zeros_like(x) for x in ctx.saved_tensors), None
+        *by_parts, by_light, rows = _adjoint(
+            weights.of_gaussians,
+            flat_array(T.to(means)),
+            [flat_array(part) for part in (means, quats, scales, sh)],
             flat_array(light),
             ctx.kept,
             [flat_array(g) for g in grads],
+            n=n,
         )
-        own = flat_array(T.to(parts[0]))
-        *by_parts, by_light, rows = _adjoint(weights.of_gaussians, own, *memory, n=n)
         by_T = None
         if ctx.needs_input_grad[0]:
             (sums,) = _adjoint_of_joints(weights.of_pieces, rows, n=len(weights.piece_joints))

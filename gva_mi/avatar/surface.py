@@ -1,15 +1,15 @@
 """A closed surface around a person's Gaussians, and points on it.
 
-The offset surface. Around every point lies a ball of radius α. Balls of points less than 2 α apart
-overlap, across holes and along seams; the outer boundary of their union is
+The offset surface. Around every point lies a ball of radius α. Balls of points that are less than
+2 α apart overlap, across holes and along seams; the outer boundary of their union is
 
     1. S_α = {x : d(x) = α},   d(x) the distance from the nearest point
 
-which is smoothed and moved back by α along its normals. What is closer than 2 α to itself, such as
-thighs, is closed as by an alpha shape; unlike one, S_α is always watertight, like the paper's
+which is smoothed and moved back by α along its normals. Gaps narrower than 2 α, as between thighs,
+are closed as by an alpha shape. Unlike an alpha shape, S_α is always watertight, like the paper's
 "spherical shell" around the outermost Gaussians. d is exact on a grid with cells of α, as far as
 S_α can pass; ``marching_cubes`` finds S_α to a fraction of a millimetre. Points of the shrunk rest
-body are added, so that no hole lets S_α inside.
+body are added, so that S_α does not enter through holes.
 
 The alpha shape of Sec. 4.3, as the paper prints it. A ball of radius α that holds no point rolls
 around the points from outside. It cannot pass a triangle of the Delaunay triangulation through
@@ -22,14 +22,19 @@ of a set of points in the plane", 1983):
                      triangles with μ > α, and tetrahedra that are not
 
 Limbs are spread before. At rest, thighs, calves and trouser legs are a few centimetres apart, and
-arms are level: what closes holes of that width would also join the legs, and arms and trunk, by
-webs that hang from both. So points are moved by linear blend skinning, and the surface back:
+arms are level: a surface that closes holes of that width would also join the legs, and arms and
+trunk, by webs that hang from both. So points are moved by linear blend skinning, and the surface is
+moved back:
 
-    4. x = A(w) x_rest,        A(w) = Σ_j w_j T_j,   T_j: legs turn outward, arms up, by SPREAD
+    4. x = A(w) x_rest,        A(w) = Σ_j w_j T_j
+       T_j: legs turn outward, arms up, by SPREAD_ANGLE
     5. v_rest = A(w_v)⁻¹ v,    w_v: mean weights of the points around v, by 1 / distance²
 
 A skirt is stretched between the legs, and covers them both. Fingers, which would be joined too, are
 bare skin that the body model knows best: the surface takes them from the rest body.
+
+Sources: marching cubes as in scikit-image (Lewiner et al., 2003); Taubin's filter (1995); points on
+the surface by dart throwing (Cline et al., "Dart throwing on surfaces", 2009).
 """
 
 from __future__ import annotations
@@ -51,13 +56,26 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-REACH = 3  # cells around a point in which S_α, and the far corners of its cells, can lie
-LONE = 10  # smallest piece of the person, in surfaces of one ball
+BALL_CELLS = 3  # cells around a point in which S_α, and the far corners of its cells, can lie
+# The smallest piece of S_α that is kept, in surfaces of one ball. Chosen: a few floaters are fewer.
+SMALLEST_PIECE = 10
+OVERSAMPLING = 6  # candidates per wanted point; chosen: enough for the densest random packing
+DART_RADIUS = 0.665  # reached by random darts, in radii of the densest packing; see resample()
+COUNT_TOLERANCE = 0.02  # of the number of points, as a share; chosen: options say a few percent
 
 
 @dataclass(frozen=True)
 class SurfaceMesh:
-    """Triangles in the rest pose."""
+    """Triangles in the rest pose.
+
+    Example:
+        A tetrahedron.
+
+        >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+        >>> mesh = SurfaceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+        >>> mesh.areas().round(3), mesh.volumes().sum().round(3)
+        (array([0.5  , 0.5  , 0.5  , 0.866]), np.float64(0.167))
+    """
 
     vertices: np.ndarray  # (V, 3) float64, metres
     faces: np.ndarray  # (F, 3) int64, counter-clockwise seen from outside
@@ -96,10 +114,21 @@ class SurfaceMesh:
 def offset_surface(
     points: np.ndarray, inner: SurfaceMesh, alpha: float, smoothing: int
 ) -> SurfaceMesh:
-    """Wrap points (N, 3) in a closed and smooth surface that does not sink beneath the ``inner``
-    one.
+    """Wrap points (N, 3) in a closed, smooth surface that does not sink beneath ``inner``.
 
     ``alpha`` is α, metres; ``smoothing`` counts steps of Taubin's filter.
+
+    Example:
+        Around a ball of 20 cm and points 10 cm above it.
+
+        >>> from skimage.measure import marching_cubes
+        >>> at = np.mgrid[-6:7, -6:7, -6:7] / 20
+        >>> vertices, faces, _, _ = marching_cubes(np.linalg.norm(at, axis=0), 0.2)
+        >>> ball = SurfaceMesh((vertices - 6) / 20, faces.astype(np.int64))
+        >>> above = ball.vertices * 1.5
+        >>> wrapped = offset_surface(above, ball, alpha=0.05, smoothing=10)
+        >>> print(f"{np.linalg.norm(wrapped.vertices, axis=1).mean():.2f} m")
+        0.29 m
     """
     between = inner.vertices[inner.faces].mean(1)
     shell = _large_pieces(
@@ -118,12 +147,12 @@ def _union_of_balls(points: np.ndarray, alpha: float) -> SurfaceMesh:
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
 
-    low = points.min(0) - (REACH + 1) * alpha
+    low = points.min(0) - (BALL_CELLS + 1) * alpha
     cell = np.rint((points - low) / alpha).astype(int)
-    near = np.zeros(cell.max(0) + REACH + 2, np.uint8)
+    near = np.zeros(cell.max(0) + BALL_CELLS + 2, np.uint8)
     near[tuple(cell.T)] = 1
     for axis in range(3):
-        near = maximum_filter1d(near, 2 * REACH + 1, axis=axis, mode="constant")
+        near = maximum_filter1d(near, 2 * BALL_CELLS + 1, axis=axis, mode="constant")
     corners = np.argwhere(near)
     distance = np.full(near.shape, 2 * alpha, np.float32)
     found, _ = cKDTree(points).query(corners * alpha + low, workers=-1)
@@ -142,7 +171,7 @@ def _large_pieces(surface: SurfaceMesh, alpha: float) -> SurfaceMesh:
     graph = coo_array((np.ones(2 * len(faces), dtype=bool), edges), (V, V))
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     area, volume = (np.bincount(piece, x) for x in (surface.areas(), surface.volumes()))
-    large = area >= min(area.max(), LONE * 4 * np.pi * alpha**2)
+    large = area >= min(area.max(), SMALLEST_PIECE * 4 * np.pi * alpha**2)
     return surface.part((large & (volume > 0))[piece])
 
 
@@ -154,6 +183,15 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
 
     It has no triangles that are outside on both sides. Where more than two meet at an edge, some
     are left out: it is a manifold, but not closed there.
+
+    Source: Edelsbrunner, Kirkpatrick and Seidel, 1983 (see the module).
+
+    Example:
+        >>> grid = np.stack(np.mgrid[:6, :6, :6], -1).reshape(-1, 3)
+        >>> jittered = grid / 10 + np.random.default_rng(0).normal(0, 1e-3, (216, 3))
+        >>> box = alpha_shape(jittered, alpha=0.12, smoothing=0)
+        >>> print(f"{box.volumes().sum():.2f} m³")  # its sides are 0.5 m long
+        0.13 m³
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -219,12 +257,12 @@ def _circles(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.nan_to_num(radius, nan=np.inf), x[..., 0, :] + np.nan_to_num(shift)
 
 
-AT_ONCE = 2048  # darts whose neighbours are queried together
+DARTS_PER_QUERY = 2048  # whose neighbours are queried together; chosen: few of them are removed
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points on a surface, no two too close."""
+    """Points on a surface, no two too close, from :func:`resample`."""
 
     points: np.ndarray  # (N, 3) metres
     normals: np.ndarray  # (N, 3)
@@ -238,22 +276,32 @@ def resample(
 
     Many candidates are drawn with that density. In random order, each one that is left removes all
     others within its radius, ~ density^(-1/2): darts of variable radius, corrected until the count
-    fits.
+    fits. The densest packing has count · r² · √3 / 2 = area; darts reach DART_RADIUS of that r.
+
+    Example:
+        >>> from skimage.measure import marching_cubes
+        >>> at = np.mgrid[-6:7, -6:7, -6:7] / 20
+        >>> vertices, faces, _, _ = marching_cubes(np.linalg.norm(at, axis=0), 0.2)
+        >>> ball = SurfaceMesh((vertices - 6) / 20, faces.astype(np.int64))
+        >>> even = np.ones(len(ball.vertices))
+        >>> found = resample(ball, 200, even, np.random.default_rng(0))
+        >>> abs(len(found.points) - 200) <= 10, found.normals.shape == found.points.shape
+        (True, True)
     """
     from scipy.spatial import cKDTree
 
     v, f = surface.vertices, surface.faces
     mass = surface.areas() * density[f].mean(1)
-    oversampling = 6
-    chosen = rng.choice(len(f), oversampling * count, p=mass / mass.sum())
+    chosen = rng.choice(len(f), OVERSAMPLING * count, p=mass / mass.sum())
     barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
     on_faces = lambda x: (x[f[chosen]] * barycentric).sum(1)
     points, tree = on_faces(v), cKDTree(on_faces(v))
-    # The densest packing has count · r^2 · sqrt(3) / 2 = area; random darts reach 2/3 of that r.
-    radius = 0.665 * np.sqrt(2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0])
+    radius = DART_RADIUS * np.sqrt(
+        2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0]
+    )
     for _ in range(3):
         kept = _throw_darts(tree, points, radius)
-        if abs(len(kept) / count - 1) < 0.02:
+        if abs(len(kept) / count - 1) < COUNT_TOLERANCE:
             break
         radius *= np.sqrt(len(kept) / count)
     points, normals = points[kept], on_faces(surface.normals())[kept]
@@ -262,14 +310,32 @@ def resample(
 
 
 def mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
-    """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,)."""
+    """Return the mean distance of each point (N, 3) to its nearest neighbours, (N,).
+
+    Example:
+        >>> mean_distance(np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]]), neighbours=2)
+        array([2. , 1.5, 2.5])
+    """
     from scipy.spatial import cKDTree
 
     return cKDTree(points).query(points, k=neighbours + 1, workers=-1)[0][:, 1:].mean(1)
 
 
 def curvature(surface: SurfaceMesh) -> np.ndarray:
-    """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1]."""
+    """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1].
+
+    1 is the 95th percentile. Source: pymeshlab's discrete curvature (Meyer et al., "Discrete
+    differential-geometry operators for triangulated 2-manifolds", 2003).
+
+    Example:
+        >>> from skimage.measure import marching_cubes
+        >>> at = np.mgrid[-6:7, -6:7, -6:7] / 20
+        >>> vertices, faces, _, _ = marching_cubes(np.linalg.norm(at, axis=0), 0.2)
+        >>> ball = SurfaceMesh((vertices - 6) / 20, faces.astype(np.int64))
+        >>> curved = curvature(ball)
+        >>> curved.shape == (len(ball.vertices),), curved.max()
+        (True, np.float64(1.0))
+    """
     meshes = surface.meshlab()
     meshes.compute_scalar_by_discrete_curvature_per_vertex(curvaturetype="RMS Curvature")
     curvature = np.nan_to_num(meshes.current_mesh().vertex_scalar_array(), posinf=0, neginf=0)
@@ -281,8 +347,8 @@ def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[
     """Return indices of points that remain if each removes all later ones within its radius."""
     alive = np.ones(len(points), dtype=bool)
     kept = []
-    for first in range(0, len(points), AT_ONCE):
-        some = first + np.flatnonzero(alive[first : first + AT_ONCE])  # most are gone by now
+    for first in range(0, len(points), DARTS_PER_QUERY):
+        some = first + np.flatnonzero(alive[first : first + DARTS_PER_QUERY])  # most are removed
         around = tree.query_ball_point(points[some], radius[some], return_sorted=False)
         for i, close in zip(some, around, strict=True):
             if alive[i]:
@@ -292,7 +358,16 @@ def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[
 
 
 def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
-    """Replace the fingers of a surface by those of the rest body."""
+    """Replace the fingers of a surface by the fingers of the rest body.
+
+    Example:
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> body = SurfaceMesh(rig.vertices.double().numpy(), rig.faces.numpy())
+        >>> with_fingers(body, rig).faces.shape[0] <= len(body.faces)
+        True
+    """
     from scipy.spatial import cKDTree
 
     body, faces = rig.vertices.double().numpy(), rig.faces.numpy()
@@ -305,14 +380,30 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
 
 
-SPREAD = 0.4  # radians
-AROUND = 8  # points whose weights a vertex takes
-TOUCHING = 1e-3  # metres; closer points count alike
+SPREAD_ANGLE = 0.4  # radians, of hips and shoulders; chosen: trouser legs come apart
+WEIGHTING_POINTS = 8  # nearest points whose weights a vertex takes; chosen: all around it
+SMALLEST_DISTANCE = 1e-3  # metres; closer points count alike; chosen: less than any spacing
 
 
 @dataclass(frozen=True)
 class SpreadLimbs:
-    """Points at rest, with skinning weights, and the same points with the limbs spread."""
+    """Points with skinning weights, moved to a pose with the limbs spread.
+
+    Example:
+        The feet move apart, and back.
+
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> rig = Rig.of(load_body(), Shape(torch.zeros(10)))
+        >>> chosen = [JOINTS.index("left_foot")] * 4 + [JOINTS.index("right_foot")] * 4
+        >>> feet = rig.joints[chosen].double().numpy()
+        >>> spread = SpreadLimbs.of(rig, feet, np.eye(55)[chosen])
+        >>> print(f"{np.ptp(feet[:, 0]):.2f} m, {np.ptp(spread.points[:, 0]):.2f} m")
+        0.23 m, 0.91 m
+        >>> back = spread.at_rest(spread.points)
+        >>> bool(np.allclose(back, feet))
+        True
+    """
 
     points: np.ndarray  # (N, 3) metres, x of eq. 4
     weights: np.ndarray  # (N, 55) rows sum to 1
@@ -322,7 +413,7 @@ class SpreadLimbs:
     def of(rig: Rig, points: np.ndarray, weights: np.ndarray) -> SpreadLimbs:
         """Move points (N, 3) at rest, with skinning weights (N, 55), as in eq. 4."""
         rotations = torch.zeros(1, len(JOINTS), 3, dtype=torch.float64)
-        for side, angle in (("left", SPREAD), ("right", -SPREAD)):
+        for side, angle in (("left", SPREAD_ANGLE), ("right", -SPREAD_ANGLE)):
             for limb in ("hip", "shoulder"):
                 rotations[0, JOINTS.index(f"{side}_{limb}"), 2] = angle
         at_rest, here = rig.joints.double(), torch.zeros(1, 3, dtype=torch.float64)
@@ -335,8 +426,8 @@ class SpreadLimbs:
         """Move vertices (V, 3) of a surface around the points back, as in eq. 5."""
         from scipy.spatial import cKDTree
 
-        distance, nearest = cKDTree(self.points).query(vertices, k=AROUND, workers=-1)
-        share = 1 / np.maximum(distance, TOUCHING) ** 2
+        distance, nearest = cKDTree(self.points).query(vertices, k=WEIGHTING_POINTS, workers=-1)
+        share = 1 / np.maximum(distance, SMALLEST_DISTANCE) ** 2
         share /= share.sum(1, keepdims=True)
         A = _blended(np.einsum("vk,vkj->vj", share, self.weights[nearest]), self.T)
         return np.einsum("vij,vj->vi", inverse(A[:, :, :3]), vertices - A[:, :, 3])

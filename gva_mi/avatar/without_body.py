@@ -1,14 +1,30 @@
-"""An avatar file without the licensed body model, which may be given away.
+"""An avatar file without the licensed body model, so that it may be given away.
 
 A normal avatar file contains the rest body: vertices, faces, skinning weights, joints, and the
 directions of its blend shapes. This format leaves them out and reads them from the reader's own
-body file. It keeps what is the person's own:
+body file. It keeps what belongs to the person:
 
 * the Gaussians: parameters, and their skinning weights;
 * ``beneath`` and ``shares``, (N, k): the body's vertices that a Gaussian takes its blend shapes
   from, and their shares;
 * ``offsets`` (V, 3): distance of the clothes from the body, metres; and ``betas``;
 * the name of the body, and a fingerprint of all its numbers.
+
+The format is ours.
+
+Example:
+    >>> import tempfile
+    >>> from gva_mi.avatar.avatar import SeedOptions, seed_avatar
+    >>> from gva_mi.body.smplx import load_body
+    >>> from gva_mi.core.files import read_arrays
+    >>> body, options = load_body(), AvatarOptions(SeedOptions(count=500))
+    >>> avatar = seed_avatar(body, Shape(torch.zeros(10)), options=options)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "avatar.npz"
+    ...     save_without_body(path, avatar, body, "built-in")
+    ...     restored = with_body(path, read_arrays(path, "an avatar"), body, "built-in")
+    >>> torch.equal(restored.canonical.means, avatar.canonical.means)
+    True
 """
 
 from __future__ import annotations
@@ -35,7 +51,13 @@ _OF_BODY = ("rest_", "skin_")  # prefixes of the body's own numbers
 
 
 def body_hash(body: BodyModel) -> str:
-    """Return a hash of all numbers of a body model."""
+    """Return a hash of all numbers of a body model.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> body_hash(load_body()) == body_hash(load_body())
+        True
+    """
     found = hashlib.sha256()
     for name, value in sorted(body.named_buffers()):
         found.update(f"{name} {tuple(value.shape)}".encode())
@@ -44,21 +66,31 @@ def body_hash(body: BodyModel) -> str:
 
 
 def require_body_of(avatar: Avatar, body: BodyModel, name: str) -> None:
-    """Raise an InputError unless an avatar was made with this body."""
+    """Raise an InputError unless an avatar was made with this body, called ``name``.
+
+    Example:
+        >>> from gva_mi.avatar.avatar import SeedOptions, seed_avatar
+        >>> from gva_mi.body.smplx import load_body
+        >>> body, options = load_body(), AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(body, Shape(torch.zeros(10)), options=options)
+        >>> require_body_of(avatar, body, "built-in")
+    """
     rig = avatar.rig
     same = rig.body == digest(body) and torch.equal(rig.weights, body.weights)
     if not (same and torch.equal(rig.pose_features, body.pose_features)):
         raise InputError(
             f"the avatar was made with another body ({rig.body}) than {name} ({digest(body)}); "
-            "give that one's --body"
+            "pass the matching body with --body"
         )
 
 
 def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) -> None:
-    """Write an avatar without its body, atomically; ``name`` tells readers where to find the body.
+    """Write an avatar without its body, atomically.
+
+    ``name`` is the body's, for readers of the file. The module has an example.
 
     Raises:
-        InputError: it was made with another body.
+        InputError: the avatar was made with another body.
     """
     require_body_of(avatar, body, name)
     rig, skin, record = avatar.rig, avatar.skin, avatar.record()
@@ -84,11 +116,12 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
 
 
 def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: str) -> Avatar:
-    """Restore the avatar from the arrays of a file without a body; its outer skin is the displaced
-    body.
+    """Restore the avatar from the arrays of a file without a body.
+
+    Its outer skin is the body's surface, displaced by the clothes. The module has an example.
 
     Raises:
-        InputError: not such a file, or it belongs to another body than this one of that name.
+        InputError: not such a file, or it belongs to another body than ``body``, called ``name``.
     """
     with expecting(path, "an avatar of this version"):
         described = json.loads(str(arrays.pop("description")))
@@ -96,7 +129,8 @@ def with_body(path: Path, arrays: dict[str, np.ndarray], body: BodyModel, name: 
         if wanted["fingerprint"] != found:
             raise InputError(
                 f"{path}: holds no body and belongs to '{wanted['name']}' "
-                f"({wanted['fingerprint']}), not to '{name}' ({found}); give that one's --body"
+                f"({wanted['fingerprint']}), not to '{name}' ({found}); pass the matching body "
+                "with --body"
             )
         record: dict[str, Any] = dict(tensors_of(path, arrays))
         shares, beneath = record.pop("shares"), record.pop("beneath")

@@ -13,7 +13,7 @@ from gva_mi.avatar.avatar import Avatar, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.residual import ResidualOptions
 from gva_mi.avatar.rig import SkinningOptions
-from gva_mi.avatar.skin_gaussians import SHARE
+from gva_mi.avatar.skin_gaussians import LIGHT_LENGTH
 from gva_mi.body.pose import LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.skinning import strongest
 from gva_mi.splat.axes import matrices
@@ -33,7 +33,7 @@ def test_rest_pose_leaves_gaussians_still(make_avatar):
     posed, G = avatar(Pose.rest()), avatar.canonical
     assert torch.allclose(posed.means, G.means, atol=1e-6)
     assert torch.allclose(matrices(posed.covars), at_rest(G), rtol=1e-5, atol=1e-9)
-    light = SHARE * avatar.light / avatar.light.norm()
+    light = LIGHT_LENGTH * avatar.light / avatar.light.norm()
     slopes = (light[:, None] * G.sh[:, 1:]).sum(1, keepdim=True)
     assert torch.allclose(posed.sh, G.sh[:, :1] + slopes, atol=1e-6)
     assert torch.equal(posed.opacities, G.opacities)

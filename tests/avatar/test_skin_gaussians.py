@@ -5,7 +5,7 @@ import roma
 import torch
 
 from gva_mi.avatar import lbs_reference
-from gva_mi.avatar.lbs_transforms import LARGEST, PIECE, SparseWeights
+from gva_mi.avatar.lbs_transforms import GAUSSIANS_PER_PIECE, MAX_STRETCH, SparseWeights
 from gva_mi.avatar.skin_gaussians import light_vector, skin_gaussians
 from gva_mi.splat.axes import matrices
 from gva_mi.splat.reference import rotation
@@ -14,7 +14,7 @@ JOINTS = 7
 F64 = torch.float64
 
 
-def scene(dtype=F64, n=3 * PIECE + 5, slopes=3):
+def scene(dtype=F64, n=3 * GAUSSIANS_PER_PIECE + 5, slopes=3):
     """Random Gaussians; some joints are followed by all of them, some by none."""
     g = torch.Generator().manual_seed(2)
     random = lambda *shape: torch.randn(*shape, generator=g, dtype=F64)
@@ -109,7 +109,7 @@ def test_stretch_is_bounded():
     _, covars = skinned(means, quats, scales, weights, 1e6 * slopes, T)
     longest = torch.linalg.eigvalsh(matrices(covars))[:, -1].sqrt()
     A = torch.einsum("nj,jab->nab", weights, T[:, :3, :3]).flatten(1).norm(dim=1)
-    assert (longest <= (A + LARGEST) * scales.amax(1) * (1 + 1e-9)).all()
+    assert (longest <= (A + MAX_STRETCH) * scales.amax(1) * (1 + 1e-9)).all()
     assert (longest > 2 * scales.amin(1)).all()
 
 

@@ -6,7 +6,7 @@ import torch
 
 from gva_mi.avatar.reinit import ReinitOptions, mesh_gaussians
 from gva_mi.avatar.rig import Rig
-from gva_mi.avatar.surface import SPREAD, SpreadLimbs
+from gva_mi.avatar.surface import SPREAD_ANGLE, SpreadLimbs
 from gva_mi.body.pose import JOINTS, Shape
 
 STILL = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
@@ -31,7 +31,7 @@ def test_legs_turn_about_their_hips_and_the_trunk_stays(rig):
     of_legs = lambda side: weights[:, [JOINTS.index(f"{side}_{name}") for name in LEG]].sum(1)
     trunk, leg = weights[:, STILL].sum(1) > 1 - 1e-6, of_legs("left") > 1 - 1e-6
     assert trunk.any() and np.allclose(spread.points[trunk], points[trunk], atol=1e-12)
-    c, s = np.cos(SPREAD), np.sin(SPREAD)
+    c, s = np.cos(SPREAD_ANGLE), np.sin(SPREAD_ANGLE)
     at = rig.joints[hip].double().numpy()
     turned = (points[leg] - at) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + at
     assert leg.any() and np.allclose(spread.points[leg], turned, atol=1e-6)

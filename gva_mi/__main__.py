@@ -17,15 +17,15 @@ from gva_mi.core.errors import InputError, is_memory
 
 BAD_INPUT = 2  # exit codes
 INTERRUPTED, BROKEN_PIPE = 130, 141  # a shell's for SIGINT and SIGPIPE
-WHOLE = "every file that is there is whole"
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # full disk, quota, largest file
+ALL_COMPLETE = "all files on disk are complete"
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # full disk, quota, largest file
 AFTER_STOP = {  # how to continue after Ctrl-C
-    "avatar": "the same command goes on with it",
-    "fit": "--resume goes on with it",
-    "render": "the same command goes on with it",
-    "study": "the same command goes on with it",
+    "avatar": "run the same command again to resume",
+    "fit": "run it with --resume to continue",
+    "render": "run the same command again to resume",
+    "study": "run the same command again to resume",
 }
-OF_COMMANDS = (
+PACKAGES_OF_COMMANDS = (
     "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
 )
 
@@ -46,23 +46,23 @@ def main(arguments: list[str] | None = None) -> None:
         _end(BAD_INPUT, str(error))
     except KeyboardInterrupt:
         verb = arguments[0] if arguments else ""
-        _end(INTERRUPTED, f"stopped; {AFTER_STOP.get(verb, WHOLE)}", "\n")
-    except BrokenPipeError:  # the reader of the output has gone
+        _end(INTERRUPTED, f"stopped; {AFTER_STOP.get(verb, ALL_COMPLETE)}", "\n")
+    except BrokenPipeError:  # the reader of the output has closed it
         _end(BROKEN_PIPE)
     except OSError as error:  # a full disk, an unreadable folder
-        if error.strerror is None or (error.filename is None and error.errno not in FULL):
+        if error.strerror is None or (error.filename is None and error.errno not in DISK_FULL):
             raise
-        _end(BAD_INPUT, f"{error.filename or 'the output'}: {error.strerror}; {WHOLE}")
+        _end(BAD_INPUT, f"{error.filename or 'the output'}: {error.strerror}; {ALL_COMPLETE}")
     except (MemoryError, RuntimeError, ImportError) as error:
         if is_memory(error):
-            _end(BAD_INPUT, f"there is not enough memory ({error!s:.200}); {WHOLE}")
+            _end(BAD_INPUT, f"there is not enough memory ({error!s:.200}); {ALL_COMPLETE}")
         if not isinstance(error, ImportError):
             raise
         _end(BAD_INPUT, _explained(error))
 
 
 def _end(code: int, sentence: str = "", before: str = "") -> NoReturn:
-    """Exit with a sentence, also where nobody reads it."""
+    """Print a sentence and exit, even if stderr is closed."""
     with suppress(OSError):
         if sentence:
             print(f"{before}gva-mi: {sentence}", file=sys.stderr)
@@ -90,7 +90,7 @@ def run() -> None:
 def _explained(error: ImportError) -> str:
     """Return the error's sentence; for a missing package, how to install it."""
     package = (error.name or "").split(".")[0]
-    if not isinstance(error, ModuleNotFoundError) or package not in OF_COMMANDS:
+    if not isinstance(error, ModuleNotFoundError) or package not in PACKAGES_OF_COMMANDS:
         return str(error)
     return f"{package} is not installed; the commands need: pip install 'gva_mi[avatar]'"
 

@@ -71,7 +71,7 @@ def test_a_value_of_another_type_is_an_error():
             from_json(Outer, asdict(WHOLE) | {name: value})
 
     for found in (None, [], 3, "text"):
-        with pytest.raises(ValueError, match="in the place of a Outer"):
+        with pytest.raises(ValueError, match="expected an Outer, got"):
             from_json(Outer, found)
     with pytest.raises(ValueError, match="count"):
         from_json(Outer, {"kind": "a", "inner": {"share": 1}})

@@ -1,17 +1,21 @@
 """The steps from a video to an avatar, as functions; the commands of ``gva-mi`` call the same ones.
 
-::
+Example:
+    From a video to a video of the avatar from all sides; each step takes seconds to minutes.
 
-    from gva_mi.app import evaluate, fit, prepare, refine, render
+    >>> from gva_mi.app import evaluate, fit, prepare, refine, render
+    >>> prepare("video.mp4", "me/subject")  # doctest: +SKIP
+    >>> refine("me/subject")  # doctest: +SKIP
+    >>> fit("me/subject", "me/run")  # doctest: +SKIP
+    >>> evaluate("me/run", "me/subject")  # doctest: +SKIP
+    >>> render("me/run", "me/turntable", video=True)  # doctest: +SKIP
 
-    prepare("video.mp4", "me/subject")
-    refine("me/subject")
-    fit("me/subject", "me/run")
-    evaluate("me/run", "me/subject")
-    render("me/run", "me/turntable", video=True)
+    ``avatar("video.mp4", "me")`` does the same, and can be resumed.
 
 Each step reads folders and writes a folder or files. It checks its input before any work, locks
 what it writes, prints what it found, and replaces nothing unless asked to. Options are dataclasses.
+Source: ``refine`` is Sec. 4.2 of the paper, ``fit`` Sec. 4.1, 4.3 and 4.4; the other steps are
+ours.
 
 * ``steps.py``: one function for each step up to the evaluation;
 * ``driving.py``: ``render``, and what drives an avatar;

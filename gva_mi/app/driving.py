@@ -1,8 +1,8 @@
 """Drive an avatar by any motion, and render it.
 
-Every file of a folder of renders is whole or missing, and its marker keeps the stamp
-(:mod:`gva_mi.core.stamp`) of what they were made of. The same call, made again, writes only what is
-missing, with the bits of an uninterrupted run.
+A folder of renders holds only complete files, and a marker with the stamp
+(:mod:`gva_mi.core.stamp`) of all inputs. The same call, made again, writes only the missing files,
+with the bits of an uninterrupted run.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from gva_mi.subject.folder import VIDEO, frame_name
 from gva_mi.subject.pictures import read_background, read_image, write_image
 from gva_mi.subject.video_file import write_video
 
-RENDERED = "render.json"  # every folder of renders holds it
+RENDERED = "render.json"  # the marker of a folder of renders
 
 
 def render(
@@ -55,17 +55,35 @@ def render(
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
-        out: folder for 000000.png ...
-        path: where cameras stand, without ``cameras``.
-        poses: a file of poses, or any motion that ``gva-mi motion`` reads; without it the poses
+        out: folder for the pictures 000000.png, 000001.png ...
+        path: where the cameras stand, if ``cameras`` are not given.
+        poses: a file of poses, or any motion that ``gva-mi motion`` reads; without it, the poses
             trained with the avatar.
         cameras: a file of cameras: one for all frames, or one for each.
         background: a colour, such as white or #ff8800, or a picture file.
-        alpha: pictures are transparent around the avatar.
-        video: also write video.mp4 there; not with ``alpha``, which videos cannot hold.
-        fps: frames a second of videos; motions of other programs are resampled to it.
-        body: see above; for an avatar without its body.
+        alpha: make the pictures transparent around the avatar.
+        video: also write video.mp4 there; not with ``alpha``, because videos have no transparency.
+        fps: frames per second of videos; motions of other programs are resampled to it.
+        body: the body file of an avatar without its body; without it, the run's, else the built-in.
         overwrite: replace existing renders.
+
+    Example:
+        One picture of 64 × 64 pixels of an avatar that was not fitted.
+
+        >>> import tempfile
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import save_poses
+        >>> from gva_mi.body.smplx import load_body
+        >>> average, options = Shape(torch.zeros(10)), AvatarOptions(SeedOptions(count=500))
+        >>> with tempfile.TemporaryDirectory() as name:
+        ...     folder = Path(name)
+        ...     seed_avatar(load_body(), average, options=options).save(folder / "avatar.npz")
+        ...     save_poses(folder / "poses.npz", Pose.rest(), average, stage=1)
+        ...     static = CameraPath("static", size=(64, 64))
+        ...     render(folder / "avatar.npz", folder / "out", static, poses=folder / "poses.npz")
+        ...     sorted(path.name for path in (folder / "out").iterdir())
+        1 pictures: ...
+        ['000000.png', 'render.json']
     """
     run, out = Path(run), Path(out)
     if cameras is not None and path != CameraPath():
@@ -124,8 +142,9 @@ def motion_of(
 ) -> tuple[Pose, Shape]:
     """Return the motion that drives an avatar, and the shape of the person who moved.
 
-    A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames a second, and its notes are
-    printed; poses are played as they are, without ``poses`` those trained with the avatar.
+    A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames per second, and its notes
+    are printed. Poses are played as they are; without ``poses``, the poses trained with the avatar.
+    :func:`render` has an example.
     """
     given = None if poses is None else Path(poses)
     if given is None or is_pose_file(given):
@@ -139,8 +158,8 @@ def motion_of(
     own, theirs = (pad(x.double(), (0, count - len(x))) for x in (avatar.rig.betas, shape.betas))
     if not torch.allclose(own, theirs, atol=1e-4):
         say(
-            f"{path}: poses of a person of another shape, driven as they are: joints turn and the "
-            "root moves as there, bones keep the avatar's lengths, so feet may slide or float"
+            f"{path}: poses of a person of another shape, used as they are: joint rotations "
+            "and the root's path are kept, bones have the avatar's lengths, so feet may slide"
         )
     return pose, shape
 
@@ -149,10 +168,10 @@ def motion_of(
 def _missing(
     out: Path, names: Sequence[str], overwrite: bool, about: dict[str, Any], made_of: str
 ) -> Iterator[list[str]]:
-    """Lock a folder, then start it anew or continue it; yield those of ``names`` that are missing.
+    """Lock a folder, then start it anew or continue it; yield the ``names`` that are missing.
 
     ``about`` is the content of the marker, and ``made_of`` the stamp of all files. An InputError
-    says that the folder holds something else, or all files already.
+    says that the folder holds something else, or already has all files.
     """
     with folder_lock(out, "gva-mi render"):
         missing = [name for name in names if not (out / name).exists()]
@@ -162,12 +181,12 @@ def _missing(
         else:
             require_writable(out)
             if len(missing) < len(names):
-                say(f"{out}: goes on, {len(names) - len(missing)} of {len(names)} files are there")
+                say(f"{out}: resumed, {len(names) - len(missing)} of {len(names)} files exist")
         yield missing
 
 
 def _stamp(avatar: Avatar, motion: Pose, pictures: Iterable[CameraShot], *how: object) -> str:
-    """Return the stamp of renders; ``how`` holds other numbers, words and arrays."""
+    """Return the stamp of renders; ``how`` holds all other inputs: numbers, words and arrays."""
     inputs: list[object] = [*avatar.record().values(), *motion.to_smplx().values(), *how]
     for shot in pictures:
         camera = shot.camera

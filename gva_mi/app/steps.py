@@ -1,8 +1,13 @@
 """One function for each step from a video to an avatar.
 
-Paths may be text. ``body`` is always a body in SMPL-X's format; without it the one that belongs to
-the subject or the run, else the built-in body. An input that cannot be used raises an InputError,
-one sentence, before any work.
+Paths may be text. ``body`` is always the file of a body in SMPL-X's format. Without it, the body
+that the subject or the run was made with is used, else the built-in body. An input that cannot be
+used raises an InputError, one sentence, before any work.
+
+Example:
+    >>> fit("no_such_folder", "run")
+    Traceback (most recent call last):
+    gva_mi.core.errors.InputError: no_such_folder...
 """
 
 from __future__ import annotations
@@ -58,18 +63,22 @@ def prepare(
     body: Path | str | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Make a subject's folder of a video: frames, masks, camera, landmarks and stage-1 poses.
+    """Make a subject's folder from a video: frames, masks, camera, landmarks and stage-1 poses.
 
     Args:
-        recording: a video of one person who turns round once, or a folder of its pictures.
+        recording: a video of one person who turns around once, or a folder of its pictures.
         out: the subject's folder.
-        options: what is known of the video.
+        options: what is known about the video.
         own_masks: masks that come from another program.
-        person: where there are several, the number from the left; without it, the largest.
-        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the video records,
-            else a fitted one.
-        body: see above.
+        person: if the video shows several, the person's number from the left; without it, the
+            largest person.
+        lens: focal length, as 26mm (35 mm equivalent) or in pixels; without it, the one that the
+            video records, else it is estimated.
+        body: a body file; without it, the built-in body.
         overwrite: replace a folder that was prepared here.
+
+    Raises:
+        InputError: the video shows no person, or ``out`` holds something else.
     """
     recording, out = Path(recording), Path(out)
     if not overwrite and (out / PREPARED).exists():
@@ -90,12 +99,15 @@ def check(
     body: Path | str | None = None,
     sheet: Path | str | None = None,
 ) -> CheckReport:
-    """Find what is wrong with a subject's folder, in one pass.
+    """Find everything that is wrong with a subject's folder, in one pass.
 
     Args:
         subject: the folder.
-        body: see above.
-        sheet: also write a picture (.png) of some frames with the outlines of mask and body.
+        body: a body file; without it, the subject's, else the built-in body.
+        sheet: also write a picture (.png) of a few frames with the outlines of mask and body.
+
+    Returns:
+        All problems that were found; they are also printed.
     """
     subject, sheet = Path(subject), None if sheet is None else Path(sheet)
     model = load_body(body_of(subject, body))
@@ -129,12 +141,20 @@ def refine(
     Args:
         subjects: a folder with video, masks, cameras, stage-1 poses and perhaps normals; or several
             folders.
-        options: whose type chooses the method, as for :func:`gva_mi.refine.refine.refine`.
-        normals: how the normals were made, as :mod:`gva_mi.subject.normals` names it, or "none":
-            they are not used. Without it as normals.json says.
+        options: their type chooses the method, as for :func:`gva_mi.refine.refine.refine`.
+        normals: how the normals were made, by a name of :mod:`gva_mi.subject.normals`, or "none" to
+            ignore them; without it, as the subject's normals.json says.
         workers: processes on this machine; any number gives the same bits.
-        body: see above; without it that of the first subject.
+        body: a body file; without it, the first subject's, else the built-in body.
         overwrite: replace existing refined poses.
+
+    Returns:
+        One evaluation per subject, in their order.
+
+    Example:
+        >>> refine([])
+        Traceback (most recent call last):
+        gva_mi.core.errors.InputError: refine: give the folder of a subject, or of several
     """
     folders = [subjects] if isinstance(subjects, Path | str) else subjects
     folders = [Path(folder) for folder in folders]
@@ -178,9 +198,9 @@ def fit(
         subject: a folder with video, masks, cameras and poses.
         out: the run's folder.
         options: of the fit.
-        poses: the poses to fit under; without it the refined ones, else those of stage 1.
-        body: see above.
-        overwrite: replace a run that is there.
+        poses: the poses to fit under; without it, the refined poses, else the stage-1 poses.
+        body: a body file; without it, the subject's, else the built-in body.
+        overwrite: replace an existing run.
         resume: continue a run that was stopped, with its poses and its body.
     """
     subject, out = Path(subject), Path(out)
@@ -223,9 +243,10 @@ def evaluate(
     Args:
         run: the folder of a finished fit.
         subject: the folder it was fitted to.
-        title: of the report; without it the subject's name.
-        poses: the poses it was fitted under; without it as the run's record says.
-        body: see above; without it as the run's record says. Hands are measured where it has them.
+        title: the title of the report; without it, the subject's name.
+        poses: the poses it was fitted under; without it, as the run's record says.
+        body: a body file; without it, as the run's record says. Hands are measured if the body has
+            hands.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
     """
@@ -268,13 +289,13 @@ def track(
     seen the test frames, so other steps use them only if they are given.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
-            same person.
+        run: the folder of a finished fit, or an avatar.npz, of this or another video of the same
+            person.
         subject: a folder with video, masks, cameras and poses.
         options: options of the fit.
-        poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
-            was fitted to this video; else the refined ones, else those of stage 1.
-        body: see above; without it that of the run.
+        poses: the start; without it, the poses trained with the avatar, if ``run`` is a folder that
+            was fitted to this video; else the refined poses, else the stage-1 poses.
+        body: a body file; without it, the run's, else the built-in body.
         overwrite: replace existing poses.
     """
     run, subject = Path(run), Path(subject)

@@ -1,14 +1,14 @@
-"""All steps at once: on a video of one person, each resumable, or on a synthetic subject.
+"""Run all steps: on a video of one person, each resumable, or on a synthetic subject.
 
 ::
 
     out/
       subject/      the folder that the steps before a fit write
       run/          the fit, its metrics and its report
-      report.html   of a video: the page about the avatar, with videos beside it
-      avatar.json   of a video: the stamp of each step (:mod:`gva_mi.core.stamp`)
+      report.html   only for a video: the page about the avatar, with videos beside it
+      avatar.json   only for a video: the stamp of each step (:mod:`gva_mi.core.stamp`)
 
-Of a video, the same call made again repeats only steps that are unfinished, or that depend on
+For a video, the same call made again repeats only steps that are unfinished, or that depend on
 something that changed.
 """
 
@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from gva_mi.app.steps import check, evaluate, fit, prepare, refine
 from gva_mi.body.smplx import load_body
@@ -55,36 +55,56 @@ from gva_mi.synthetic import SynthOptions, make_subject
 from gva_mi.synthetic.options import VideoFrames
 
 SUBJECT, RUN = "subject", "run"
-VIDEO_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # what every such folder holds
-PERSON = "amira"  # of the demo: one of the named subjects
+VIDEO_MARKER, DEMO_MARKER = "avatar.json", "demo.json"  # marker files of such folders
+DEMO_PERSON = "amira"  # one of the named synthetic subjects
 
-QUALITY = {  # passes of the refinement, passes before its prior is inferred, steps of the fit
-    "draft": (8, 4, 500),
-    "usual": (SequenceOptions.passes, SequenceOptions.learn, 2000),
-    "fine": (SequenceOptions.passes, SequenceOptions.learn, 5000),
+
+class Quality(NamedTuple):
+    """Work of the two long steps.
+
+    Example:
+        >>> QUALITIES["draft"].fit_steps
+        500
+    """
+
+    passes: int  # of the refinement
+    learn: int  # passes before its prior is inferred
+    fit_steps: int
+
+
+QUALITIES = {  # chosen: a draft shows soon whether a video suits; "fine" spends more on pictures
+    "draft": Quality(8, 4, 500),
+    "usual": Quality(SequenceOptions.passes, SequenceOptions.learn, 2000),
+    "fine": Quality(SequenceOptions.passes, SequenceOptions.learn, 5000),
 }
 
 
 @options_of("avatar")
 class AvatarEffort:
-    """How much work an avatar is worth."""
+    """How much work is spent on an avatar.
 
-    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: to see whether a video will do
-    # Steps of the fit, before which half as many find better poses, unless it is a draft; without
-    # it, by the quality.
+    Example:
+        >>> AvatarEffort("draft").fitting().steps, AvatarEffort(steps=100).fitting().steps
+        (500, 100)
+    """
+
+    quality: Literal["draft", "usual", "fine"] = "usual"  # draft: a quick preview
+    # Steps of the fit. Half as many come before them and improve the poses, except for a draft.
+    # Without it, the quality decides.
     steps: FromOne | None = None
-    # Leave every 8th frame and a tenth of the video in one piece (of a long video fewer, at most 16
-    # each) out of training, to measure the avatar there; no: all frames train it.
+    # Leave every 8th frame, and a tenth of the video in one piece, out of training (at most 16
+    # frames each), and measure the avatar there; no: train on all frames.
     test_frames: bool = True
 
     def refining(self, height: float | None) -> SequenceOptions:
-        """Return the options of the refinement of a person of this height, metres, if known."""
-        passes, learn, _ = QUALITY[self.quality]
-        return SequenceOptions(passes=passes, learn=learn, height=height)
+        """Return the options of the refinement; ``height`` is the person's, metres, if known."""
+        quality = QUALITIES[self.quality]
+        return SequenceOptions(passes=quality.passes, learn=quality.learn, height=height)
 
     def fitting(self) -> FitOptions:
         """Return the options of the fit."""
-        options = FitOptions(steps=self.steps or QUALITY[self.quality][-1]).of_video()
+        steps = self.steps or QUALITIES[self.quality].fit_steps
+        options = FitOptions(steps=steps).of_video()
         return replace(options, first_steps=0) if self.quality == "draft" else options
 
 
@@ -100,18 +120,23 @@ def avatar(
     body: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Make an avatar of a video: prepare, check, refine, fit, evaluate, report.
+    """Make an avatar from a video: prepare, check, refine, fit, evaluate, report.
 
-    If it was interrupted, the same call goes on; with other options it repeats only the steps that
-    depend on them.
+    If it was interrupted, the same call resumes it. With other options, the call repeats only the
+    steps that depend on them.
 
     Args:
-        recording: a video of one person who turns round once, or a folder of its pictures.
+        recording: a video of one person who turns around once, or a folder of its pictures.
         out: the folder.
-        options, own_masks, person, lens: as of :func:`gva_mi.app.prepare`.
-        effort: how much work the avatar is worth.
-        body: a body in SMPL-X's format; without it the built-in body.
-        overwrite: replace an avatar that is there.
+        options, own_masks, person, lens: as for :func:`gva_mi.app.prepare`.
+        effort: how much work is spent.
+        body: a body file; without it, the built-in body.
+        overwrite: replace an existing avatar.
+
+    Example:
+        >>> avatar("no_such_video.mp4", "out")
+        Traceback (most recent call last):
+        gva_mi.core.errors.InputError: no_such_video.mp4: no such video or folder of pictures
     """
     recording, out = Path(recording), Path(out)
     if not recording.exists():
@@ -165,22 +190,38 @@ def avatar(
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a command."""
+    """One step of a command; :class:`StepFolder` has an example."""
 
-    name: str  # one word, for the progress bar
-    results: str  # whose version counts: a key of RESULTS_VERSIONS
-    options: Any  # all that it depends on beside files
+    name: str  # one word, for the printed lines
+    results: str  # the key of RESULTS_VERSIONS whose version counts
+    options: Any  # everything that it depends on, except files
     reads: Sequence[Path]  # files and folders of files
-    writes: Sequence[Path]  # by which its results are known to be there
-    run: Callable[[bool], None]  # with: was the same step begun before?
+    writes: Sequence[Path]  # the step is finished only if these exist
+    run: Callable[[bool], None]  # its argument: whether the same step was begun before
 
     def stamp(self) -> str:
-        """Return the stamp of all that the step depends on."""
+        """Return the stamp of everything that the step depends on."""
         return stamp(self.reads, [self.name, self.options], results_version(self.results))
 
 
 class StepFolder:
-    """A folder of steps: ``{"source": ..., "steps": {name: {"stamp", "finished"}}}``."""
+    """A folder whose steps are run once each.
+
+    Its marker is ``{"source": ..., "steps": {name: {"stamp", "finished"}}}``.
+
+    Example:
+        The second time, the step is not run again.
+
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as name:
+        ...     made = Path(name) / "made.txt"
+        ...     write = lambda begun: made.write_text("done")
+        ...     step = Step("write", "avatar", None, [], [made], write)
+        ...     StepFolder(Path(name), "steps.json", "source", overwrite=False).follow([step])
+        ...     StepFolder(Path(name), "steps.json", "source", overwrite=False).follow([step])
+        1/1 write: 0 s
+        1/1 write: was finished before
+    """
 
     def __init__(self, folder: Path, marker: str, source: str, overwrite: bool) -> None:
         """Start a folder, or continue one of the same ``source``, a stamp.
@@ -199,7 +240,7 @@ class StepFolder:
             with expecting(self._path, expected):
                 if found["source"] != source:
                     raise InputError(
-                        f"{folder}: was made of another video; choose another folder, or give "
+                        f"{folder}: was made from another video; choose another folder, or give "
                         "--overwrite to replace it"
                     )
                 self._steps = {name: dict(step) for name, step in found["steps"].items()}
@@ -229,7 +270,7 @@ class StepFolder:
 
 
 def _check(subject: Path, body: Path | None) -> None:
-    """Compare the folder with itself, and the video with a good one."""
+    """Check the folder, and how well the video suits; write all findings."""
     report, record = check(subject, body=body), Stage1Record.load(subject)
     video = load_video(subject)
     with bar("check") as progress:
@@ -244,7 +285,7 @@ def _check(subject: Path, body: Path | None) -> None:
 
 
 def _split(subject: Path, test_frames: bool) -> None:
-    """Choose the frames that are left out of training."""
+    """Choose the test frames, which are left out of training."""
     count = Stage1Record.load(subject).frames
     every = Splits(list(range(count)), [])
     splits = Splits.of_video(count) if test_frames else every
@@ -253,10 +294,15 @@ def _split(subject: Path, test_frames: bool) -> None:
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """How large the demo is; the defaults take some 3 minutes on 2 cores."""
+    """How large the demo is; the defaults take some 3 minutes on 2 cores.
 
-    seed: Seed = 0  # of the subject, the refinement and the fit
-    frames: VideoFrames = 64  # of the video
+    Example:
+        >>> DemoOptions(frames=32).size
+        400
+    """
+
+    seed: Seed = 0  # for the subject, the refinement and the fit
+    frames: VideoFrames = 64  # number of frames of the video
     size: PictureSide = 400  # pixels, width and height
     steps: FromOne = 2000  # steps of the fit
 
@@ -272,13 +318,16 @@ def demo(
     Args:
         out: folder for the subject and the run.
         options: size of the demo.
-        overwrite: replace a demo that is there.
+        overwrite: replace an existing demo.
+
+    Example:
+        >>> demo("out", DemoOptions(frames=32))  # doctest: +SKIP
     """
     out, start, workers = Path(out), time.perf_counter(), usual_workers()
     subject, run = out / SUBJECT, out / RUN
     # All options first: a bad one is refused before anything is written or replaced.
     made = SynthOptions(
-        seed=options.seed, subject=PERSON, frames=options.frames, size=options.size,
+        seed=options.seed, subject=DEMO_PERSON, frames=options.frames, size=options.size,
         workers=workers,
     )  # fmt: skip
     fitting = FitOptions(seed=options.seed, steps=options.steps)

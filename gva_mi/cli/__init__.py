@@ -10,9 +10,9 @@
 
 ``prepare`` makes such a subject/ from a real video, and ``check`` reports what is wrong with one.
 ``avatar`` runs all steps on a video, ``demo`` on a synthetic subject. Each command reads a folder,
-writes a folder, and can be run alone; no output is replaced unless asked for. A command reads its
-arguments and calls the library: for a step the function of its name in :mod:`gva_mi.app`. A new
-command is a function in a new file, and a line in :data:`VERBS`.
+writes a folder, and can be run alone; no output is replaced without ``--overwrite``. A command
+reads its arguments and calls the library: for a step, the function of its name in
+:mod:`gva_mi.app`. A new command is a function in a new file, and a line in :data:`VERBS`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from collections.abc import Callable
 from importlib import import_module
 
 VERBS = {  # shown by `gva-mi --help`, which imports none of them
-    "demo": "all of it on a synthetic subject: synth, refine, fit, evaluate, report",
+    "demo": "run all steps on a synthetic subject: synth, refine, fit, evaluate, report",
     "synth": "make a synthetic subject: a video with masks, normals, poses and ground truth",
-    "avatar": "all of it on a video of one person: prepare, refine, fit, evaluate, report",
-    "prepare": "make a subject from a video, or from a video, masks, and an estimator's poses",
+    "avatar": "run all steps on a video of one person: prepare, refine, fit, evaluate, report",
+    "prepare": "make a subject from a video, from an estimator's poses, or from a data set",
     "check": "report everything that is wrong with a subject's folder",
     "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
     "fit": "fit an avatar to a video: Eq. 9, densification, re-initialisation",
@@ -39,7 +39,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "body": "write a body file that needs no licence agreement",
     "gradcheck": "check the gradients of the renderer, of an avatar, or of rendered normals",
     "bench": "run the benchmarks of a checkout",
-    "doctor": "report what this machine has, and what is missing for what",
+    "doctor": "check the dependencies, and what needs the missing ones",
 }
 
 

@@ -8,7 +8,7 @@ from tyro.conf import FlagCreatePairsOff, arg
 
 from gva_mi.core.errors import InputError
 
-MOST_PEOPLE = 20  # that --person tells apart
+MOST_PEOPLE = 20  # in a video, for --person; chosen: more people are too small in the picture
 
 T = TypeVar("T")
 Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line

@@ -27,23 +27,24 @@ def avatar(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make an avatar of a video: prepare, check, refine, fit, evaluate, report.
+    """Make an avatar from a video: prepare, check, refine, fit, evaluate, report.
 
-    If it was interrupted, the same command goes on; with other options it repeats only the steps
-    that depend on them. Each step is also a command of its own.
+    If it was interrupted, the same command resumes it. With other options, the command repeats only
+    the steps that depend on them. Each step is also a command of its own.
 
     Args:
-        recording: a video of one person who turns round once, or a folder of its pictures.
-        video_options: of the video.
-        effort: how much work the avatar is worth.
+        recording: a video of one person who turns around once, or a folder of its pictures.
+        video_options: what is known about the video.
+        effort: how much work is spent on the avatar.
         own_masks: masks that come from another program.
         out: folder for the subject (out/subject), the run (out/run), videos and the page
             (out/report.html).
-        person: where there are several, the number from the left; without it, the largest.
-        lens: focal length, as 26mm of 35 mm film or in pixels; without it, what the video records,
-            else a fitted one.
-        body: a body in SMPL-X's format; without it the built-in body.
-        overwrite: replace an avatar that is there.
+        person: if the video shows several, the person's number from the left; without it, the
+            largest person.
+        lens: focal length, as 26mm (35 mm equivalent) or in pixels; without it, the one that the
+            video records, else it is estimated.
+        body: a body file in SMPL-X's format; without it, the built-in body.
+        overwrite: replace an existing avatar.
     """
     app.avatar(
         recording, out, video_options, effort, own_masks, person=person, lens=lens, body=body,
@@ -62,6 +63,6 @@ def demo(
     Args:
         options: size of the demo.
         out: folder for the subject (out/subject), the run and its report (out/run).
-        overwrite: replace a demo that is there.
+        overwrite: replace an existing demo.
     """
     app.demo(out, options, overwrite=overwrite)

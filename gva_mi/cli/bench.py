@@ -23,15 +23,15 @@ def bench(
     repeats: Annotated[int, Within(1, 100_000)] = 20,
     scene: Path | None = None,
 ) -> None:
-    """Measure the renderer, larger scenes and more threads, a fit, or the rendered normals.
+    """Measure the speed of the renderer, of larger scenes, of a fit, or of rendered normals.
 
     Prints tables of milliseconds; on a shared machine trust only ratios within one run.
 
     Args:
-        what: the part to measure.
+        what: the part to measure; growth: larger scenes and more threads.
         repeats: calls per figure.
-        scene: splat: a .ply of Gaussians; without it a synthetic
-            person of 20,000 Gaussians at 512 px.
+        scene: splat: a .ply of Gaussians; without it, a synthetic person of 20,000 Gaussians at
+            512 px.
     """
     if what != "splat" and scene is not None:
         raise InputError(f"bench {what}: --scene is an option of bench splat")

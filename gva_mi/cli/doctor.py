@@ -1,4 +1,4 @@
-"""The command ``gva-mi doctor``: report what this machine has, and what features lack."""
+"""The command ``gva-mi doctor``: check the dependencies, and what needs the missing ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PACKAGES = {  # that commands need, by the extra that installs them
     "mesh": ("pymeshlab", "trimesh", "skimage", "scipy"),
     "avatar": ("av", "PIL", "jinja2", "matplotlib", "roma", "tyro"),
 }
-OPTIONAL = {  # that most users do without: the commands that need each, and the extra
+OPTIONAL = {  # packages that most users do not need: the commands that need each, and the extra
     "ai_edge_litert": ("`gva-mi avatar`, `prepare video` and `motion VIDEO`", "video"),
     "viser": ("`gva-mi view`", "viewer"),
     "transformers": ("`gva-mi prepare --masks sam`", "sam"),
@@ -40,14 +40,14 @@ class Component(NamedTuple):
 
 
 def doctor() -> None:
-    """Report what this machine has, and which feature lacks which package.
+    """Check the dependencies, and report which feature needs each missing one.
 
-    Ends with exit code 1 where something is missing.
+    The exit code is 1 if something necessary is missing.
     """
     fine = True
     for component in examine():
         fine &= component.fine
-        # Not with gva_mi.core.console, whose package may be missing.
+        # Without gva_mi.core.console, because its package tqdm may be missing.
         sys.stdout.write(f"{component}\n")
         sys.stdout.flush()
     sys.exit(0 if fine else 1)
@@ -108,7 +108,7 @@ def _package(module: str, extra: str) -> Component:
 
 
 def _weights() -> Iterator[Component]:
-    """Report network weights; all are optional, so the line names what replaces missing ones."""
+    """Report network weights. All are optional: a line names what replaces missing weights."""
     from gva_mi.fit.perceptual import find_weights
 
     weights = find_weights()

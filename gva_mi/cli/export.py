@@ -32,7 +32,7 @@ FORMATS = {  # what each file holds, and the options that have an effect on it
     ".spz": ("Niantic's, a quarter of a .ply", ("poses", "frame", "sh_degree")),
     ".glb": ("the surface with skeleton, skin, colours, and a motion", ("poses", "fps")),
     ".npz": (
-        "poses as AMASS has them; with --no-rig the avatar without its body",
+        "poses in AMASS's format; with --no-rig the avatar without its body",
         ("poses", "fps", "no_rig"),
     ),
 }
@@ -42,12 +42,13 @@ FORMATS = {  # what each file holds, and the options that have an effect on it
 class ExportOptions:
     """Options of what ``export`` writes."""
 
-    # A motion: SMPL-X's names, or any that gva-mi motion reads; without it the trained poses.
+    # Poses, or any motion that gva-mi motion reads; without it, the trained poses.
     poses: Path | None = None
-    # Frame of the poses; without it and --poses, Gaussians are in the rest pose.
+    # Frame of the poses; without it and without --poses, Gaussians are in the rest pose.
     frame: Annotated[int, Within(0, 1_000_000)] | None = None
-    fps: Annotated[int, Within(1, 1000)] = 30  # frames a second
-    # Of the harmonics of Gaussians: cut or filled up with zeros; 3 makes 248 bytes each in a .ply.
+    fps: Annotated[int, Within(1, 1000)] = 30  # frames per second
+    # Degree of the Gaussians' spherical harmonics, which are cut or padded with zeros; with 3, a
+    # Gaussian takes 248 bytes in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
     no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
 
@@ -60,17 +61,17 @@ def export(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Write an avatar or its poses in a file of other programs. Videos are made by render.
+    """Write an avatar or its poses for other programs; gva-mi render makes videos.
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
         options: content of the file.
-        out: the file, whose suffix says what it is: .ply, .splat, .spz (Gaussians in one pose),
-            .glb (the surface with skeleton and skin), or .npz (poses as AMASS has them, or with
+        out: the file, whose suffix chooses the format: .ply, .splat, .spz (Gaussians in one pose),
+            .glb (the surface with skeleton and skin), or .npz (poses in AMASS's format, or with
             --no-rig the avatar).
-        body: the body file of an avatar without its body, or for --no-rig; without it the built-in
-            built-in body.
-        overwrite: replace what is there.
+        body: the body file of an avatar without its body, or for --no-rig; without it, the built-in
+            body.
+        overwrite: replace an existing file.
     """
     suffix = out.suffix.lower()
     _require_meant(out, suffix, options)
@@ -82,9 +83,9 @@ def export(
 def _require_meant(out: Path, suffix: str, options: ExportOptions) -> None:
     """Raise an InputError for an unknown format, and for options without an effect on it."""
     if suffix not in FORMATS:
-        there = ", ".join(f"{name} ({what})" for name, (what, _) in FORMATS.items())
+        known = ", ".join(f"{name} ({what})" for name, (what, _) in FORMATS.items())
         raise InputError(
-            f"{out}: no format ends in {suffix or out.name}; expected {there}; gva-mi render "
+            f"{out}: no format ends in {suffix or out.name}; expected {known}; gva-mi render "
             "--video makes videos"
         )
     for name, option in given(options).items():

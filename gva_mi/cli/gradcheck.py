@@ -36,11 +36,11 @@ ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
 class GradcheckOptions:
     """Options of the checks: which inputs they cover, and how finely."""
 
-    # Number of windows, from fullest to emptiest (3); of random poses of an avatar (3); of
-    # coordinates of the body's pose, from the first (all 16).
+    # splat: number of windows, from fullest to emptiest (3); avatar: of random poses (3); normals:
+    # of coordinates of the body's pose, from the first (all 16).
     count: Annotated[int, Within(1, 1000)] | None = None
-    seed: Seed = 0  # seed of the loss weights and of the choice of entries
-    # splat: width and height of a window, px; the time grows with its square and more.
+    seed: Seed = 0  # for the loss weights and the choice of entries
+    # splat: width and height of a window, px; the time grows faster than their product.
     window: Annotated[int, Within(1, 1024)] = 24
     camera_model: CameraModel | None = None  # splat: replaces the scene's own
     antialiased: Switch = False  # splat: reduce opacities by the area that the blur adds
@@ -76,15 +76,15 @@ def gradcheck(
 
     splat: the renderer against its reference implementation and central differences, in small
     windows of a picture. avatar: the whole chain from a pose to the picture against differences and
-    tangents. normals: mesh_normals by the body's pose against an exact
-    reference. Ends with an error where a gradient is wrong, less accurate than allowed, or missing.
+    tangents. normals: mesh_normals by the body's pose against an exact reference. Ends with an
+    error if a gradient is wrong, less accurate than allowed, or missing.
 
     Args:
         what: what to check.
         options: which inputs to check, and how finely.
-        scene: splat: a .ply of Gaussians; without it a person of 20,000 Gaussians.
-        body: avatar: a body in SMPL-X's .npz format; without it the built-in body.
-        out: a folder for gradcheck.json and, of splat, gradcheck.png.
+        scene: splat: a .ply of Gaussians; without it, a person of 20,000 Gaussians.
+        body: avatar: a body file in SMPL-X's format (.npz); without it, the built-in body.
+        out: a folder for gradcheck.json and, for splat, gradcheck.png.
     """
     options.require_only(what, scene=scene, body=body)
     if out is not None:

@@ -13,6 +13,7 @@ import inspect
 import io
 import operator
 import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -26,7 +27,7 @@ from gva_mi.core.options import Within, python_only
 if TYPE_CHECKING:
     from tyro.constructors import PrimitiveConstructorSpec, StructConstructorSpec, StructTypeInfo
 
-NARROWEST = 40  # columns: in a narrower terminal tyro never finishes a long --help
+NARROWEST_COLUMNS = 40  # of a terminal; in a narrower one tyro never finishes a long --help
 Call = functools.partial[None]
 
 
@@ -38,8 +39,8 @@ def parse(command: Callable[..., None], verb: str, arguments: list[str]) -> Call
     Raises:
         InputError: a value that cannot be read or that the options refuse.
     """
-    if shutil.get_terminal_size().columns < NARROWEST:
-        os.environ["COLUMNS"] = str(NARROWEST)
+    if shutil.get_terminal_size().columns < NARROWEST_COLUMNS:
+        os.environ["COLUMNS"] = str(NARROWEST_COLUMNS)
     signature = inspect.signature(command)
     call = _read(command, signature, verb, arguments)
     presets = getattr(command, "presets", {})
@@ -61,14 +62,15 @@ def _read(
     def call(*values: object, **options: object) -> Call:
         return functools.partial(command, *values, **options)
 
-    numbers, told = _Numbers(), io.StringIO()
+    numbers, printed = _Numbers(), io.StringIO()
     hints = get_type_hints(command, include_extras=True)
     call.__annotations__ = {name: _named(name, numbers.in_(hint)) for name, hint in hints.items()}
-    call.__signature__, call.__doc__ = signature, command.__doc__
+    call.__signature__ = signature
+    call.__doc__ = re.sub(r"\n {12}", " ", command.__doc__)  # tyro keeps line breaks of Args
     registry = tyro.constructors.ConstructorRegistry()
     registry.struct_rule(numbers.in_fields)
     try:
-        with redirect_stderr(told):
+        with redirect_stderr(printed):
             return tyro.cli(
                 call, prog=f"gva-mi {verb}", args=arguments, registry=registry,
                 config=(tyro.conf.SuppressFixed,),
@@ -79,12 +81,12 @@ def _read(
         sentence = _refusal(stop, numbers.refused)
         if sentence is not None:
             raise InputError(sentence) from None
-        sys.stderr.write(told.getvalue())  # missing or unknown arguments, or no such choice
+        sys.stderr.write(printed.getvalue())  # missing or unknown arguments, or no such choice
         raise
 
 
 def _require_inputs_to_stay(given: Mapping[str, object]) -> None:
-    """Raise an InputError for an input in the folder that ``--overwrite`` is about to remove."""
+    """Raise an InputError for an input inside the folder that ``--overwrite`` would remove."""
     out = given.get("out")
     if not (given.get("overwrite") and isinstance(out, Path) and out.is_dir()):
         return
@@ -119,7 +121,7 @@ def _named(name: str, hint: Any) -> Any:  # noqa: ANN401
 
 
 class _Numbers:
-    """How tyro reads and shows numbers of some range.
+    """How tyro reads and shows bounded numbers.
 
     Attributes:
         refused: expected range and given value of each refused number.
@@ -127,18 +129,18 @@ class _Numbers:
 
     def __init__(self) -> None:
         self.refused: list[str] = []
-        self._asking = False
+        self._in_tyros_rule = False
 
     def in_fields(self, info: StructTypeInfo) -> StructConstructorSpec | None:
         """Let tyro read a dataclass, with ranges, and without what only Python sets."""
         from tyro.conf import Fixed
         from tyro.constructors import ConstructorRegistry
 
-        if self._asking or not dataclasses.is_dataclass(info.type):
+        if self._in_tyros_rule or not dataclasses.is_dataclass(info.type):
             return None
-        self._asking = True  # so that tyro's own rule answers
+        self._in_tyros_rule = True  # skip this rule, so that tyro's own applies
         spec = ConstructorRegistry.get_struct_spec(info)
-        self._asking = False
+        self._in_tyros_rule = False
         hidden, fields = python_only(info.type), []
         for field in spec.fields:
             hint = Annotated[field.type, Fixed] if field.name in hidden else self.in_(field.type)
@@ -146,7 +148,7 @@ class _Numbers:
         return dataclasses.replace(spec, fields=tuple(fields))
 
     def in_(self, hint: Any) -> Any:  # noqa: ANN401
-        """Return an annotation in which tyro's specification stands for each range."""
+        """Return an annotation in which tyro's specification replaces each range."""
         if get_origin(hint) is Annotated:
             kind, *rest = get_args(hint)
             rest = (self._number(kind, x) if isinstance(x, Within) else x for x in rest)

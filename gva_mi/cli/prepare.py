@@ -1,4 +1,4 @@
-"""Commands that make a subject or a motion of the files of others, or of a video."""
+"""The commands ``prepare`` and ``motion``: a subject or a motion from a video or other files."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import PREPARED
 
 VIDEO_FILES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".gif")
-OF_VIDEOS = ("body", "person", "lens", "masks")  # of PrepareOptions
+VIDEO_OPTIONS = ("body", "person", "lens", "masks")  # fields of PrepareOptions that fit a video
 _HELP = (
-    f"{VIDEO_KIND}, of which everything is estimated here; or the estimator: {', '.join(KINDS)}; "
-    f"or the data set: {', '.join(DATASETS)}; "
-    '"auto" recognises it by its keys and files'
+    f"{VIDEO_KIND}: everything is estimated here; or an estimator: {', '.join(KINDS)}; "
+    f"or a data set: {', '.join(DATASETS)}; "
+    'or "auto", which recognises estimator or data set by keys and files'
 )
 
 
@@ -42,15 +42,15 @@ def prepare(
     *,
     overwrite: Switch = False,
 ) -> None:
-    """Make a subject's folder of a video; of a video, masks and an estimator's file; or a data set.
+    """Make a subject's folder from a video, from an estimator's poses, or from a data set.
 
     Args:
         kind: kind of the source.
         source: the video, or a folder of its pictures; the estimator's file or folder; or the data
-            set's folder of one subject; pickles run no code.
+            set's folder of one subject. Pickles are read without running their code.
         out: the subject's folder.
         options: pictures, masks, lens and body that belong to the source.
-        recording: of a video.
+        recording: what is known about a video.
         overwrite: replace a folder that was prepared here.
     """
     if kind not in ("auto", VIDEO_KIND) and kind not in (kinds := {**KINDS, **DATASETS}):
@@ -58,7 +58,7 @@ def prepare(
             f"prepare: kind must be auto, {VIDEO_KIND}, {', '.join(kinds)}; got {kind}"
         )
     if kind == VIDEO_KIND:
-        wrong = [option for name, option in given(options).items() if name not in OF_VIDEOS]
+        wrong = [option for name, option in given(options).items() if name not in VIDEO_OPTIONS]
         if wrong:
             raise InputError(f"prepare: {wrong[0]} is not for a {VIDEO_KIND}")
         app.prepare(
@@ -90,16 +90,16 @@ def motion(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make poses of a motion of AMASS, AIST++, a pose estimator or the like, or of a video.
+    """Make poses from a motion of AMASS, AIST++, a pose estimator or the like, or from a video.
 
     Args:
-        source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code. Or a
-            video, whose largest person moves, or the --person of this number from the left.
+        source: .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles are read without
+            running their code. Or a video: its largest person, or --person.
         out: the poses, .npz.
         options: options of the conversion.
-        recording: of a video: what is known of it, and which part of it is used.
-        lens: of a video: focal length, as 26mm of 35 mm film or in pixels; without it, what the
-            video records, else a fitted one.
+        recording: for a video: what is known about it, and which part of it is used.
+        lens: for a video: focal length, as 26mm (35 mm equivalent) or in pixels; without it, the
+            one that the video records, else it is estimated.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
             the world is turned upright.
         overwrite: replace an existing file.

@@ -31,13 +31,13 @@ def score(
 ) -> None:
     """Score renders of any method: whole picture, box, mask, hands, face.
 
-    Files are paired by the last number in their names, videos in their order.
+    Pictures are paired by the last number in their file names, frames of videos by their order.
 
     Args:
-        renders: a video or a folder of pictures; with alpha, they are put on the background.
+        renders: a video or a folder of pictures; pictures with alpha are put on the background.
         truth: a video or a folder of pictures, or a subject's folder, whose masks and poses give
             box, mask, hands and face.
-        masks: of the person in the pictures of truth: a video, a folder, or a .npy (T, H, W).
+        masks: masks of the person in the pictures of truth: a video, a folder, or a .npy (T, H, W).
         background: the colour behind the renders, on which masked pictures are put; none: pictures
             stay as they are.
         out: also write the table to this .json file.

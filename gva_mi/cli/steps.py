@@ -20,7 +20,7 @@ from gva_mi.fit.renders import CameraPath
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.subject.pictures import require_picture
 
-WRONG = 1  # exit code of a check that found errors
+ERRORS_FOUND = 1  # exit code of a check
 
 
 def check(
@@ -30,22 +30,22 @@ def check(
     sheet: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Find what is wrong with a subject's folder, in one pass.
+    """Find everything that is wrong with a subject's folder, in one pass.
 
     The exit code 0 means no error, 1 at least one, and 2 that the folder cannot be read.
 
     Args:
         subject: the folder.
-        body: the body that its poses are for, in SMPL-X's format; without it the one that it was
+        body: the body file of its poses, in SMPL-X's format; without it, the body that it was
             prepared for, else the built-in body.
-        sheet: also write a picture (.png) of some frames with the outlines of mask and body.
+        sheet: also write a picture (.png) of a few frames with the outlines of mask and body.
         overwrite: replace this picture.
     """
     if sheet is not None:
         require_picture(sheet, overwrite)
     report = app.check(subject, body=body, sheet=sheet)
     if report.errors:
-        sys.exit(WRONG)
+        sys.exit(ERRORS_FOUND)
 
 
 def refine(
@@ -63,14 +63,14 @@ def refine(
     Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
 
     Args:
-        subjects: folders with video, masks, cameras, stage-1 poses; normals where there are some.
+        subjects: folders with video, masks, cameras, stage-1 poses, and perhaps normals.
         options: options of the refinement.
-        preset: paper: Eq. 8 as printed, frame by frame; of the options it uses size and passes,
-            here 80 unless they are given.
+        preset: paper: Eq. 8 as printed, frame by frame. It uses only the options size and passes
+            (80 by default).
         normals: how the normals were made: as the video's camera sees them, or as ICON writes them
-            (orthographic, y up); none: they are not used. Without it as normals.json says.
+            (orthographic, y up); none: ignore them. Without it, as normals.json says.
         workers: processes on this machine; any number gives the same bits.
-        body: a body in SMPL-X's .npz format; without it the one that the first subject was
+        body: a body file in SMPL-X's format (.npz); without it, the body that the first subject was
             prepared for, else the built-in body.
         overwrite: replace existing refined poses.
     """
@@ -78,8 +78,8 @@ def refine(
         for name, given in (("height", options.height), ("hold-out-test", options.hold_out_test)):
             if given:
                 raise InputError(
-                    f"refine: --{name} is of the refinement of all frames together; --preset paper "
-                    "is Eq. 8 as printed, frame by frame"
+                    f"refine: --{name} is an option of the refinement of all frames together; "
+                    "--preset paper is Eq. 8 as printed, frame by frame"
                 )
         options = replace(paper.REFINE, size=options.size, passes=options.passes)
     app.refine(subjects, options, normals=normals, workers=workers, body=body, overwrite=overwrite)
@@ -105,12 +105,12 @@ def fit(
         subject: a folder with video, masks, cameras and poses.
         options: options of the fit.
         out: the run's folder.
-        preset: paper: all options as the paper prints them; video: those of `gva-mi avatar`.
+        preset: paper: all options as the paper prints them; video: the options of `gva-mi avatar`.
             Explicit options override it.
-        poses: the poses to fit under; without it the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the one the subject was prepared for, else
-            the built-in body.
-        overwrite: replace a run that is there.
+        poses: the poses to fit under; without it, the refined poses, else the stage-1 poses.
+        body: a body file in SMPL-X's format (.npz); without it, the body that the subject was
+            prepared for, else the built-in body.
+        overwrite: replace an existing run.
         resume: continue a run that was stopped, with its poses and its body.
     """
     app.fit(subject, out, options, poses=poses, body=body, overwrite=overwrite, resume=resume)
@@ -132,9 +132,9 @@ def evaluate(
     Args:
         run: the folder of a finished fit.
         subject: the folder it was fitted to.
-        poses: the poses it was fitted under; without it as the run's record says.
-        body: the body that it was fitted with, in SMPL-X's .npz format; without it as the run's
-            record says. Hands are measured where it has them.
+        poses: the poses it was fitted under; without it, as the run's record says.
+        body: the body file that it was fitted with, in SMPL-X's format (.npz); without it, as the
+            run's record says. Hands are measured if the body has hands.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
     """
@@ -156,14 +156,14 @@ def track(
     seen the test frames, so other steps use them only if --poses names them.
 
     Args:
-        run: the folder of a finished fit, or an avatar.npz, of this video or of another one of the
-            same person.
+        run: the folder of a finished fit, or an avatar.npz, of this or another video of the same
+            person.
         subject: a folder with video, masks, cameras and poses.
         options: options of the fit.
-        poses: the start; without it the poses trained with the avatar, if ``run`` is a folder that
-            was fitted to this video; else the refined ones, else those of stage 1.
-        body: a body in SMPL-X's .npz format; without it the one of the run, or of the subject,
-            else the built-in body.
+        poses: the start; without it, the poses trained with the avatar, if RUN is a folder that was
+            fitted to this video; else the refined poses, else the stage-1 poses.
+        body: a body file in SMPL-X's format (.npz); without it, the body of the run, or of the
+            subject, else the built-in body.
         overwrite: replace existing poses.
     """
     app.track(run, subject, options, poses=poses, body=body, overwrite=overwrite)
@@ -189,16 +189,16 @@ def render(
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
-        path: where cameras stand, without --cameras.
-        out: folder for 000000.png ...
-        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
-            the poses trained with the avatar.
-        cameras: K, T_camera_world, width, height; one for all frames, or T.
+        path: where the cameras stand, if --cameras is not given.
+        out: folder for the pictures 000000.png, 000001.png ...
+        poses: poses under SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads;
+            without it, the poses trained with the avatar.
+        cameras: a file with K, T_camera_world, width, height; one for all frames, or T.
         background: a colour, such as white or #ff8800, or a picture file.
-        alpha: pictures are transparent around the avatar.
+        alpha: make the pictures transparent around the avatar.
         video: also write video.mp4 there; not with --alpha.
-        fps: frames a second of videos; motions of other programs are resampled to it.
-        body: the body file of an avatar without its body; without it the run's or the built-in one.
+        fps: frames per second of videos; motions of other programs are resampled to it.
+        body: the body file of an avatar without its body; without it, the run's, else the built-in.
         overwrite: replace existing renders.
     """
     app.render(

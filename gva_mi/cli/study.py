@@ -37,13 +37,13 @@ class _Choice:
     """Options of both studies."""
 
     out: Path  # folder for results and subjects; missing subjects are generated
-    # held-out: never tuned on; limits: one subject's video, with one thing changed at a time.
+    # held-out: no option was tuned on them; limits: one video, with one thing changed at a time.
     cases: Literal["held-out", "tuning", "all", "limits"] = "held-out"
     # Number of the held-out set; once you tune on its results, take the next.
     held_out_set: Annotated[int, Within(1, 1000)] = 1
-    # Error models, such as white, video or "no normals"; all without it.
+    # Error models, such as white, video or "no normals"; without it, all.
     error_models: tuple[str, ...] = ()
-    subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; all without it
+    subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; without it, all
     workers: Workers = 1  # processes on this machine; any number gives the same bits
     body: PythonOnly[Path | None] = None  # in SMPL-X's .npz format; None: the built-in body
     overwrite: Switch = False  # recompute results that the file already holds
@@ -53,41 +53,41 @@ class _Choice:
 class RefineChoice(_Choice):
     """Refine several synthetic subjects, and compare the poses with the ground truth.
 
-    Writes refine.json and refine.html: by error model, by how much errors changed, and the depth of
-    refined ankles and wrists, above zero if too far away. A study that was cut short is resumed.
+    Writes refine.json and refine.html: by how much errors changed, for each error model, and the
+    depth errors of ankles and wrists, positive if too far away. A stopped study is resumed.
     """
 
-    # 1: only measure poses before refinement, without the time that it takes.
+    # 1: only measure the poses before refinement, which takes little time.
     stage: Literal[1, 2] = 2
     options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
 
 
 @dataclass(frozen=True)
 class AvatarChoice(_Choice):
-    """Fit avatars of several synthetic subjects: the method, and the method without each part.
+    """Fit avatars of several synthetic subjects, with the full method and with each part left out.
 
-    Writes avatar.json and avatar.html: PSNR, SSIM, perceptual metrics on test frames, novel poses
-    and novel views, pose errors, how the Gaussians lie, time; mean, spread and worst over subjects.
-    A study that was cut short is resumed.
+    Writes avatar.json and avatar.html: PSNR, SSIM and perceptual metrics on test frames, novel
+    poses and novel views, pose errors, distances of Gaussians to the surface, time; mean, spread
+    and worst over subjects. A stopped study is resumed.
     """
 
-    rows: tuple[str, ...] = ()  # variants, such as full or "with residual"; all without it
+    rows: tuple[str, ...] = ()  # variants, such as full or "with residual"; without it, all
     options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
 
 
 @options_of("study multiview")
 class MultiviewChoice:
-    """Compare stage 1 of real videos with points that several calibrated cameras see.
+    """Compare stage 1 of real videos with points triangulated from several calibrated cameras.
 
     Each video is solved alone, as `gva-mi prepare video` does. Landmarks of all videos together
-    give points in space, which err by a few centimetres. Prints lengths in millimetres.
+    give the points, which are accurate to a few centimetres. Prints lengths in millimetres.
     """
 
     recordings: Positional[Path]  # folder of the videos, named after their cameras
     calibration: Positional[Path]  # of the cameras, as Pose2Sim, anipose and FreeMoCap write it
     up: Axis = "z"  # axis of the calibration's world
-    known_lens: Switch = False  # videos are solved with their true focal lengths
-    # The person's height, metres; without it, that of an average person.
+    known_lens: Switch = False  # solve the videos with their true focal lengths
+    # The person's height, metres; without it, the height of an average person.
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     json_file: Annotated[Path | None, arg(name="json")] = None  # where to write all figures
 
@@ -100,7 +100,7 @@ def study(
         arg(name=""),
     ],
 ) -> None:
-    """Measure how well a step does on subjects that it was not tuned on.
+    """Measure the results of a step on subjects that it was not tuned on.
 
     Args:
         what: the step; its figures are written to files of its name.
@@ -168,15 +168,15 @@ def _multiview(what: MultiviewChoice) -> None:
 def _kept(
     what: _Choice, made: Study, cases: Sequence[StudyCase]
 ) -> tuple[list[Outcome], list[Outcome]]:
-    """Return the results of the file split in two: those of the selected cases, and all others."""
+    """Split the results in the file: results of the selected cases, and all others."""
     try:
         kept = made.load()
     except InputError:
         if not what.overwrite:
             raise
         kept = []
-    asked = [o for o in kept if o.case in cases and o.variant in made.variants]
-    return ([] if what.overwrite else asked), [o for o in kept if o not in asked]
+    selected = [o for o in kept if o.case in cases and o.variant in made.variants]
+    return ([] if what.overwrite else selected), [o for o in kept if o not in selected]
 
 
 def _chosen(what: _Choice) -> list[StudyCase]:

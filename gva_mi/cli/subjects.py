@@ -1,4 +1,4 @@
-"""``gva-mi synth`` makes a synthetic subject, ``gva-mi body`` writes the body file of one."""
+"""The commands ``synth`` and ``body``: a synthetic subject, and a body file without a licence."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def synth(
     body: Path | None = None,
     overwrite: Switch = False,
 ) -> None:
-    """Make a synthetic subject: video, masks, normals, cameras and poses with errors; ground truth.
+    """Make a synthetic subject: video, masks, normals, cameras, inaccurate poses, ground truth.
 
     Args:
         out: the subject's folder.
         options: options of the subject.
-        body: a body file in SMPL-X's .npz format; without it the built-in body.
+        body: a body file in SMPL-X's format (.npz); without it, the built-in body.
         overwrite: replace an existing subject.
     """
     model, options = load_body(body), replace(options, workers=usual_workers())
@@ -53,8 +53,8 @@ def body(
 ) -> None:
     """Write a body file in SMPL-X's format that needs no licence agreement.
 
-    To convert poses of SMPL or SMPL+H, use gva-mi motion, or with a video gva-mi
-    prepare parameters.
+    To convert poses of SMPL or SMPL+H, use gva-mi motion, or with a video gva-mi prepare
+    parameters.
 
     Args:
         source: "built-in", the built-in body, or "anny", the free realistic body.

@@ -44,11 +44,11 @@ def view(
 
     Args:
         run: the folder of a finished fit, or an avatar.npz.
-        poses: SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads; without it
-            the poses trained with the avatar.
-        subject: the folder of the video that these poses belong to, shown beside the avatar.
-        body: the body file of an avatar without its body; without it the run's or the built-in one.
-        host: address to listen on: this machine alone, or 0.0.0.0 for the whole network.
+        poses: poses under SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads;
+            without it, the poses trained with the avatar.
+        subject: the folder of the video that these poses belong to; it is shown beside the avatar.
+        body: the body file of an avatar without its body; without it, the run's, else the built-in.
+        host: address to listen on: 127.0.0.1 for this machine alone, 0.0.0.0 for the whole network.
         port: port of the page; 0 picks a free one.
     """
     body = body_of_run(run, body)
@@ -75,14 +75,14 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
     """Return the video whose poses are shown; without ``--poses`` it must be the run's own."""
     if poses is not None and not is_pose_file(poses):
         raise InputError(
-            f"{poses}: a motion of another program, which no video can be shown beside; expected "
-            f"poses of {subject}, or no --subject"
+            f"{poses}: a motion of another program does not belong to a video; expected poses of "
+            f"{subject}, or no --subject"
         )
     video = load_video(subject, poses or run / TRAINED_POSES, "none")
     if poses is None and (others := other_pictures(run, video)):
         raise InputError(
-            f"{run}: was fitted to another video than {subject}, which has other {others}; give "
-            "that one, or --poses of this one"
+            f"{run}: was fitted to another video than {subject}, whose {others} differ; give the "
+            "subject that it was fitted to, or --poses of this one"
         )
     return video
 

@@ -70,8 +70,8 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
     At any moment ``out`` is the old folder or the new one, whole. A killed process leaves its
     temporary folder behind; the next one that makes ``out`` removes it.
 
-    An ``out`` that holds something is replaced only if it has the file ``replaced``, by which this
-    program knows its own folders.
+    An ``out`` that holds something is replaced only if it has the file ``replaced``, which marks
+    folders that this program made.
     """
     out = link_target(out).absolute()
     unfinished, old = (out.with_name(f".{out.name}.gva-mi-{what}") for what in ("part", "old"))
@@ -83,7 +83,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
             shutil.rmtree(left)
         if holds_something(out):
             if replaced is None or not out.is_dir():
-                raise InputError(f"{out}: already there; expected a new or an empty folder")
+                raise InputError(f"{out}: already exists; expected a new or an empty folder")
             require_ours(out, replaced)
         try:
             with with_filename(out, keep=True):
@@ -170,7 +170,7 @@ def holds_something(folder: Path, marker: str | None = None) -> bool:
 
 
 def require_ours(folder: Path, marker: str) -> None:
-    """Raise an InputError if a folder lacks the marker of this program's output folders."""
+    """Raise an InputError if a folder lacks the marker file of this program's output folders."""
     if not (folder / marker).exists():
         raise InputError(
             f"{folder}: has no {marker}, so gva-mi did not make it and will not replace it"

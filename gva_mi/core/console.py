@@ -10,7 +10,7 @@ from typing import Protocol
 
 
 def complete_streams() -> None:
-    """Make the streams of this process take any text, and open those that are closed.
+    """Make the streams of this process accept any text, and open closed ones.
 
     A process that was started with ``>&-`` has no ``sys.stdout``, and the first file that it opens
     gets that number: what a library prints would be written into that file.
@@ -26,7 +26,7 @@ def complete_streams() -> None:
 
 
 def discard_what_is_unread() -> None:
-    """Send what a stream's reader does not take nowhere, so that Python's last flush succeeds."""
+    """Discard output whose reader has closed its end, so that Python's last flush succeeds."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -71,9 +71,9 @@ def say(line: str) -> None:
 def part_of_progress(
     progress: Progress | None, before: int, steps: int, total: int
 ) -> Progress | None:
-    """Return a progress function for a piece of some work, or None if nothing is reported.
+    """Return a progress function for a part of longer work, or None if nothing is reported.
 
-    The piece counts for ``steps`` of all ``total`` steps, after ``before`` others.
+    The part counts for ``steps`` of all ``total`` steps, after ``before`` others.
     """
     if progress is None:
         return None
@@ -83,7 +83,12 @@ def part_of_progress(
 
 
 def listed(frames: Sequence[int]) -> str:
-    """Return ascending frame numbers as text: ``3, 7-9, 12``."""
+    """Return ascending frame numbers as text.
+
+    Example:
+        >>> listed([3, 7, 8, 9, 12])
+        '3, 7-9, 12'
+    """
     runs: list[list[int]] = []
     for k in frames:
         if runs and k == runs[-1][-1] + 1:
@@ -94,7 +99,12 @@ def listed(frames: Sequence[int]) -> str:
 
 
 def aligned(rows: Iterable[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
-    """Return the lines of a table, with the columns ``left`` aligned left and others right."""
+    """Return the lines of a table, with the columns ``left`` aligned left and others right.
+
+    Example:
+        >>> aligned([["part", "ms"], ["project", "3.1"]])
+        ['part      ms', 'project  3.1']
+    """
     rows = list(rows)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     sides = ["<" if k in left else ">" for k in range(len(widths))]

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-LONGEST = 1500  # characters of a sentence
+# Characters of a sentence; longer ones are cut. Chosen: a few lines of a terminal per quoted path.
+LONGEST_SENTENCE = 1500
 
 
 class InputError(ValueError):
@@ -21,7 +22,9 @@ class InputError(ValueError):
 
     def __init__(self, sentence: str = "") -> None:
         line = "".join(c if c.isprintable() else " " for c in sentence)
-        super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]} ...")
+        super().__init__(
+            line if len(line) <= LONGEST_SENTENCE else f"{line[:LONGEST_SENTENCE]} ..."
+        )
 
 
 # What Python, numpy and torch raise when a file's content does not have the form a reader expects.
@@ -36,6 +39,12 @@ def expecting(where: Path | str, expected: str) -> Iterator[None]:
     """Turn any error caused by malformed content of a file into an InputError.
 
     ``expected`` says what the file should hold.
+
+    Example:
+        >>> with expecting("poses.json", "a list of poses"):
+        ...     {}["frames"]
+        Traceback (most recent call last):
+        gva_mi.core.errors.InputError: poses.json: unexpected format ('frames' is missing); ...
     """
     try:
         yield
@@ -43,17 +52,17 @@ def expecting(where: Path | str, expected: str) -> Iterator[None]:
         raise
     except MALFORMED as error:
         reason = reason_of(error)
-        raise InputError(f"{where}: of another form ({reason}); expected {expected}") from None
+        raise InputError(f"{where}: unexpected format ({reason}); expected {expected}") from None
 
 
-# What Python's own messages stand for, which describe a program and not a file.
+# Plain words for Python's own messages, which describe a program and not a file.
 _PLAIN_WORDS = (
     (KeyError, "'{}' is missing"),
-    (UnicodeError, "it is no text in UTF-8"),
+    (UnicodeError, "it is not text in UTF-8"),
     (RecursionError, "it is nested too deeply"),
-    (ArithmeticError, "a number in it is zero, or too large"),
-    ((LookupError, StopIteration, EOFError, struct.error), "something is missing in it"),
-    ((AttributeError, TypeError, AssertionError), "something in it is of another kind"),
+    (ArithmeticError, "a number is zero or too large"),
+    ((LookupError, StopIteration, EOFError, struct.error), "a value is missing"),
+    ((AttributeError, TypeError, AssertionError), "a value has the wrong type"),
 )
 _LENGTHS = re.compile(
     "values to unpack|inhomogeneous|ambiguous|broadcast|reshape|invalid for input|must match|"
@@ -79,12 +88,12 @@ def reason_of(error: BaseException) -> str:
             return words.format(*error.args[:1] or ("",))
     line = " ".join(str(error).split()).split(". ")[0][:160]  # torch goes on with advice
     if isinstance(error, ValueError | RuntimeError) and _LENGTHS.search(line):
-        return "a list or an array in it is of another length"
+        return "a list or an array has the wrong length"
     return line or type(error).__name__
 
 
 def is_memory(error: BaseException) -> bool:
-    """Return whether an error means that memory ran out; torch and the system have their own."""
+    """Return whether memory ran out; torch and the system report it by other exceptions."""
     if isinstance(error, MemoryError):
-        return not hasattr(error, "errno")  # FFmpeg says so of damaged videos
+        return not hasattr(error, "errno")  # FFmpeg raises it, with errno, for damaged videos
     return isinstance(error, RuntimeError | ImportError) and bool(_NO_MEMORY.search(str(error)))

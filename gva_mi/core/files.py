@@ -26,7 +26,8 @@ from gva_mi.core.errors import InputError, is_memory, reason_of
 
 T = TypeVar("T")
 Form = tuple[int | None, ...]  # of an array: the length of each axis, None for any
-LARGEST_TEXT = 1 << 28  # bytes of a JSON file
+# Bytes of a JSON file. Chosen: 256 MB; parsed, a larger one would not fit into memory.
+LARGEST_JSON = 1 << 28
 
 
 def require_file(path: Path, expected: str) -> None:
@@ -53,7 +54,7 @@ def read_arrays(
                 if only is None or name in only:
                     found[name] = file[name]
         if not all(isinstance(x, np.ndarray) for x in found.values()):
-            raise ValueError("it is no array of numpy")
+            raise ValueError("it is not an array of numpy")
     except Exception as error:  # zipfile, zlib and numpy each raise their own
         reason = f"'{name}': {reason_of_read(error)}"
         raise InputError(f"{path}: not a readable .npz ({reason}); expected {expected}") from None
@@ -72,7 +73,7 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
 
 
 def reason_of_read(error: Exception) -> str:
-    """Return in plain words why a file's arrays could not be read."""
+    """Return in plain words why the arrays of a file could not be read."""
     if "allow_pickle" in str(error):
         return "pickled objects"
     return "it claims more than there is memory" if is_memory(error) else reason_of(error)
@@ -94,9 +95,9 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
     path = Path(path)
     require_file(path, expected)
     try:
-        if path.stat().st_size > LARGEST_TEXT:
+        if path.stat().st_size > LARGEST_JSON:
             raise ValueError(f"{path.stat().st_size:,} bytes")
-        return json.loads(path.read_text("utf-8-sig"))  # also with a mark of Windows
+        return json.loads(path.read_text("utf-8-sig"))  # with or without a byte-order mark
     except (OSError, ValueError, RecursionError) as error:
         reason = reason_of(error)
         raise InputError(f"{path}: not readable as JSON ({reason}); expected {expected}") from None
@@ -105,7 +106,7 @@ def read_json(path: Path, expected: str) -> Any:  # noqa: ANN401
 def once_a_file(read: Callable[..., T]) -> Callable[..., T]:
     """Wrap ``read(path, ...)`` so that a process reads a file again only when it has changed.
 
-    A change of other files in its folder counts, too. What ``read`` is given and returns has to be
+    A change of other files in its folder counts, too. Arguments and results of ``read`` have to be
     small and hashable. Errors are not kept.
     """
     kept = lru_cache(maxsize=1 << 16)(lambda stamp, *given: read(*given))
@@ -129,7 +130,12 @@ def require_keys(path: Path, arrays: dict[str, np.ndarray], keys: tuple[str, ...
 
 
 def shape_fault(shape: Sequence[int], *forms: Form) -> str | None:
-    """Say that a shape has none of some forms; None if it has one, or where none are given."""
+    """Return why a shape fits none of ``forms``; None if it fits one, or if none are given.
+
+    Example:
+        >>> shape_fault((500, 2), (None, 3))
+        'must be (*, 3), got (500, 2)'
+    """
     for form in forms:
         lengths = zip(form, shape, strict=False)
         if len(form) == len(shape) and all(want in (None, got) for want, got in lengths):
@@ -152,13 +158,14 @@ def require_array(
     """Return an array of a file, or raise an InputError that says what it should be.
 
     Args:
-        path: of the file.
-        name: of the array.
+        path: the file.
+        name: the array's name.
         array: as it was read. Floating point other than 32 or 64 bits becomes 64 bits, because
             linear algebra knows no other.
         forms: its possible shapes; none: any.
-        kind: of its dtype: a key of ``_KINDS``.
-        largest: absolute value of any number in it, which is then finite; None: any.
+        kind: the kind of its dtype, a key of ``_KINDS``.
+        largest: the largest absolute value that is allowed, which makes all numbers finite; None:
+            any.
     """
     if array.dtype.kind not in kind:
         raise InputError(f"{path}: '{name}' must be {_KINDS[kind]}, got {array.dtype}")
@@ -195,7 +202,7 @@ def require_room(path: Path, overwrite: bool) -> None:
 def make_room(folder: Path, marker: str, overwrite: bool) -> None:
     """Remove an output folder that may be replaced; a missing or empty one is left as it is.
 
-    A folder that holds something else than a run of ours lacks the file ``marker``.
+    A folder without the file ``marker`` was not made by this program, and is not replaced.
     """
     require_replaceable(folder, marker, overwrite)
     folder = link_target(folder)
@@ -231,7 +238,7 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
         unfinished.write_text(json.dumps(value, indent=2, default=str) + "\n")
 
 
-# What files are that are not read here, and what to do, by their first bytes.
+# Formats that are not read here, and how to convert them, by the first bytes of a file.
 _BEGINNINGS = {
     b"version https://git-lfs": "a Git LFS pointer instead of the file: git lfs pull fetches it",
     b"<!DOCTYPE": "a web page, such as of a download that asks for an account",

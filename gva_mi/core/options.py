@@ -6,7 +6,15 @@
 
 The command line shows the range in ``--help`` and refuses other numbers; :func:`options_of` does
 the same for options made in Python. Both ends are finite, so NaN and infinity are in no range.
-A field that is ``PythonOnly[...]`` is no option of a command.
+A field that is ``PythonOnly[...]`` is not an option of a command.
+
+Example:
+    >>> @options_of("walk")
+    ... class WalkOptions:
+    ...     steps: Annotated[int, Within(1, 100)] = 10
+    >>> WalkOptions(steps=0)
+    Traceback (most recent call last):
+    gva_mi.core.errors.InputError: walk: steps must be from 1 to 100, got 0
 """
 
 from __future__ import annotations
@@ -42,7 +50,7 @@ class Within:
     low: float
     high: float
     open: str = ""  # "low" or "low high": excluded ends
-    unit: str = ""  # such as metres, for people
+    unit: str = ""  # such as metres; shown in --help
 
     def __contains__(self, number: object) -> bool:
         if isinstance(number, bool) or not isinstance(number, numbers.Real):
@@ -64,11 +72,11 @@ class Within:
 
 
 class _Mark:
-    """See :data:`PythonOnly`."""
+    """The mark of a field that is :data:`PythonOnly`."""
 
 
 _PYTHON_ONLY = _Mark()
-PythonOnly = Annotated[T, _PYTHON_ONLY]  # a constant of the method: no option of a command
+PythonOnly = Annotated[T, _PYTHON_ONLY]  # set from Python alone, not by an option of a command
 
 Share = Annotated[float, Within(0, 1)]
 InnerShare = Annotated[float, Within(0, 1, "low high")]
@@ -152,7 +160,8 @@ def from_json(kind: type[T], record: Any) -> T:  # noqa: ANN401
             a sentence with :func:`gva_mi.core.errors.expecting`.
     """
     if not isinstance(record, dict):
-        raise ValueError(f"{_short(record)} in the place of a {kind.__name__}")
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ValueError(f"expected {article} {kind.__name__}, got {_short(record)}")
     names = {field.name: field for field in dataclasses.fields(kind)}
     if unknown := record.keys() - names.keys():
         raise ValueError(f"'{min(unknown)}' is unknown")
@@ -188,7 +197,7 @@ def _checked(hint: Any, value: Any, name: str) -> Any:  # noqa: ANN401
 
 
 def _is_plain(kind: Any, value: Any, choices: tuple) -> bool:  # noqa: ANN401
-    """Return whether a value is text, a number or one of some choices; True is no number."""
+    """Return whether a value has a plain type, or is one of ``choices``; a bool is not a number."""
     if kind is Literal:
         return isinstance(value, str | int) and value in choices
     if isinstance(value, bool):

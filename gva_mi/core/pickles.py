@@ -1,11 +1,11 @@
 """Read the arrays and plain values of other people's files without running any code of theirs.
 
 A pickle names functions, which Python would import and call. Here a name only selects an entry of
-:data:`ALLOWED`, or is refused, and nothing but arrays and :class:`_Object` takes a state. Torch
-itself reads its files, ``weights_only``.
+:data:`ALLOWED`, or is refused, and only arrays and :class:`_Object` accept a state. Torch's files
+are read by torch, with ``weights_only``.
 
-It reads pickles of every protocol, also Python 2's, and files of ``joblib.dump``, both also packed
-by zlib or gzip; ``.npy`` and ``.npz`` with objects; torch's files.
+Formats: pickles of every protocol, also Python 2's, and files of ``joblib.dump``, both also
+compressed by zlib or gzip; ``.npy`` and ``.npz`` with objects; torch's files.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     except Refused as error:
         fault = f"holds {error}, which is not read because it may run code or is no plain array"
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
-        fault = f"damaged, cut short, or of another kind ({reason_of_read(error)})"
+        fault = f"damaged, cut short, or of an unknown kind ({reason_of_read(error)})"
         fault = known_container(path) or fault
     raise InputError(f"{path}: {fault}; expected {expected}")
 
@@ -99,7 +99,7 @@ def load_pickle(file: BinaryIO) -> Any:  # noqa: ANN401
 
 
 class _Unpickler(pickle._Unpickler):
-    """Python's own in Python: the one in C makes room for as many objects as a file claims."""
+    """Python's unpickler written in Python: the one in C allocates as much as a file claims."""
 
     def __init__(self, file: BinaryIO) -> None:
         super().__init__(file, encoding="latin1")  # for text of Python 2
@@ -134,7 +134,7 @@ class _Unpickler(pickle._Unpickler):
 def _fill(array: np.ndarray, version: int, shape: tuple, *rest: Any) -> None:  # noqa: ANN401
     if min(shape, default=0) < 0:
         raise ValueError(f"an array of shape {shape}")
-    array.__setstate__((version, shape, *rest))  # which checks that the bytes are so many
+    array.__setstate__((version, shape, *rest))  # which checks the number of bytes
 
 
 class _Object:
@@ -179,7 +179,7 @@ class _Csr(_Csc):
 
 
 class _Chumpy(_Object):
-    """An array of chumpy, which old SMPL files hold, or a selection of one's elements."""
+    """An array of chumpy, which old SMPL files hold, or a selection of its elements."""
 
     def value(self, state: dict, file: BinaryIO) -> np.ndarray:
         if "x" in state:
@@ -219,7 +219,7 @@ def _encode(text: str, codec: str) -> bytes:
     return text.encode("latin-1")
 
 
-# By package and name, whatever module lies between. A text can only be named.
+# By package and name, whatever module lies between. A text stands for a class that is never made.
 ALLOWED: dict[tuple[str, str], Any] = {
     **{("builtins", kind.__name__): kind
        for kind in (object, bool, int, float, complex, str, list, dict, set)},

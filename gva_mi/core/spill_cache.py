@@ -15,7 +15,8 @@ from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar
 
 from gva_mi.core.atomic import with_filename
 
-KEPT = 1 << 28  # bytes of values that stay in memory
+# Bytes of values that stay in memory. Chosen: 256 MB, little beside the gigabyte of a process.
+BYTES_IN_MEMORY = 1 << 28
 
 T = TypeVar("T")
 
@@ -33,14 +34,20 @@ class SpillCache(Mapping[int, T], Generic[T]):
 
     It is pickled as a plain dictionary of its values.
 
+    Example:
+        >>> cache = SpillCache(Path("."), kept=0)  # all values in a file
+        >>> cache[3] = "a value"
+        >>> cache[3], len(cache)
+        ('a value', 1)
+
     Args:
         folder: where the file lies if one is needed; on the disk that results go to, because the
             system's folder for temporary files may be in memory.
-        kept: bytes of values that stay in memory; None: :data:`KEPT`.
+        kept: bytes of values that stay in memory; None: :data:`BYTES_IN_MEMORY`.
     """
 
     def __init__(self, folder: Path, kept: int | None = None) -> None:
-        self._folder, self._room = folder, KEPT if kept is None else kept
+        self._folder, self._room = folder, BYTES_IN_MEMORY if kept is None else kept
         self._entries: dict[int, T | _OnDisk] = {}
         self._file: BinaryIO | None = None
 
@@ -74,7 +81,7 @@ class SpillCache(Mapping[int, T], Generic[T]):
         return number in self._entries
 
     def part(self, numbers: Iterable[int], first: int = 0) -> SpillCache[T]:
-        """Return the entries that exist among some numbers, counted from ``first``; no copies."""
+        """Return the entries of these numbers that exist, renumbered from ``first``; no copies."""
         found = SpillCache(self._folder, 0)
         found._entries = {k - first: self._entries[k] for k in numbers if k in self._entries}
         return found

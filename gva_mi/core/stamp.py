@@ -4,15 +4,21 @@
 
     stamp = hash(content of the inputs, options, version)
 
-A result is used again only if the stamp in its record equals the stamp of today. This is the one
-way in which steps of a command, renders, runs, checkpoints and studies ask that question.
+A result is used again only if the stamp in its record equals the stamp of today. Steps of a
+command, renders, runs, checkpoints and studies all decide in this way.
 
 The version is a number that is raised by hand when the same inputs and options give another result
 (:data:`RESULTS_VERSIONS`), and not a hash of the program. A hash of the source files makes every
-result stale with every comment; one without comments does so with every new name. Days of computing
-hang on a study. The ledger (``tests/core/ledger``) notices bits that changed, and asks for a higher
-number. Versions of numerical libraries may change last digits, so they count too where a folder's
-files should be of one cast (:func:`results_version`).
+result stale with every comment; a hash without comments does so with every new name. A study takes
+days of computing. The ledger (``tests/core/ledger``) detects changed bits, and asks for a higher
+number. Versions of numerical libraries may change last digits. So they count too where all files of
+a folder should come from the same versions (:func:`results_version`).
+
+Example:
+    >>> stamp([np.zeros(3)], options={"steps": 10}) == stamp([np.zeros(3)], options={"steps": 10})
+    True
+    >>> stamp([np.zeros(3)], options={"steps": 10}) == stamp([np.ones(3)], options={"steps": 10})
+    False
 
 The record of an output folder is a JSON file that says what made it: options, seed, versions of the
 libraries, and the stamp where there is one.
@@ -41,7 +47,7 @@ from gva_mi.core.files import make_room, read_json, write_json
 RESULTS_VERSIONS = {"refine": 14, "avatar": 12}
 LIBRARIES = ("torch", "drjit", "mitsuba", "numpy")  # whose versions may change last digits
 STAMP, STAMP_BYTES = "stamp", 32  # its name in a record, and its length as text
-_BLOCK = 1 << 20  # bytes read at once
+_BLOCK = 1 << 20  # bytes read at once; chosen: a megabyte, little memory and few calls
 
 
 def stamp(inputs: Iterable[object] = (), options: object = None, version: object = None) -> str:
@@ -92,7 +98,7 @@ def versions() -> dict[str, str]:
 
 
 def results_version(kind: str) -> dict[str, object]:
-    """Return the version of results of one kind, and those of the libraries."""
+    """Return the version of results of one kind, and the versions of the libraries."""
     return {kind: RESULTS_VERSIONS[kind]} | _libraries()
 
 
@@ -105,7 +111,7 @@ def _libraries() -> dict[str, str]:
 
 
 def _bytes_of_path(path: Path) -> Iterator[bytes]:
-    """Yield names and content of a file, or of a folder's files; of a missing one the name."""
+    """Yield names and content of a file, or of a folder's files; for a missing file its name."""
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     for file in files:
         size = file.stat().st_size if file.exists() else -1

@@ -123,13 +123,16 @@ def on_all_cores(work: Callable[[Item], Result], items: Iterable[Item]) -> Itera
 
 
 def usual_workers() -> int:
-    """Return how many processes a command uses unless told: few, as each takes a gigabyte."""
+    """Return how many processes a command uses by default: few, as each takes a gigabyte."""
     return min(4, os.cpu_count() or 1)
 
 
 @contextmanager
 def local_executor(count: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Yield an executor of ``count`` processes that share the cores; of one, None: this process."""
+    """Yield an executor of ``count`` processes that share the cores.
+
+    For one process it is None, which stands for this process.
+    """
     if count == 1:
         yield None
         return
@@ -196,6 +199,6 @@ def _result_of(future: Future[Result]) -> Result:
 def worker_died(error: BaseException) -> InputError:
     """Return the sentence for a worker that died before its work was done."""
     return InputError(
-        f"a worker process is gone ({reason_of(error)}): killed, or out of memory; every file that "
-        "is there is whole; run it again, with fewer workers where memory is short"
+        f"a worker process died ({reason_of(error)}): killed, or out of memory; all files on disk "
+        "are complete; run the command again, with fewer workers if memory is short"
     )

@@ -66,7 +66,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
     out = tmp_path / "a.glb"
     with full_disk(1000):
         code, _, err = cli("export", tmp_path / "avatar.npz", "--out", out)
-    assert code == 2 and err.endswith("a.glb: File too large; every file that is there is whole\n")
+    assert code == 2 and err.endswith("a.glb: File too large; all files on disk are complete\n")
     assert not out.exists() and not list(tmp_path.glob("*.part"))
 
 
@@ -136,7 +136,9 @@ def test_overwriting_a_folder_does_not_cost_an_input_that_lies_in_it(tmp_path, c
     assert (out / "poses.npz").read_bytes() == (subject / "poses.npz").read_bytes()
 
 
-@pytest.mark.parametrize("verb, told", [("fit", "--resume goes on with it"), ("synth", "is whole")])
+@pytest.mark.parametrize(
+    "verb, told", [("fit", "with --resume to continue"), ("synth", "are complete")]
+)
 def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     def stopped():
         raise KeyboardInterrupt

@@ -89,7 +89,7 @@ def test_an_interrupted_render_is_resumed_with_the_same_bits(run, cli):
     for name in gone:
         (out / name).unlink()
     (out / "000002.png.part").write_bytes(b"cut short")
-    assert f"{out}: goes on, 1 of 4 files are there" in cli.works(*command)
+    assert f"{out}: resumed, 1 of 4 files exist" in cli.works(*command)
     assert {path.name: path.read_bytes() for path in out.iterdir()} == wanted
     assert {name for name, time in touched(out).items() if time != times[name]} == gone
     err = cli.fails(*command)  # nothing is missing

@@ -65,7 +65,9 @@ def test_a_stopped_step_is_told_that_it_was_begun(follow):
 
 def test_what_is_there_is_not_lost(follow, tmp_path):
     follow()
-    with pytest.raises(InputError, match="was made of another video; .* --overwrite to replace it"):
+    with pytest.raises(
+        InputError, match="was made from another video; .* --overwrite to replace it"
+    ):
         follow(source="other")
     assert follow() == []
     assert follow(source="other", overwrite=True) == ["first", "second"]
@@ -73,5 +75,5 @@ def test_what_is_there_is_not_lost(follow, tmp_path):
     with pytest.raises(InputError, match="has no about.json, so gva-mi did not make it"):
         follow()
     (tmp_path / "out" / MARKER).write_text("[]")
-    with pytest.raises(InputError, match="about.json: of another form"):
+    with pytest.raises(InputError, match="about.json: unexpected format"):
         follow()

@@ -166,7 +166,7 @@ def test_a_false_claim_is_an_error(tmp_path):
         read_arrays(tmp_path / "a.npz", "poses")
     with zipfile.ZipFile(tmp_path / "b.npz", "w") as file:
         file.writestr("data.pkl", b"")
-    with pytest.raises(InputError, match="it is no array of numpy"):
+    with pytest.raises(InputError, match="it is not an array of numpy"):
         read_arrays(tmp_path / "b.npz", "poses")
 
 
@@ -209,17 +209,17 @@ def test_malformed_content_is_one_short_sentence():
     assert len(str(InputError("x" * 10**6))) < 2000
     for fails, reason in {
         (lambda: {}["x"]): "'x' is missing",
-        (lambda: [][0]): "something is missing in it",
-        (lambda: next(iter(()))): "something is missing in it",
-        (lambda: None.a): "something in it is of another kind",
-        (lambda: len(3)): "something in it is of another kind",
-        (lambda: 1 / 0): "a number in it is zero, or too large",
-        (lambda: b"\xff".decode()): "it is no text in UTF-8",
-        (lambda: np.zeros(3) + np.zeros(4)): "a list or an array in it is of another length",
-        (lambda: np.zeros(3).reshape(2, 2)): "a list or an array in it is of another length",
+        (lambda: [][0]): "a value is missing",
+        (lambda: next(iter(()))): "a value is missing",
+        (lambda: None.a): "a value has the wrong type",
+        (lambda: len(3)): "a value has the wrong type",
+        (lambda: 1 / 0): "a number is zero or too large",
+        (lambda: b"\xff".decode()): "it is not text in UTF-8",
+        (lambda: np.zeros(3) + np.zeros(4)): "a list or an array has the wrong length",
+        (lambda: np.zeros(3).reshape(2, 2)): "a list or an array has the wrong length",
     }.items():
         with pytest.raises(InputError) as error, expecting("a", "b"):
             fails()
-        assert str(error.value) == f"a: of another form ({reason}); expected b"
+        assert str(error.value) == f"a: unexpected format ({reason}); expected b"
     with pytest.raises(InputError, match="^mine$"), expecting("a", "b"):
         raise InputError("mine")

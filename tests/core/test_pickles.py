@@ -157,7 +157,7 @@ HOSTILE = {
     "name of control characters": (b"\x80\x04\x8c\x04\x1b[a\n\x8c\x01c\x93.", r"holds  \[a .c,"),
     "memory map": (named("numpy", "memmap", "ran", "u1", "w+"), "damaged"),
     "array by call": (named("numpy", "ndarray", 9), "damaged"),
-    "call of a list": (b"](I1\ntR.", r"damaged.*\(something in it is of another kind\)"),
+    "call of a list": (b"](I1\ntR.", r"damaged.*\(a value has the wrong type\)"),
     "state of a list": (b"]}S'x'\nI1\nsb.", "holds a state for "),
     "state of a type": (DTYPE + b"}S'x'\nI1\nsb.", "holds a state for <function"),
     "state of a function": (b"c_codecs\nencode\n}S'x'\nI1\nsb.", "holds a state for <function"),
@@ -211,7 +211,7 @@ CLAIMS = {
 
 @pytest.mark.parametrize("name", CLAIMS)
 def test_a_false_claim_is_an_error(read, name):
-    with pytest.raises(InputError, match="file.pkl: damaged, cut short, or of another kind"):
+    with pytest.raises(InputError, match="file.pkl: damaged, cut short, or of an unknown kind"):
         read(CLAIMS[name])
 
 

@@ -100,7 +100,7 @@ class Waits:
 def test_a_killed_worker_is_one_sentence(sign):
     with pytest.raises(InputError) as error, local_executor(2) as pool:
         list(run([Waits(sign)], pool))
-    assert "a worker process is gone" in str(error.value)
+    assert "a worker process died" in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -122,7 +122,7 @@ class Failing:
 
 
 def test_cancelled_work_is_one_sentence():
-    with pytest.raises(InputError, match="a worker process is gone"):
+    with pytest.raises(InputError, match="a worker process died"):
         list(run([Waits(0)], Failing(CancelledError())))
 
 

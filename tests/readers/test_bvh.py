@@ -201,7 +201,7 @@ def test_damaged_files_are_described(tmp_path, dance, cli):
         (lambda x: x.replace("Frame Time: 0.0", "Frame Time: -0.0"), "must be seconds above 0"),
         (lambda x: x.replace("LeftLeg", "bone_7"), "without a left (hip|knee); expected a person"),
         (lambda x: x.replace("MOTION", "ROOT Two\n{\n}\nMOTION"), "holds several skeletons"),
-        (lambda x: x.replace("OFFSET 0.0", "OFFSET nan0.0", 1), "of another form .*nan0.0"),
+        (lambda x: x.replace("OFFSET 0.0", "OFFSET nan0.0", 1), "unexpected format .*nan0.0"),
     ):
         (tmp_path / "b.bvh").write_text(change(text))
         with pytest.raises(InputError, match=words):

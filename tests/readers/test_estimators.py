@@ -60,7 +60,7 @@ def test_arrays_without_names_other_bodies_and_damage_are_refused(tmp_path, refu
         tmp_path / "flat.npy",
     )
     res = {"pred_thetas": np.zeros((1, 7)), "pred_cam_root": 0, "bbox": 0, "img_path": ["x"]}
-    refused("\\(read as hybrik\\): of another form", dumped(tmp_path / "r.pk", res))
+    refused("\\(read as hybrik\\): unexpected format", dumped(tmp_path / "r.pk", res))
 
 
 def test_another_estimator_is_one_record(tmp_path, seen, monkeypatch):

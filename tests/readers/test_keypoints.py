@@ -111,7 +111,7 @@ def test_keypoints_that_do_not_fit_are_described(tmp_path, person):
         ("far", "do not lie on the person of the video; expected keypoints of"),
         ("few", "a person has 9 points; expected 17, 18, 25, 26, 133, 136"),
         ("none", "holds no people; expected keypoints of OpenPose"),
-        ("still", "of another form .*expected keypoints"),
+        ("still", "unexpected format .*expected keypoints"),
         ("nowhere", "nowhere.json: no such file"),
     ):
         with pytest.raises(InputError, match=words):

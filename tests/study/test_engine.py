@@ -118,7 +118,7 @@ def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
 
 @pytest.mark.parametrize(
     "text, match",
-    [("{", "not readable"), ("[]", "of another form"), ('{"cases": []}', "of another form")],
+    [("{", "not readable"), ("[]", "unexpected format"), ('{"cases": []}', "unexpected format")],
 )
 def test_a_file_that_cannot_be_used_is_named(tmp_path, text, match):
     (tmp_path / "avatar.json").write_text(text)

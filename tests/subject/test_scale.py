@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Pose, Shape, save_poses
-from gva_mi.core.spill_cache import KEPT
+from gva_mi.core.spill_cache import BYTES_IN_MEMORY
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, look_at
 from gva_mi.subject.cameras import save_cameras
@@ -44,7 +44,9 @@ COMMAND = "from gva_mi.__main__ import main; main()"
 # both lengths are measured with little of it, and the rest is added.
 LITTLE_KEPT = 1 << 24  # bytes
 CACHES = 2  # of one command
-SPILLS = f"from gva_mi.core import spill_cache; spill_cache.KEPT = {LITTLE_KEPT}; {COMMAND}"
+SPILLS = (
+    f"from gva_mi.core import spill_cache; spill_cache.BYTES_IN_MEMORY = {LITTLE_KEPT}; {COMMAND}"
+)
 OPEN = (
     "from pathlib import Path; from gva_mi.subject.video import load_video; "
     "assert all(f.mask.max() == 1 for f in load_video(Path(sys.argv[1])).frames())"
@@ -120,4 +122,4 @@ def require_flat(few, many, fewer, more, kept=0):
 def test_memory_and_time_per_frame_stay_constant(tmp_path, built_in_body):
     few = solved(tmp_path / "few", FEW_SOLVED, built_in_body)
     many = solved(tmp_path / "many", MANY_SOLVED, built_in_body)
-    require_flat(few, many, FEW_SOLVED, MANY_SOLVED, CACHES * (KEPT - LITTLE_KEPT))
+    require_flat(few, many, FEW_SOLVED, MANY_SOLVED, CACHES * (BYTES_IN_MEMORY - LITTLE_KEPT))

@@ -205,10 +205,10 @@ def test_the_estimated_and_the_true_camera_are_written(noisy, degraded):
 def test_other_folders_are_refused(noisy, body, tmp_path):
     with pytest.raises(InputError, match="synth.json: no such file; expected a folder that gva-mi"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)
-    with pytest.raises(InputError, match="already there"):
+    with pytest.raises(InputError, match="already exists"):
         degrade(noisy, noisy, "white", 0, body)
     (tmp_path / "synth.json").write_text('{"options": {"colour": 1}}')
-    with pytest.raises(InputError, match="synth.json: of another form"):
+    with pytest.raises(InputError, match="synth.json: unexpected format"):
         degrade(tmp_path, tmp_path / "out", "white", 0, body)
     assert not (tmp_path / "out").exists()
 

@@ -110,5 +110,5 @@ def test_a_helper_that_died_is_one_sentence():
     lost = Future()
     lost.set_exception(BrokenExecutor("a process ended"))
     pool.submit = lambda *given: lost
-    with pytest.raises(InputError, match="a worker process is gone"):
+    with pytest.raises(InputError, match="a worker process died"):
         shared([0, 1], torch.zeros(2, 4, 3), True)

@@ -66,7 +66,7 @@ def _read(
     hints = get_type_hints(command, include_extras=True)
     call.__annotations__ = {name: _named(name, numbers.in_(hint)) for name, hint in hints.items()}
     call.__signature__ = signature
-    call.__doc__ = re.sub(r"\n {12}", " ", command.__doc__)  # tyro keeps line breaks of Args
+    call.__doc__ = re.sub(r"\n {12}", " ", command.__doc__ or "")  # tyro keeps line breaks of Args
     registry = tyro.constructors.ConstructorRegistry()
     registry.struct_rule(numbers.in_fields)
     try:

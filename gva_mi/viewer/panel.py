@@ -16,9 +16,9 @@ from gva_mi.viewer.state import Angles, Mode, State
 if TYPE_CHECKING:
     import viser
 
-FPS = 30  # frames a second, as videos are exported
-FASTEST = 60
-WIDEST = 3.0  # expression coefficients, standard deviations
+FPS = 30  # frames per second at the start, as in exported videos
+MAX_FPS = 60  # of the slider; chosen: what screens show
+MAX_EXPRESSION = 3.0  # standard deviations of a coefficient, of the slider; chosen: rare faces
 ZERO: Angles = (0.0, 0.0, 0.0)
 
 
@@ -42,17 +42,18 @@ class Panel:
 
         Args:
             gui: viser's, of a server.
-            frames: of the motion.
-            joints: some of JOINTS, which can be turned.
-            expression: what each coefficient does.
-            video: whether there is one.
+            frames: number of frames of the motion.
+            joints: names of the joints that can be turned.
+            expression: what each coefficient of the expression does.
+            video: whether a video can be shown beside the avatar.
             changed: called, in any thread, after a change.
         """
         self._changed, self._frames = changed, frames
         self._saving: SimpleQueue[int] = SimpleQueue()
         self._turned: dict[str, Angles] = {}
         self._joint, self._reset = joints[0], False
-        self._begun, self._playing = 0.0, None  # seconds at frame 0; the last frame, with its rate
+        # The time of frame 0, seconds; the frame that was shown last, with the rate.
+        self._begun, self._playing = 0.0, None
         self.playing = False
         add = self._watched
         self._mode = add(gui.add_dropdown("show", get_args(Mode)))
@@ -61,14 +62,14 @@ class Panel:
         with gui.add_folder("Motion"):
             self._play = add(gui.add_checkbox("play", False, disabled=frames == 1))
             self._frame = add(gui.add_slider("frame", 0, frames - 1, 1, 0))
-            self._fps = add(gui.add_slider("frames a second", 1, FASTEST, 1, FPS))
+            self._fps = add(gui.add_slider("frames a second", 1, MAX_FPS, 1, FPS))
         with gui.add_folder("Joints"):
             self._chosen = add(gui.add_dropdown("joint", tuple(joints)))
             about = "degrees about this axis of the joint, added to the motion's rotation"
             slider = lambda axis: gui.add_slider(axis, -180.0, 180.0, 1.0, 0.0, hint=about)
             self._angles = [add(slider(axis)) for axis in "xyz"]
         with gui.add_folder("Expression", expand_by_default=False):
-            slider = lambda name: gui.add_slider(name, -WIDEST, WIDEST, 0.1, 0.0)
+            slider = lambda name: gui.add_slider(name, -MAX_EXPRESSION, MAX_EXPRESSION, 0.1, 0.0)
             self._expression = [add(slider(name)) for name in expression]
         gui.add_button("Reset joints and expression").on_click(self._ask_for_reset)
         gui.add_button("Save picture").on_click(self._ask_for_picture)
@@ -107,7 +108,7 @@ class Panel:
         if not self.playing:
             self._playing = None
             return frame
-        if self._playing != (frame, fps):  # it begins, or somebody moved a slider
+        if self._playing != (frame, fps):  # it begins, or a user moved a slider
             self._begun = now - frame / fps
         frame = int((now - self._begun) * fps + 1e-6) % self._frames
         self._playing, self._frame.value = (frame, fps), frame

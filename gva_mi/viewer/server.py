@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     import viser
 
-JPEG_QUALITY = 85  # while something changes
-NEAR = 0.01  # metres, the nearest that a browser shows
+JPEG_QUALITY = 85  # of pictures that change, of 100; chosen: small files without visible blocks
+NEAR_PLANE = 0.01  # metres, the nearest that a browser shows; chosen: a view of a finger
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def serving(host: str, port: int, start: Start, title: str) -> Iterator[viser.Vi
     server.scene.set_up_direction(start.up)
     camera = server.initial_camera
     camera.position, camera.look_at, camera.up = start.position, start.look_at, start.up
-    camera.fov, camera.near = start.fov, NEAR
+    camera.fov, camera.near = start.fov, NEAR_PLANE
     # Browsers open connections that they never use; websockets would print a traceback for each.
     logging.getLogger("websockets.server").addHandler(logging.NullHandler())
     try:
@@ -134,7 +134,10 @@ class Shapes:
         self._lines = scene.add_line_segments("skeleton", lines, color(OUTLINE), visible=False)
 
     def show(self, state: State, posed: ShownPose) -> None:
-        """Show what a state names, in a pose; beside a video, which has its own camera, nothing."""
+        """Show surface or skeleton in a pose, as the state says; nothing beside a video.
+
+        The video's picture has its own camera.
+        """
         kind = "none" if state.beside else state.mode
         self._mesh.visible, self._lines.visible = kind == "surface", kind == "skeleton"
         if kind == "surface":

@@ -1,13 +1,14 @@
 """Draw an open viewer's pictures: one thread, one step after the other.
 
 Other threads only record what browsers and their panel do. A step reads the newest state and draws
-it, however many came since the last step: first with few pixels, and with all of them, as ``gva-mi
-render`` would, once nothing has changed for a moment.
+it, and skips older ones. It draws few pixels first, and all pixels, as ``gva-mi render`` does, once
+nothing has changed for a moment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,12 +22,21 @@ from gva_mi.viewer.panel import Panel
 from gva_mi.viewer.server import Page, Shapes
 from gva_mi.viewer.state import ShownPose, State, ViewerCamera, posed
 
-COARSE = 640 * 360  # pixels while something changes
-REST = 0.2  # seconds without a change before all pixels are drawn
-TICK = 1 / 60  # seconds between two steps while a motion plays
+COARSE_PIXELS = 640 * 360  # while something changes; chosen: many pictures per second on two cores
+PAUSE = 0.2  # seconds without a change before all pixels are drawn; chosen: a hand has stopped
+PLAYING_STEP = 1 / 60  # seconds between two steps while a motion plays, as screens show
+IDLE_STEP = 1.0  # seconds between two steps while nothing happens; chosen: it notices closed pages
 
 
 Wanted = tuple[State, ViewerCamera]
+
+
+class Shown(NamedTuple):
+    """What a page shows."""
+
+    wanted: Wanted | None  # what was sent last
+    since: float  # when it was first wanted, seconds
+    fine: bool  # whether all pixels were sent
 
 
 class Session:
@@ -36,8 +46,8 @@ class Session:
         avatar: to be drawn.
         motion: what drives it.
         panel: the controls that all pages share.
-        shapes: the surface and the skeleton that browsers draw; without it there are none.
-        video: of the motion's frames; None if there is none.
+        shapes: the surface and the skeleton that browsers draw; None: they are not shown.
+        video: the video of the motion's frames; None: it is not shown.
     """
 
     def __init__(
@@ -50,8 +60,7 @@ class Session:
     ) -> None:
         self._avatar, self._motion, self._video = avatar, motion, video
         self._panel, self._shapes = panel, shapes
-        # What each page was sent last, when it was first wanted (seconds), and whether fine.
-        self._shown: dict[int, tuple[Wanted, float, bool]] = {}
+        self._shown: dict[int, Shown] = {}
         self._posed: tuple[object, ShownPose] | None = None  # the last one, with its pose
         self._last: State | None = None
 
@@ -72,19 +81,22 @@ class Session:
                 pages[k].save(self.picture(state, views[k]), f"frame_{state.frame:06d}.png")
         self._shown = {k: shown for k, shown in self._shown.items() if k in pages}
         pending = [self._serve(k, pages[k], (state, view), now) for k, view in views.items()]
-        return TICK if self._panel.playing else REST if any(pending) else 1.0
+        if self._panel.playing:
+            return PLAYING_STEP
+        return PAUSE if any(pending) else IDLE_STEP
 
     def _serve(self, k: int, page: Page, wanted: Wanted, now: float) -> bool:
         """Update one page; return whether its fine picture is still to come."""
-        shown, since, fine = self._shown.get(k, (None, now, False))
-        if shown != wanted:
-            page.show(self.picture(*wanted, fine=False), False)
-            since, fine = now, False
-        elif not fine and now - since >= REST:
-            page.show(self.picture(*wanted), True)
-            fine = True
-        self._shown[k] = wanted, since, fine
-        return not fine
+        shown = self._shown.get(k, Shown(None, now, False))
+        state, view = wanted
+        if shown.wanted != wanted:
+            page.show(self.picture(state, view, fine=False), False)
+            shown = Shown(wanted, now, False)
+        elif not shown.fine and now - shown.since >= PAUSE:
+            page.show(self.picture(state, view), True)
+            shown = shown._replace(fine=True)
+        self._shown[k] = shown
+        return not shown.fine
 
     def picture(self, state: State, view: ViewerCamera, fine: bool = True) -> np.ndarray:
         """Draw a page's picture, 8-bit (H, W, 3): ``fine``, or with few pixels."""
@@ -119,5 +131,5 @@ class Session:
 
 def coarser(camera: Camera) -> Camera:
     """Return the same view with few pixels."""
-    scale = min(1.0, (COARSE / (camera.width * camera.height)) ** 0.5)
+    scale = min(1.0, (COARSE_PIXELS / (camera.width * camera.height)) ** 0.5)
     return camera.resized(max(1, int(camera.width * scale)), max(1, int(camera.height * scale)))

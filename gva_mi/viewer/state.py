@@ -8,7 +8,7 @@ So joint j is turned by r_j in every frame, about its own axes there. Joints and
 were not changed keep their bits.
 
 A browser orbits a point about a fixed axis. That axis is the person's own upright, because a video
-does not say which way is up.
+does not show which way is up.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class ViewerCamera:
     height: int  # pixels
 
     def usable(self) -> bool:
-        """Return whether a picture can be drawn: a hidden browser has no pixels."""
+        """Return whether a picture can be drawn: a hidden browser window has no pixels."""
         numbers = np.array([*self.position, *self.wxyz, self.fov])
         pixels = min(self.width, self.height) >= 2 and self.width * self.height <= MOST_PIXELS
         unit = abs(np.linalg.norm(self.wxyz) - 1) < 1e-3

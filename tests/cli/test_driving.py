@@ -93,4 +93,4 @@ def test_a_folder_is_no_motion_and_no_video_fits_another_program_s(run, motions,
     err = cli.fails("render", run, "--poses", run, "--out", run.parent / "out")
     assert f"its motion is {run / 'poses.npz'}" in err
     given = ("--poses", run.parent / "amass.npz", "--subject", subject)
-    assert "which no video can be shown beside; expected poses of" in cli.fails("view", run, *given)
+    assert "does not belong to a video; expected poses of" in cli.fails("view", run, *given)

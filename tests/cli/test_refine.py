@@ -53,9 +53,9 @@ BAD = {
     "nobody": ((), "refine: give the folder of a subject, or of several"),
     "paper, held out": (
         ("nowhere", "--preset", "paper", "--hold-out-test"),
-        "--hold-out-test is of the refinement of all frames together",
+        "--hold-out-test is an option of the refinement of all frames together",
     ),
-    "paper, height": (("nowhere", "--preset", "paper", "--height", 1.8), "--height is of"),
+    "paper, height": (("nowhere", "--preset", "paper", "--height", 1.8), "--height is an option of"),
 }
 
 

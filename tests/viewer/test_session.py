@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gva_mi.fit.renders import over, render_layer
-from gva_mi.viewer.session import COARSE, REST, Session
+from gva_mi.viewer.session import COARSE_PIXELS, PAUSE, Session
 from gva_mi.viewer.state import State
 
 
@@ -22,15 +22,15 @@ def rendered(avatar, pose, view):
 def test_a_picture_is_coarse_first_and_then_as_rendered(known, motion, opened, panel, page):
     page.at = replace(page.at, width=900, height=600)  # more pixels than while something moves
     panel.now = State(frame=2)
-    assert opened.step({7: page}, 0.0) == REST
-    assert opened.step({7: page}, REST / 2) == REST
+    assert opened.step({7: page}, 0.0) == PAUSE
+    assert opened.step({7: page}, PAUSE / 2) == PAUSE
     panel.asking = [7, 8]  # the second has been closed
-    assert opened.step({7: page}, REST) > REST
+    assert opened.step({7: page}, PAUSE) > PAUSE
     panel.asking = []
-    opened.step({7: page}, 2 * REST)
+    opened.step({7: page}, 2 * PAUSE)
     (coarse, first), (whole, second) = page.shown  # and nothing twice
     assert not first and second
-    assert coarse.shape[0] * coarse.shape[1] <= COARSE and coarse.shape[0] / 600 > 0.5
+    assert coarse.shape[0] * coarse.shape[1] <= COARSE_PIXELS and coarse.shape[0] / 600 > 0.5
     ((saved, name),) = page.saved
     for found in (whole, saved):
         assert np.array_equal(found, rendered(known, motion[2], page.at))
@@ -40,10 +40,10 @@ def test_a_picture_is_coarse_first_and_then_as_rendered(known, motion, opened, p
 def test_a_moving_browser_waits_for_its_fine_picture(opened, page, place, looking):
     opened.step({7: page}, 0.0)
     page.at = looking(place.position + 0.2 * place.up)
-    opened.step({7: page}, 0.9 * REST)
-    opened.step({7: page}, 1.5 * REST)
+    opened.step({7: page}, 0.9 * PAUSE)
+    opened.step({7: page}, 1.5 * PAUSE)
     assert [fine for _, fine in page.shown] == [False, False]
-    opened.step({7: page}, 2 * REST)
+    opened.step({7: page}, 2 * PAUSE)
     assert page.shown[-1][1] and np.array_equal(page.shown[-1][0], page.shown[1][0])
 
 

@@ -55,7 +55,10 @@ BAD = {
         ("nowhere", "--preset", "paper", "--hold-out-test"),
         "--hold-out-test is an option of the refinement of all frames together",
     ),
-    "paper, height": (("nowhere", "--preset", "paper", "--height", 1.8), "--height is an option of"),
+    "paper, height": (
+        ("nowhere", "--preset", "paper", "--height", 1.8),
+        "--height is an option of",
+    ),
 }
 
 

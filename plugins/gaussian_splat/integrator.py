@@ -1,21 +1,22 @@
 """``gaussian_splat``: an integrator that splats the ``ellipsoids`` of a scene (EWA splatting).
 
 It draws any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply,
-with the kernels of ``gva_mi.splat``: no rays, no noise, and right gradients.
+with the kernels of ``gva_mi.splat``: no rays, no noise, and right gradients. The method is
+EWA splatting (Zwicker et al., 2002) as in 3D Gaussian splatting (Kerbl et al., 2023).
 
 1. C, α = splat(ellipsoids, sensor)         ``scene.py``
 2. I = C + (1 - α) B                        B: the background, or the other shapes' picture
-3. With ``meshes`` = ``depth``, a pixel shows only the ellipsoids whose centers are nearer than the
+3. With ``meshes`` = ``depth``, a pixel shows only ellipsoids whose centers are nearer than the
    surface at the pixel's center.
 
 Parameters:
     ``meshes`` (string): ``none`` shows only the ellipsoids; ``depth`` puts them among the other
         shapes of the scene. Default: ``none``.
     nested integrator: renders the other shapes, with ``meshes`` = ``depth``. Default: ``path``.
-    ``background`` (colour): behind the ellipsoids, with ``meshes`` = ``none``; with ``depth`` the
-        scene's environment is there. Default: black.
+    ``background`` (colour): shown behind the ellipsoids with ``meshes`` = ``none``; with ``depth``
+        the scene's environment is shown. Default: black.
     ``srgb_primitives`` (boolean): whether the ellipsoids' colours are sRGB, as 3DGS trains them.
-        Then eq. 2 is in sRGB too; the image is linear, as a film must be. Default: true.
+        Then eq. 2 is in sRGB too; the image is linear, as films are. Default: true.
     ``depth`` (boolean): adds the channel ``depth``, Σ Tᵢ αᵢ zᵢ of the ellipsoids in metres along
         the sensor's axis. Default: false.
     ``blur`` (float): added to the diagonal of the 2D covariances, square pixels. Default: 0.3.
@@ -48,7 +49,32 @@ from gva_mi.splat.drjit_render import render
 
 
 class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
-    """The integrator ``gaussian_splat``; the module's docstring describes it."""
+    """The integrator ``gaussian_splat``; the module's docstring describes it.
+
+    Example:
+        >>> ellipsoids = {
+        ...     "type": "ellipsoids",
+        ...     "centers": mi.TensorXf([[0, 0, 4], [1, 0, 5]]),
+        ...     "scales": mi.TensorXf([[0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]),
+        ...     "quaternions": mi.TensorXf([[0, 0, 0, 1], [0, 0, 0, 1]]),
+        ...     "opacities": mi.TensorXf([[0.9], [0.9]]),
+        ...     "sh_coeffs": mi.TensorXf([[1, 1, 1], [1, -1, -1]]),  # white, and red
+        ... }
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> sensor = {"type": "perspective", "film": film}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "splats": ellipsoids})
+        >>> parameters = mi.traverse(scene)
+        >>> dr.enable_grad(parameters["splats.opacities"])
+        >>> _ = parameters.update()
+        >>> integrator = mi.load_dict({"type": "gaussian_splat"})
+        >>> image = mi.render(scene, parameters, integrator=integrator)
+        >>> image.shape
+        (16, 16, 3)
+        >>> dr.backward(dr.sum(image, axis=None))
+        >>> grad = dr.grad(parameters["splats.opacities"])
+        >>> grad[0] > 0, grad[1] > 0  # both ellipsoids are visible before black
+        (True, True)
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -104,7 +130,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> mi.TensorXf:
-        """Derivative of the image along the parameters' gradients."""
+        """Return the derivative of the image along the parameters' gradients."""
         with dr.resume_grad():
             image = self._image(scene, sensor, seed, spp)
             if dr.grad_enabled(image):
@@ -131,7 +157,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
                 dr.eval()
 
     def aov_names(self) -> list[str]:
-        """Names of the channels after colour and alpha."""
+        """Return the names of the channels after colour and alpha."""
         return ["depth"] if self.depth else []
 
     def to_string(self) -> str:
@@ -139,7 +165,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         return f"GaussianSplat[meshes={self.meshes}, srgb_primitives={self.srgb_primitives}]"
 
     def _image(self, scene: mi.Scene, sensor: mi.Sensor | int, seed: int, spp: int) -> mi.TensorXf:
-        """Eq. 1-3, attached to everything that is differentiated."""
+        """Render by eq. 1-3, attached to all parameters that have a gradient."""
         if dr.flag(dr.JitFlag.FreezingScope):  # otherwise Dr.Jit 1.5.0 ends the process
             raise RuntimeError(
                 "gaussian_splat: a function under dr.freeze must not render with it; its kernels "
@@ -169,7 +195,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         background: mi.TensorXf | None = None,
         limit: mi.TensorXf | None = None,
     ) -> Image:
-        """Eq. 1: the kernels' picture; in sRGB if the primitives are."""
+        """Splat by eq. 1, in the colour space of the primitives."""
         gaussians = gaussians_of(scene)
         if view.camera.model == "ortho":
             gaussians = seen_along(gaussians, view.axis)

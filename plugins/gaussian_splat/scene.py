@@ -1,4 +1,4 @@
-"""What the plugin takes from a Mitsuba scene: Gaussians, a camera, and what may hide Gaussians.
+"""Convert a Mitsuba scene: ellipsoids to Gaussians, a sensor to a camera, other shapes to depths.
 
 **Gaussians** are the shapes of type ``ellipsoids``; the conversion is differentiable:
 
@@ -13,9 +13,9 @@
 The shape's ``extent`` limits an ellipsoid for ray tracers; a splat ends where its alpha falls to
 1/255.
 
-**The camera** is made of the sensor, also differentiably. A Mitsuba sensor looks along +z, with x
-to the left and y up: F = diag(-1, -1, 1) makes that OpenCV. With ``to_world = [M | o]``, the film's
-size (W, H) and the corner of its crop window, in pixels:
+**The camera** is computed from the sensor, also differentiably. A Mitsuba sensor looks along +z,
+with x to the left and y up: F = diag(-1, -1, 1) converts to OpenCV's axes. With ``to_world = [M |
+o]``, the film's size (W, H) and the corner of its crop window, in pixels:
 
 1. M = R diag(s)                                  s = 1 for perspective, which may not be scaled
 2. T_camera_world = [F R⁻¹ | -F R⁻¹ o]
@@ -24,8 +24,8 @@ size (W, H) and the corner of its crop window, in pixels:
 4. c = (W, H) / 2 - corner - (W, H) · offset      offset: principal_point_offset of perspective
 
 **The other shapes** become a scene of their own, because a ray tracer cannot ignore the ellipsoids.
-It shares shapes, materials and emitters with the first. It is built again for every picture, with a
-new BVH, because shapes may have moved and only the first scene is notified.
+It shares shapes, materials and emitters with the first scene. It is built again for every picture,
+with a new BVH, because shapes may have moved and only the first scene is notified.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from gva_mi.splat.gaussians import MAX_DEGREE, degree_of
 from gva_mi.splat.kernels import sh
 
 FLOATS_PER_ELLIPSOID = 10  # floats in ``data``: center, scale, quaternion (Mitsuba)
-SH_COUNTS = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]
+SH_COUNTS = [(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)]  # K of every degree
 
 
 def gaussians_of(scene: mi.Scene) -> Gaussians:
@@ -49,6 +49,21 @@ def gaussians_of(scene: mi.Scene) -> Gaussians:
 
     Raises:
         ValueError: there is no ellipsoid, or an attribute is missing or has the wrong size.
+
+    Example:
+        >>> ellipsoids = {
+        ...     "type": "ellipsoids",
+        ...     "centers": mi.TensorXf([[0, 0, 4], [1, 0, 5]]),
+        ...     "scales": mi.TensorXf([[0.5, 0.5, 0.5], [0.5, 0.5, 0.5]]),
+        ...     "quaternions": mi.TensorXf([[0, 0, 0, 1], [0, 0, 0, 1]]),
+        ...     "opacities": mi.TensorXf([[0.9], [0.9]]),
+        ...     "sh_coeffs": mi.TensorXf([[1, 1, 1], [1, -1, -1]]),  # white, and red
+        ... }
+        >>> gaussians = gaussians_of(mi.load_dict({"type": "scene", "splats": ellipsoids}))
+        >>> gaussians.means.shape, gaussians.sh.shape
+        ((2, 3), (2, 1, 3))
+        >>> gaussians.quats[0]  # wxyz
+        [1, 0, 0, 0]
     """
     parts = [_Ellipsoids.of(shape) for shape in scene.shapes() if shape.is_ellipsoids()]
     if not parts:
@@ -120,7 +135,7 @@ class _Ellipsoids:
         return _gather(self.data, k // width * FLOATS_PER_ELLIPSOID + column)
 
     def harmonics(self, coefficients: int) -> mi.Float:
-        """Pad ``sh`` with zeros to so many coefficients."""
+        """Pad ``sh`` with zeros to ``coefficients`` coefficients per Gaussian and colour."""
         if coefficients == self.coefficients:
             return self.sh
         wide, own = 3 * coefficients, 3 * self.coefficients
@@ -140,7 +155,15 @@ ORTHONORMAL_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class SensorCamera:
-    """A sensor's camera, its axis and its clip distances."""
+    """A sensor's camera, its axis and its clip distances.
+
+    Example:
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16}
+        >>> sensor = mi.load_dict({"type": "perspective", "fov": 90, "film": film})
+        >>> view = SensorCamera.of(sensor)
+        >>> round(view.camera.fx, 3), view.camera.cx, view.axis
+        (8.0, 8.0, [[0], [0], [1]])
+    """
 
     camera: Camera  # holds tensors attached to the sensor's parameters if one has a gradient
     axis: list[mi.Float]  # viewing direction: a unit vector of the world
@@ -152,7 +175,7 @@ class SensorCamera:
         """Convert a ``perspective`` or ``orthographic`` sensor.
 
         Raises:
-            ValueError: another kind of sensor, or a sheared to_world.
+            ValueError: another kind of sensor, or a to_world with shear.
         """
         parameters, film = mi.traverse(sensor), sensor.film()
         to_world, size = sensor.world_transform().matrix, film.size()
@@ -199,7 +222,18 @@ def _tensor(rows: list[list[mi.Float | float]]) -> mi.TensorXf:
 
 @dataclass(frozen=True)
 class OtherShapes:
-    """All shapes of a scene except ellipsoids, with the scene's emitters and a sensor."""
+    """All shapes of a scene except ellipsoids, with the scene's emitters and a sensor.
+
+    Example:
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16}
+        >>> sensor = {"type": "perspective", "film": film}
+        >>> ball = {"type": "sphere", "center": [0, 0, 5]}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "ball": ball})
+        >>> others = OtherShapes.of(scene, scene.sensors()[0])
+        >>> depth = others.depth(SensorCamera.of(others.sensor).camera)
+        >>> depth[8, 8] < 4.1, depth[0, 0] == dr.inf  # on the ball, and beside it
+        (True, True)
+    """
 
     scene: mi.Scene
     sensor: mi.Sensor

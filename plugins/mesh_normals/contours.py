@@ -1,25 +1,26 @@
 """Boundary term of the derivative at edges: the image changes where edges sweep over it.
 
-Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across an edge seen
-by the camera it jumps by ``ΔI = I_inside - I_outside``, and a moving edge carries the jump along:
+Inside a region the image ``I`` of a surface changes smoothly with the vertices. Across a visible
+edge it jumps by ``ΔI = I_inside - I_outside``, and the jump moves with the edge (Li et al.,
+"Differentiable Monte Carlo Ray Tracing through Edge Sampling", 2018):
 
 1. ``∂I/∂v = Σ_edges ∫ ΔI (m · ∂q/∂v) dℓ`` over the points ``q`` of the edge on the image, with
    ``m`` its normal there, from inside to outside, and ``ℓ`` its length in pixels.
-2. The integral is a sum over samples in the middle of K equal parts of the edge, each with the
-   weight ``|edge| / K``. The area that such a part sweeps over, as its point ``x`` moves, is
-   ``sweep · dx`` with ``sweep = (∂q/∂x)ᵀ m |edge| / K``.
+2. The integral is approximated by samples in the middle of K equal parts of the edge, each with the
+   weight ``|edge| / K``. As its point ``x`` moves, such a part sweeps over the area ``sweep · dx``
+   with ``sweep = (∂q/∂x)ᵀ m |edge| / K``.
 3. The point moves with the ends of its edge, ``x = (1 - s) a + s b``; hence ``∂x/∂a = 1 - s`` and
    ``∂x/∂b = s`` (``projection.py`` finds ``s`` from the place on the image).
 
 Edges are cut at the near plane and at the border of the image first.
 
-Edges that can show a jump: **contours**, whose faces all lie on one side of them on the image (a
-fold seen from the front, and any border of an open mesh), and **creases**, where two faces do not
-share a normal. Two rays, one on either side and very close to the edge, give ``I_inside``,
-``I_outside``, and whether the edge is seen at all. At a contour the inner ray must hit a face of
-the edge, or one that shares a corner with it and does not reach over the edge (the edge's own face
-may be seen so flat that the ray misses it), and the outer ray must hit nothing in front of the
-edge. At a crease both must hit faces of the edge.
+Two kinds of edges can show a jump. The faces of a **contour** all lie on one side of it on the
+image: a fold, or any border of an open mesh. At a **crease** two faces do not share a normal. Two
+rays very close to the edge, one on either side, find ``I_inside`` and ``I_outside``, and whether
+the edge is visible. At a contour the outer ray must hit nothing in front of the edge. The inner ray
+must hit a face of the edge, or a face that shares a corner with it and does not reach over the
+edge, because the ray may miss an own face that is seen edge-on. At a crease both rays must hit
+faces of the edge.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ OCCLUDER_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class Contours:
-    """Samples on the edges that one view sees, each with the jump of the image across it."""
+    """Samples on the visible edges of one view, each with the jump of the image across it."""
 
     topology: Topology
-    edge: mi.UInt32  # (S,) which edge a sample lies on
+    edge: mi.UInt32  # (S,) the edge of each sample
     edges: mi.UInt32  # (R,) the edges that have samples
     start: mi.UInt32  # (R,) the first sample of each
     s: mi.Float  # (S,) eq. 3
@@ -57,7 +58,7 @@ class Contours:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Contours | None:
-        """Sample the visible edges, ``density`` points a pixel of length; None if none is seen."""
+        """Sample visible edges, ``density`` points per pixel of length; None if none can jump."""
         topology, projection = caster.surface.topology, caster.projection
         on_image = _EdgesOnImage.of(caster.surface, projection)
         edges = dr.compress(on_image.can_jump)
@@ -69,7 +70,7 @@ class Contours:
             inner, outer = caster.cast(samples.q - beside), caster.cast(samples.q + beside)
             seen = _is_seen(caster, samples, inner, outer)
             jump = caster.jump(inner, outer, seen)
-        else:  # the mask jumps only where nothing is seen beyond a contour
+        else:  # the mask jumps only at a contour before the background
             free = samples.is_contour & projection.is_inside(samples.q)
             free &= ~caster.meets(samples.q + beside)
             seen = free & _is_before(caster, samples, caster.cast(samples.q - beside, free))
@@ -80,14 +81,14 @@ class Contours:
         return Contours(topology, samples.edge, edges, start, samples.s, q, sweep, jump)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
-        """Eq. 1 forward: the samples' contributions, per channel (S,), as positions (V,) move."""
+        """Evaluate eq. 1 forward: contributions per channel (S,) of moving positions (V,)."""
         ends = [dr.gather(mi.UInt32, end, self.edge) for end in self.topology.ends]
         da, db = (dr.gather(mi.Vector3f, d_positions, end) for end in ends)
         area = dr.dot(self.sweep, dr.lerp(da, db, self.s))
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Eq. 1 backward: from gradients by the contributions to that by positions (V,)."""
+        """Evaluate eq. 1 backward: from gradients by contributions to gradients by positions."""
         grad_x = self.sweep * sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         by_end = (grad_x * (1 - self.s), grad_x * self.s)
         dr.eval(by_end)
@@ -141,12 +142,15 @@ class _EdgesOnImage:
         in_front = (wa > projection.near) | (wb > projection.near)
         dr.eval(is_contour, a, b, ha, hb, s0, s1, t0, t1)
         can_jump = (is_contour | topology.crease) & in_front & (t1 > t0)
-        return _EdgesOnImage(is_contour, on_left[0], can_jump, a, b, ha, hb, s0, s1, t0, t1, wa, wb)
+        return _EdgesOnImage(
+            is_contour=is_contour, inside_is_left=on_left[0], can_jump=can_jump,
+            a=a, b=b, ha=ha, hb=hb, s0=s0, s1=s1, t0=t0, t1=t1, wa=wa, wb=wb,
+        )  # fmt: skip
 
     def take(self, edge: mi.UInt32) -> _EdgesOnImage:
         """Select some of the edges, (S,)."""
-        arrays = (getattr(self, field.name) for field in fields(self))
-        return _EdgesOnImage(*(dr.gather(type(x), x, edge) for x in arrays))
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        return _EdgesOnImage(**{k: dr.gather(type(x), x, edge) for k, x in arrays.items()})
 
     def length(self, edge: mi.UInt32) -> mi.Float:
         """Return the lengths of some edges on the image, pixels (S,)."""
@@ -165,14 +169,14 @@ class _EdgeSamples:
     h: mi.Float  # (S,) scale
     s: mi.Float  # (S,) share of the edge before it
     w: mi.Float  # (S,) depth
-    across: mi.Vector2f  # (S,) m times the length from a to b, pixels
+    across: mi.Vector2f  # (S,) m times the distance of a and b, pixels
     step: mi.Vector2f  # (S,) m |edge| / K
 
 
 def _sample(
     on_image: _EdgesOnImage, edges: mi.UInt32, density: float
 ) -> tuple[mi.UInt32, _EdgeSamples]:
-    """Eq. 2: the first sample (R,) of each of some edges (R,), and the samples (S,)."""
+    """Sample some edges (R,) by eq. 2: the first sample of each (R,), and the samples (S,)."""
     count = mi.UInt32(dr.maximum(dr.ceil(on_image.length(edges) * density), 1))
     start = dr.prefix_sum(count)
     total = dr.sum(count)[0]
@@ -196,7 +200,7 @@ def _sample(
 
 
 def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: RayHits) -> mi.Bool:
-    """Whether an edge is visible at its samples, judged by the hits of the rays beside it."""
+    """Return whether edges are visible at their samples, from the hits of the rays beside them."""
     projection, topology, edge = caster.projection, caster.surface.topology, samples.edge
     at_contour = _is_before(caster, samples, inner)
     at_contour &= ~outer.hit | (outer.depth > samples.w * (1 - OCCLUDER_MARGIN))
@@ -207,7 +211,7 @@ def _is_seen(caster: RayCaster, samples: _EdgeSamples, inner: RayHits, outer: Ra
 
 
 def _is_before(caster: RayCaster, samples: _EdgeSamples, inner: RayHits) -> mi.Bool:
-    """Whether nothing hides contours at their samples from the rays on their inner side."""
+    """Return whether the rays on their inner side reach the contours at their samples."""
     surface, projection, edge = caster.surface, caster.projection, samples.edge
     ray = projection.ray(samples.q)
     hidden = _covers(surface, ray, inner.face, samples.w - projection.near)
@@ -217,7 +221,7 @@ def _is_before(caster: RayCaster, samples: _EdgeSamples, inner: RayHits) -> mi.B
 
 
 def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
-    """Whether a face shares a corner with a face of an edge."""
+    """Return whether a face shares a corner with a face of an edge."""
     adjoins = mi.Bool(False)
     for edge_face in topology.edge_faces:
         own = dr.gather(mi.UInt32, edge_face, edge)
@@ -229,13 +233,13 @@ def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
 
 
 def _covers(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32, t: mi.Float) -> mi.Bool:
-    """Whether rays meet a face before their parameter ``t``."""
+    """Return whether rays meet a face before their parameter ``t``."""
     b1, b2, t_face = meet_plane(ray, *surface.corners_of(face))
     return (b1 > 0) & (b2 > 0) & (b1 + b2 < 1) & (t_face < t)
 
 
 def _owns(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
-    """Whether an edge is a side of a face."""
+    """Return whether an edge is a side of a face."""
     owns = mi.Bool(False)
     for edge_face in topology.edge_faces:
         owns |= face == dr.gather(mi.UInt32, edge_face, edge)

@@ -12,11 +12,11 @@
      ``camera``)
  * - edge_density
    - |float|
-   - Boundary samples for a pixel of an edge's length, at one sample for each pixel; they grow with
-     the root of ``spp``. (Default: 4)
+   - Boundary samples per pixel of an edge's length, at one ray per pixel; they grow with the root
+     of ``spp``. (Default: 4)
  * - intersections
    - |bool|
-   - Whether lines in which surfaces intersect carry a gradient, too. (Default: true)
+   - Whether lines in which surfaces intersect have a gradient, too. (Default: true)
  * - flat_faces
    - |bool|
    - Whether every image looks for faces whose corners have come to lie on a line. (Default: true)
@@ -25,13 +25,14 @@
    - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.
      (Default: 1)
 
-Every shape must be a mesh, except ``ellipsoids`` and ``ellipsoidsmesh``, which are ignored: a scene
-that has them for ``gaussian_splat`` works here, too. ``topology.py`` says which normals and edges a
+Every shape must be a mesh. ``ellipsoids`` and ``ellipsoidsmesh`` are ignored, so one scene serves
+this plugin and ``gaussian_splat``. ``topology.py`` says which normals and edges a
 mesh has. Sensors are ``perspective`` or ``orthographic``; films may have any filter and any
 crop window.
 
 Differentiable parameters, under the names that ``mi.traverse`` gives them: ``*.vertex_positions``
-of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains how.
+of every mesh, and ``to_world`` of the sensor. ``mesh_view.py`` explains the method, which follows
+Li et al., "Differentiable Monte Carlo Ray Tracing through Edge Sampling", 2018.
 
 Note:
     There is no noise and ``seed`` has no effect. Not differentiable: the field of view and the
@@ -55,7 +56,25 @@ from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of, without_el
 
 
 class MeshNormals(mi.ad.integrators.common.ADIntegrator):
-    """The integrator; see the module's docstring."""
+    """The integrator ``mesh_normals``; the module's docstring describes it.
+
+    Example:
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 6])}
+        >>> sensor = {"type": "perspective", "film": film}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "cube": cube})
+        >>> parameters = mi.traverse(scene)
+        >>> dr.enable_grad(parameters["cube.vertex_positions"])
+        >>> _ = parameters.update()
+        >>> integrator = mi.load_dict({"type": "mesh_normals", "channels": "mask"})
+        >>> image = mi.render(scene, parameters, integrator=integrator, spp=1)
+        >>> image.shape
+        (16, 16, 1)
+        >>> dr.backward(dr.sum(image, axis=None))
+        >>> grad = dr.unravel(mi.Vector3f, dr.grad(parameters["cube.vertex_positions"]))
+        >>> dr.sum(grad.z)[0] < 0  # the silhouette shrinks as the cube moves away
+        True
+    """
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -83,17 +102,17 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         """Return a sensor's image and its derivatives, without automatic differentiation.
 
         Args:
-            scene: its meshes.
+            scene: the meshes.
             sensor: the view.
-            spp: rays for a pixel.
-            tiles: parts of the view that are rendered in place of it, at one ray for a pixel; the
-                image then has one row, with the pixels of one tile after the other, and edges have
-                as many samples as in a picture of the finest.
-            instanced: the only mesh, where the scene holds it as an instance, at its own place.
-            projection: of the sensor, where it is known already.
+            spp: rays per pixel.
+            tiles: parts of the view to render instead of it, at one ray per pixel. The image then
+                has one row, with the pixels of one tile after the other. Edges have as many samples
+                as in a picture of the finest tile.
+            instanced: the only mesh, if the scene holds it as an instance that is not transformed.
+            projection: the sensor's projection, if it is known already.
 
         Raises:
-            ValueError: a shape that is no mesh, or a sensor or a film that cannot be used.
+            ValueError: a shape is no mesh, or the sensor or the film cannot be used.
         """
         if spp < 1:
             raise ValueError(f"mesh_normals: spp must be at least 1, got {spp}")
@@ -119,7 +138,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """The image, (H, W, C)."""
+        """Render the image, (H, W, C)."""
         sensor, spp = _arguments(scene, sensor, spp)
         with dr.suspend_grad():
             image = self.view(scene, sensor, spp).image()
@@ -135,8 +154,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> mi.TensorXf:
-        """Derivative of the image (H, W, C) in the direction that the parameters' gradients
-        hold."""
+        """Return the derivative of the image (H, W, C) along the parameters' gradients."""
         sensor, spp = _arguments(scene, sensor, spp)
         buffers = [mesh.vertex_positions_buffer() for mesh in meshes_of(scene)]
         to_world = sensor.world_transform().matrix
@@ -155,7 +173,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> None:
-        """Add the gradient by the image (H, W, C) to the gradients of the parameters."""
+        """Propagate the gradient by the image (H, W, C) to the gradients of the parameters."""
         sensor, spp = _arguments(scene, sensor, spp)
         to_world = sensor.world_transform().matrix
         with dr.suspend_grad():

@@ -1,17 +1,19 @@
 """Interior term of the derivative: the image changes as surfaces move within their contours.
 
-1. A point seen keeps to its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
-   Where a surface is seen flat the integrand grows as one over the cosine of the angle. The rays
-   of the image seldom meet such places, and where one does it counts too much.
-2. So there are two sets of samples: the rays of the image, ``spp`` for a pixel of area, and one
-   point on every triangle, ``1 / A`` for a pixel of area, ``A`` the area in pixels that the
-   triangle covers. Triangles seen flat cover little.
-3. Both count with the weight ``1 / (spp + 1 / A)``, one over their density together (the balance
-   heuristic of multiple importance sampling): no sample weighs more than its triangle covers.
+1. A visible point stays on its triangle, and its normal and depth change: ``∂I/∂v = ∫ ∂v/∂x f dA``.
+   At grazing angles the integrand grows as one over the cosine of the angle. The rays of the image
+   seldom meet such places, and a ray that does counts too much.
+2. Therefore two sets of samples are combined: the rays of the image, ``spp`` per pixel of area, and
+   one point on every triangle, ``1 / A`` per pixel of area, ``A`` the area in pixels that the
+   triangle covers. Triangles at grazing angles cover little.
+3. Both have the weight ``1 / (spp + 1 / A)``, one over their common density: the balance heuristic
+   of multiple importance sampling (Veach and Guibas, "Optimally Combining Sampling Techniques for
+   Monte Carlo Rendering", 1995). No sample weighs more than its triangle covers.
 4. With the doubled area ``c`` of a triangle in the world, ``A = |det| |c · d| / 2 h²`` on the ray
    ``o + w d`` at the scale ``h`` (``projection.py``).
 
-Triangles nearly parallel to the ray are left out: in float32 their intersection is not determined.
+Triangles nearly parallel to the ray are left out, because float32 cannot determine where it meets
+them.
 """
 
 from __future__ import annotations
@@ -38,20 +40,20 @@ OCCLUDER_MARGIN = 1e-4
 
 @dataclass(frozen=True)
 class Interior:
-    """Samples of one view: first those on the image's rays, then those on triangles."""
+    """Samples of one view: first the samples on the image's rays, then those on triangles."""
 
     caster: RayCaster
     filter: PixelFilter
-    rays: mi.UInt32  # (R,) which of the image's rays
+    rays: mi.UInt32  # (R,) numbers of the image's rays
     q: mi.Point2f  # (S,) pixels, of the samples on triangles
     ray: mi.Ray3f  # (R + S,) through all samples
     face: mi.UInt32  # (R + S,)
-    weight: mi.Float  # (R + S,) eq. 3; that of the image's rays times spp, which the filter divides
+    weight: mi.Float  # (R + S,) eq. 3; for the image's rays times spp, by which the filter divides
     crowd: mi.Float  # (S,) 1 / A, of the samples on triangles
 
     @staticmethod
     def of(caster: RayCaster, filter: PixelFilter, seen: RayHits) -> Interior | None:
-        """Gather the samples; None where nothing is seen. ``seen`` are hits of the image's rays."""
+        """Gather the samples; None if no mesh is visible. ``seen``: hits of the image's rays."""
         surface, projection = caster.surface, caster.projection
         slanted = _is_slanted(surface, seen.ray, seen.face)
         rays = dr.compress(seen.hit & slanted)
@@ -70,7 +72,7 @@ class Interior:
         return Interior(caster, filter, rays, q, ray, faces, weight, crowd)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
-        """Eq. 1 forward: how pixels change as the positions (V,) move, for each channel (H W,)."""
+        """Evaluate eq. 1 forward: the change of each channel (H W,) as positions (V,) move."""
         filter, surface, channels = self.filter, self.caster.surface, self.caster.channels
         d_normals = surface.tangent(d_positions)
         dr.eval(d_normals)
@@ -95,7 +97,7 @@ class Interior:
         return image
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Eq. 1 backward: from the gradients by pixels (H W,) to that by the positions (V,)."""
+        """Evaluate eq. 1 backward: from gradients by pixels (H W,) to gradients by positions."""
         by_sample = self.filter.spread(grads, self.rays)
         if dr.width(self.q) > 0:
             on_faces = self.filter.spread_to(grads, self.q, self.crowd)
@@ -107,7 +109,7 @@ class Interior:
 
 
 def _entries_from(values: mi.Float, start: int) -> mi.Float:
-    """The entries of an array from one on, perhaps none."""
+    """Return the entries of an array from ``start`` on, perhaps none."""
     if dr.width(values) == start:
         return dr.zeros(mi.Float, 0)
     index = dr.arange(mi.UInt32, dr.width(values) - start) + dr.opaque(mi.UInt32, start)
@@ -115,13 +117,13 @@ def _entries_from(values: mi.Float, start: int) -> mi.Float:
 
 
 def _is_slanted(surface: MeshSurface, ray: mi.Ray3f, face: mi.UInt32) -> mi.Bool:
-    """Whether rays leave the planes of faces by an angle that float32 can divide by."""
+    """Return whether the angle between rays and faces is large enough for float32."""
     c = dr.gather(mi.Vector3f, surface.face_normals, face)
     return dr.abs(dr.dot(c, ray.d)) > SMALLEST_SINE * dr.norm(c) * dr.norm(ray.d)
 
 
 def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
-    """A point on each triangle, of those points that are seen: triangles (S,), pixels (S,)."""
+    """Place one point on each triangle; return the triangles and pixels (S,) of visible ones."""
     surface, projection = caster.surface, caster.projection
     x = _one_point_each(surface)
     faces_sensor = dr.dot(surface.face_normals, projection.toward(x)) < 0
@@ -136,7 +138,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
         return face, dr.zeros(mi.Point2f, 0)
     q, w = dr.gather(mi.Point2f, q, face), dr.gather(mi.Float, w, face)
     hits = caster.cast(q)
-    # A triangle seen flat may be missed by the very ray that leads to it.
+    # The ray to a triangle at a grazing angle may miss it.
     seen = hits.hit & (hits.face == face)
     behind = dr.gather(mi.Bool, faces_sensor, face) & (hits.depth > w * (1 - OCCLUDER_MARGIN))
     seen = dr.compress((seen | behind) & _is_slanted(surface, hits.ray, face))
@@ -146,7 +148,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
 
 
 def _one_point_each(surface: MeshSurface) -> mi.Vector3f:
-    """A point on every triangle (F,), world, of a lattice folded into the triangle."""
+    """Return a point on every triangle (F,), world: a sequence folded into the triangle."""
     face, p = dr.arange(mi.UInt32, surface.topology.face_count), surface.corners
     b1, b2 = (x - dr.floor(x) for x in (0.5 + mi.Float(face) * step for step in R2_STEPS))
     folded = b1 + b2 > 1

@@ -1,29 +1,30 @@
 """Boundary term of the derivative where surfaces intersect: the image jumps without an edge.
 
-An arm pressed into a belly meets it in a line; on its two sides one sees two surfaces, with
-different normals. The line is a chain of segments, one for each pair of faces ``f, g`` that cut one
-another (4, 5):
+An arm pressed into a belly meets it in a line. On its two sides two surfaces with different normals
+are visible. The line is a chain of segments, one for each pair of intersecting faces ``f, g``
+(4, 5):
 
-1. A point ``x`` of the segment lies in both planes. As the vertices move, with ``c`` the planes'
-   normals and ``dx_f = Σ_k β_k dv_k`` the motion of ``f`` at ``x`` (``β`` barycentric), the segment
-   passes ``x + dx`` with ``c_f · dx = c_f · dx_f`` and ``c_g · dx = c_g · dx_g``; along itself it
-   may slide.
+1. A point ``x`` of the segment lies in both planes. Let ``c`` be the planes' normals and ``dx_f =
+   Σ_k β_k dv_k`` the motion of ``f`` at ``x`` (``β`` barycentric). As the vertices move, the
+   segment passes through ``x + dx`` with ``c_f · dx = c_f · dx_f`` and ``c_g · dx = c_g · dx_g``.
+   Its motion along itself is free.
 2. A part of it sweeps over the area ``sweep · dx`` of the image, ``sweep = (∂q/∂x)ᵀ m dℓ`` as in
-   ``contours.py``. This vector is across the segment, hence ``A c_f + B c_g``, and the image
-   changes by ``ΔI (A c_f · dx_f + B c_g · dx_g)``.
-3. On either side one sees the face that is nearer there. Along a step ``d`` across the line, seen
+   ``contours.py``. This vector is perpendicular to the segment, so it equals ``A c_f + B c_g``, and
+   the image changes by ``ΔI (A c_f · dx_f + B c_g · dx_g)``.
+3. On either side the face that is nearer there is visible. Along a step ``d`` across the line, seen
    on a ray ``r``, the nearness of a face rises by ``c · d / c · r``.
-4. **Pairs**: of two triangles that cut one another, an edge of one passes through the other in
-   either end of their segment, and a ray along that edge finds it. Where edges pass through edges,
-   as all do where a leg is pressed against its mirror image, a ray meets any of the triangles at
-   that place; so all around the one that it meets are candidates.
-5. **Segments**: a triangle ``f`` meets the plane of ``g`` between those two of its sides whose ends
-   lie on either side of it, and so does ``g`` that of ``f``. Both stretches lie on the line common
-   to the planes; the segment is what they share. A side ends below a plane or not below it, there
-   is no third case: at two sides or none. Segments shrink to nothing, and never break off, as
-   triangles come to touch in a corner or an edge. This is done in float64.
+4. **Pairs**: where two triangles intersect, an edge of one passes through the other at either end
+   of their segment, and a ray along that edge finds it. Where a leg is pressed against its mirror
+   image, edges pass through edges, and the ray may meet any of the triangles at that place.
+   Therefore all triangles around the one that it meets are candidates.
+5. **Segments**: the triangle ``f`` meets the plane of ``g`` between the two of its sides whose ends
+   lie on either side of that plane, and ``g`` meets the plane of ``f`` likewise. Both stretches lie
+   on the line common to the planes; the segment is their common part. An end counts as below a
+   plane or as not below it, so a triangle has two such sides or none. Then segments shrink to
+   nothing, and never end abruptly, as triangles come to touch in a corner or an edge. This is the
+   interval test of Möller, "A Fast Triangle-Triangle Intersection Test", 1997, in float64.
 
-Triangles with a side in common meet in it and nowhere else, and are left out.
+Triangles with a common side meet only in it, and are left out.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ SHORTEST_SHARE = 1e-9
 
 @dataclass(frozen=True)
 class TriangleCuts:
-    """Segments in which pairs of triangles cut one another."""
+    """Segments in which pairs of triangles intersect."""
 
     f: mi.UInt32  # (R,) the first triangle of the pair
     g: mi.UInt32  # (R,) the second
@@ -61,7 +62,7 @@ class TriangleCuts:
 
     @staticmethod
     def of(scene: mi.Scene, surface: MeshSurface) -> TriangleCuts | None:
-        """Find all segments of the meshes of a scene; None where there are none."""
+        """Find all segments of the meshes of a scene; None if there are none."""
         edges, faces = _crossings(scene, surface)
         f, g = _pairs(surface.topology, edges, faces)
         if len(f) == 0:
@@ -77,10 +78,17 @@ class TriangleCuts:
 
 
 def shared_segments(f: np.ndarray, g: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eq. 5 for pairs of triangles f and g, (C, 3, 3).
+    """Intersect pairs of triangles f and g, (C, 3, 3), by eq. 5.
 
     Returns:
-        Which pairs cut one another, (C,) bool, and the ends of their segments, (R, 3) each.
+        Whether each pair intersects, (C,) bool, and the ends of their segments, (R, 3) each.
+
+    Example:
+        >>> level = np.array([[[0.0, 0, 0], [2, 0, 0], [0, 2, 0]]])
+        >>> upright = np.array([[[0.5, 0.5, -1], [0.5, 0.5, 1], [0.5, 3.5, 0]]])
+        >>> cut, start, end = shared_segments(level, upright)
+        >>> cut, np.sort([start[0, 1], end[0, 1]])  # from y = 0.5 to the side x + y = 2
+        (array([ True]), array([0.5, 1.5]))
     """
     normal = lambda p: np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     nf, ng = normal(f), normal(g)
@@ -146,7 +154,7 @@ def _crossings(scene: mi.Scene, surface: MeshSurface) -> tuple[np.ndarray, np.nd
 
 
 def _touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
-    """Whether a face has a corner at an end of an edge."""
+    """Return whether a face has a corner at an end of an edge."""
     ends = [dr.gather(mi.UInt32, end, edge) for end in topology.end_points]
     touches = mi.Bool(False)
     for corner in topology.points:
@@ -158,7 +166,7 @@ def _touches(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
 def _pairs(
     topology: Topology, edges: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. 4: find triangles that may cut one another, each pair once, (C,) and (C,)."""
+    """Find triangles that may intersect (eq. 4), each pair once, (C,) and (C,)."""
     points = np.stack([np.array(corner) for corner in topology.points], axis=1).astype(np.int64)
     start, items = (
         np.array(x).astype(np.int64)
@@ -189,7 +197,7 @@ SMALLEST_SQUARED_SINE = 1e-6
 
 @dataclass(frozen=True)
 class Intersections:
-    """Samples on the lines that one view sees, each with the jump of the image across it."""
+    """Samples on the visible lines of one view, each with the jump of the image across it."""
 
     vertex_count: int  # V
     vertices: list[mi.UInt32]  # six (S,): corners of f and g
@@ -199,14 +207,14 @@ class Intersections:
 
     @staticmethod
     def of(caster: RayCaster, density: float) -> Intersections | None:
-        """Sample the visible lines, ``density`` points a pixel of length; None if none is seen."""
+        """Sample visible lines, ``density`` points per pixel of length; None if none is found."""
         surface, projection = caster.surface, caster.projection
         cuts = TriangleCuts.of(caster.scene, surface)
         samples = None if cuts is None else _sample(cuts, projection, density)
         if samples is None:
             return None
         hits = caster.cast(samples.q)
-        # A ray to a line between faces that lie flat to one another may meet their neighbours.
+        # A ray to a line between nearly parallel faces may meet their neighbours.
         nothing_before = hits.depth > projection.depth(samples.x) * (1 - OCCLUDER_MARGIN)
         seen = (hits.face == samples.f) | (hits.face == samples.g) | nothing_before
         seen &= projection.is_inside(samples.q) & hits.hit
@@ -229,7 +237,7 @@ class Intersections:
         return Intersections(surface.topology.vertex_count, vertices, sweeps, q, jump)
 
     def tangent(self, d_positions: mi.Vector3f) -> list[mi.Float]:
-        """Eq. 2 forward: the samples' contributions, per channel (S,), as positions (V,) move."""
+        """Evaluate eq. 2 forward: contributions per channel (S,) of moving positions (V,)."""
         area = sum(
             dr.dot(sweep, dr.gather(mi.Vector3f, d_positions, vertex))
             for vertex, sweep in zip(self.vertices, self.sweeps, strict=True)
@@ -237,7 +245,7 @@ class Intersections:
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Eq. 2 backward: from gradients by the contributions to that by positions (V,)."""
+        """Evaluate eq. 2 backward: from gradients by contributions to gradients by positions."""
         grad = sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         count = dr.width(grad)
         by_corner = dr.zeros(mi.Vector3f, 6 * count)
@@ -262,14 +270,14 @@ class _LineSamples:
     x: mi.Vector3f  # (S,) world
     q: mi.Point2f  # (S,) pixels
     h: mi.Float  # (S,) scale
-    across: mi.Vector2f  # (S,) m times the segment's length on the image, pixels
-    step: mi.Vector2f  # (S,) m times the part's
+    across: mi.Vector2f  # (S,) m times the length of the segment on the image, pixels
+    step: mi.Vector2f  # (S,) m times the length of the sample's part, pixels
 
 
 def _sample(
     cuts: TriangleCuts, projection: SensorProjection, density: float
 ) -> _LineSamples | None:
-    """Samples on the parts of segments that lie on the image; None where there are none."""
+    """Sample the parts of segments that lie on the image; None if there are none."""
     (a, ha), (b, hb) = projection.pixel(cuts.start), projection.pixel(cuts.end)
     t0, t1 = projection.clip(a, b)
     near = dr.minimum(projection.depth(cuts.start), projection.depth(cuts.end))
@@ -299,8 +307,10 @@ def _sides(
     projection: SensorProjection,
     hits: RayHits,
 ) -> tuple[RayHits, RayHits]:
-    """Eq. 3: what is seen against and along ``across``. Rays beside the line could not tell faces
-    that lie flat to one another."""
+    """Return the visible faces against and along ``across`` (eq. 3).
+
+    Rays beside the line could not distinguish nearly parallel faces.
+    """
     step, toward = projection.sideways(samples.across), projection.toward(samples.x)
     rise_f, rise_g = (dr.dot(c, step) / dr.dot(c, toward) for c in (cf, cg))
     f_is_outside = rise_f > rise_g
@@ -312,7 +322,7 @@ def _sides(
 def _along_normals(
     sweep: mi.Vector3f, cf: mi.Vector3f, cg: mi.Vector3f
 ) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Eq. 2: the factors ``A, B`` of ``sweep = A c_f + B c_g``, and whether they are determined."""
+    """Solve ``sweep = A c_f + B c_g`` (eq. 2): A, B, and whether they are determined."""
     ff, gg, fg = dr.dot(cf, cf), dr.dot(cg, cg), dr.dot(cf, cg)
     sf, sg = dr.dot(sweep, cf), dr.dot(sweep, cg)
     determinant = ff * gg - fg * fg
@@ -324,7 +334,7 @@ def _along_normals(
 def _barycentric(
     x: mi.Vector3f, p0: mi.Vector3f, p1: mi.Vector3f, p2: mi.Vector3f
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Coordinates of a point in the plane of a triangle."""
+    """Return the barycentric coordinates of a point in the plane of a triangle."""
     c = dr.cross(p1 - p0, p2 - p0)
     c = c / dr.squared_norm(c)
     b1 = dr.dot(dr.cross(x - p0, p2 - p0), c)

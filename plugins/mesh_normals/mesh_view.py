@@ -1,19 +1,20 @@
 """A sensor's image of the meshes of a scene, with its tangent and its adjoint.
 
-1. A pixel is the mean over its area, ``I = ∫ f v dA``, of what is seen, ``v``: the channels of
-   ``rays.py``. It is estimated by ``spp`` rays at fixed places, one in the middle or a lattice.
+1. A pixel is the mean over its area, ``I = ∫ f v dA``, of the visible values ``v``: the channels
+   of ``rays.py``. It is estimated by ``spp`` rays at fixed places, one in the middle or a lattice.
    There is no noise: two renderings are equal to the last bit.
-2. **Interior**: triangles that rays meet stay the same under a small motion; normals, depths and
-   barycentric coordinates move with the vertices (``interior.py``).
-3. **Boundary**: edges sweep over the image and carry its jumps along (``contours.py``), and so do
-   the lines in which surfaces pass through one another (``intersections.py``). The mask has no
-   other derivative, and without it the normals' is wrong even in sign.
-4. **Sensor**: moving it is moving all vertices the other way; what an image shows in world axes,
-   such as its normals, turns with the sensor besides (``projection.py``, eq. 6).
+2. **Interior**: under a small motion a ray keeps its triangle, while normals, depths and
+   barycentric coordinates change with the vertices (``interior.py``).
+3. **Boundary**: edges sweep over the image and move its jumps (``contours.py``), and so do the
+   lines in which surfaces intersect (``intersections.py``). The mask has no other derivative, and
+   without this term the derivative of the normals is wrong even in sign.
+4. **Sensor**: a motion of the sensor is the opposite motion of all vertices; normals in world axes
+   also turn with the sensor (``projection.py``, eq. 6).
 
-The derivative is that of the exact mean over a pixel's area, also at one sample for each pixel.
-Nothing here uses automatic differentiation across the view: :class:`MeshView` is what
-``mesh_normals`` and other code with a loop of its own share.
+Terms 2 and 3 are the two terms of Reynolds' transport theorem, sampled as in Li et al.,
+"Differentiable Monte Carlo Ray Tracing through Edge Sampling", 2018. The derivative approximates
+that of the exact mean over a pixel's area, also at one ray per pixel. Nothing here uses automatic
+differentiation across the view, so that code with a loop of its own can use :class:`MeshView`, too.
 """
 
 from __future__ import annotations
@@ -34,14 +35,29 @@ from gva_mi_plugins.mesh_normals.surface import MeshSurface
 class MeshView:
     """An image of a scene's meshes, with the state that its derivatives need.
 
-    It is valid for the scene as it was: after vertices move, make a new one.
+    A view becomes invalid when vertices move: then make another one.
+
+    Example:
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 6])}
+        >>> sensor = {"type": "perspective", "film": film}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "cube": cube})
+        >>> view = mi.load_dict({"type": "mesh_normals"}).view(scene, scene.sensors()[0])
+        >>> view.image().shape  # normal and mask
+        (16, 16, 4)
+        >>> right = mi.Vector3f(1, 0, 0) + dr.zeros(mi.Vector3f, view.surface.topology.vertex_count)
+        >>> interior, boundary = view.tangent_parts(right)
+        >>> dr.all(interior[:, :, 3] == 0, axis=None)  # the mask changes only at contours
+        True
+        >>> dr.any(boundary[:, :, 3] != 0, axis=None)
+        True
     """
 
     caster: RayCaster
     filter: PixelFilter
-    edge_density: float  # samples for a pixel of an edge's length, at one ray for each pixel
-    with_intersections: bool  # whether lines in which surfaces intersect count
-    seen: RayHits  # what each ray met, (H W spp,)
+    edge_density: float  # samples per pixel of an edge's length, at one ray per pixel
+    with_intersections: bool  # whether lines in which surfaces intersect have a gradient
+    seen: RayHits  # the hit of each ray, (H W spp,)
 
     @staticmethod
     def of(
@@ -58,7 +74,7 @@ class MeshView:
         return self.caster.surface
 
     def image(self) -> mi.TensorXf:
-        """Image of the view's channels, (H, W, C)."""
+        """Return the image of the view's channels, (H, W, C)."""
         return self._tensor(self.filter.develop(self.caster.values(self.seen)))
 
     def tangent(
@@ -83,7 +99,7 @@ class MeshView:
         return self._tensor(interior), self._tensor(boundary)
 
     def adjoint(self, grad_image: mi.TensorXf) -> mi.Vector3f:
-        """Return the gradient by the vertices' positions (V,) from that by the image (H, W, C)."""
+        """Convert the gradient by the image (H, W, C) to the gradient by positions (V,)."""
         interior, boundary = self.adjoint_parts(grad_image)
         return interior + boundary
 
@@ -99,9 +115,9 @@ class MeshView:
         return inside, jumps
 
     def adjoint_to_world(self, grad_image: mi.TensorXf, grad_positions: mi.Vector3f) -> mi.Matrix4f:
-        """Return the gradient by the sensor's ``to_world`` from that by the image (H, W, C).
+        """Convert the gradient by the image (H, W, C) to the gradient by the sensor's ``to_world``.
 
-        ``grad_positions`` (V,) is what :meth:`adjoint` made of it.
+        ``grad_positions`` (V,) is the result of :meth:`adjoint` for this image.
         """
         carried_adjoint = self.caster.projection.carried_adjoint
         grad = carried_adjoint(-grad_positions, self.surface.positions, 1)
@@ -130,7 +146,7 @@ class MeshView:
     def _boundary_terms(self) -> list[Contours | Intersections]:
         density = self.edge_density * self.filter.spp**0.5
         terms = [Contours.of(self.caster, density)]
-        # No other channel than the normal jumps where surfaces pass through one another.
+        # Where surfaces intersect, only the normal jumps.
         if self.with_intersections and "normal" in self.caster.channels.kinds:
             terms.append(Intersections.of(self.caster, density))
         return [term for term in terms if term is not None]

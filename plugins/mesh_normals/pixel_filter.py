@@ -7,23 +7,22 @@ With a filter ``f`` of radius ``r`` and pixel centres ``c_p``, and samples ``v_i
 2. lattice  samples lie at the same places in all pixels, so that ``f(q_i - c_p)`` depends only on
    the step ``d`` from one pixel to the other and on the place ``k``: a table ``f_{d k}``.
 3. adjoint  ``∂L/∂v_i = Σ_p f(q_i - c_p) ∂L/∂I_p / N_p``.
-4. a point  ``q`` of an edge adds ``f(q - c_p) / M_p`` of what it carries to pixel ``p``.
+4. a point  ``q`` of an edge adds its value times ``f(q - c_p) / M_p`` to pixel ``p``.
 
-Pixels gather from samples, and what points add is sorted by pixel (``segment_sums.py``): the order
-of every sum is fixed. The ``box`` filter is the case in which a sample belongs to one pixel, and
-costs nothing.
+Pixels gather from samples, and the contributions of points are sorted by pixel
+(``segment_sums.py``): the order of every sum is fixed. With the ``box`` filter each sample belongs
+to one pixel, and filtering costs nothing.
 
-:class:`MultiCrop` renders several crops of one view together, each at a resolution of its own. A
-crop of a picture is seen from the same place, so its rays, contours and samples are those of the
-picture, on another grid of pixels. A view of several crops shoots the rays of all its tiles
-together and samples every edge once. With the scale ``r`` of a tile, its pixels per pixel of the
-view:
+:class:`MultiCrop` renders several crops of one view together, each at a resolution of its own. All
+crops of a picture have one camera centre, so they share its rays, contours and samples, on another
+grid of pixels. A view of several crops shoots the rays of all its tiles together and samples every
+edge once. With the scale ``r`` of a tile, its pixels per pixel of the view:
 
 5. ray       pixel ``(i, j)`` of the tile lies at ``corner + (i + 1/2, j + 1/2) / r`` in the view,
-6. edges     a point of an edge carries ``r²`` times as much to each tile that holds it as to the
-   view, since areas are counted in the tile's pixels there,
-7. interior  where ``1 / A`` points on triangles lie in a pixel of the view, a point and a ray count
-   by ``r² / (r² + 1 / A)`` in the tile, one over their density there (``interior.py``, eq. 3).
+6. edges     a point of an edge adds ``r²`` times as much to each tile that holds it as to the view,
+   because areas are counted in pixels of the tile,
+7. interior  where ``1 / A`` points on triangles lie in a pixel of the view, a point and a ray have
+   the weight ``r² / (r² + 1 / A)`` in the tile, one over their density (``interior.py``, eq. 3).
 """
 
 from __future__ import annotations
@@ -57,16 +56,19 @@ class PixelFilter:
 
     @staticmethod
     def of(film: mi.Film, spp: int) -> PixelFilter:
-        """The filter of a film.
+        """Make the filter of a film.
 
         Raises:
-            ValueError: the film samples its border, which another filter than box would look at.
+            ValueError: the film samples its border, and its filter is not ``box``.
         """
         width, height = (int(x) for x in film.crop_size())
         rfilter = film.rfilter()
         one = mi.Float(1)
         if rfilter.is_box_filter():
-            return PixelFilter(width, height, spp, 0, rfilter, one, one, one)
+            return PixelFilter(
+                width, height, spp, steps=0, rfilter=rfilter,
+                table=one, discrete=one, continuous=one,
+            )  # fmt: skip
         if film.sample_border():
             raise ValueError(
                 "mesh_normals: the film's sample_border must be false with another filter than box"
@@ -82,8 +84,8 @@ class PixelFilter:
         inside = (np.arange(POINTS_PER_PIXEL) + 0.5) / POINTS_PER_PIXEL
         mass = eval_(inside - 0.5 - d[:, None]).reshape(len(d), -1).mean(1)
         result = PixelFilter(
-            width, height, spp, steps, rfilter, mi.Float(table.ravel()), one,
-            mi.Float(np.outer(_total(mass, height), _total(mass, width)).ravel()),
+            width, height, spp, steps, rfilter, table=mi.Float(table.ravel()), discrete=one,
+            continuous=mi.Float(np.outer(_total(mass, height), _total(mass, width)).ravel()),
         )  # fmt: skip
         ones = dr.ones(mi.Float, width * height * spp)
         (N,) = result._gather([ones], dr.arange(mi.UInt32, width * height))
@@ -101,7 +103,7 @@ class PixelFilter:
         return mi.Point2f(x + (k + 0.5) / self.spp, y + shift_y - dr.floor(shift_y))
 
     def develop(self, samples: list[mi.Float]) -> list[mi.Float]:
-        """Eq. 1: pixels (H W,) from samples (H W spp,), which lie pixel by pixel."""
+        """Filter samples (H W spp,), ordered by pixel, to pixels (H W,) by eq. 1."""
         if self.steps > 0:
             pixel = dr.arange(mi.UInt32, self.width * self.height)
             return [value / self.discrete for value in self._gather(samples, pixel)]
@@ -110,7 +112,7 @@ class PixelFilter:
         return [dr.block_sum(x, self.spp) / self.spp for x in samples]
 
     def spread(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
-        """Eq. 3: from gradients by pixels (H W,) to those by some samples (R,)."""
+        """Convert gradients by pixels (H W,) to gradients by some samples (R,), eq. 3."""
         pixel = rays // self.spp
         if self.steps == 0:
             return [dr.gather(mi.Float, grad, pixel) / self.spp for grad in grads]
@@ -119,10 +121,10 @@ class PixelFilter:
         return self._gather(grads, pixel, rays - pixel * self.spp)
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
-        """Weights of two sets of samples (R + S,): of rays, and of ``crowd`` points for a pixel.
+        """Return weights (R + S,) of rays, and of points with the density ``crowd`` per pixel.
 
-        They are one over the density of both sets; that of the rays times ``spp``, by which
-        :meth:`develop` and :meth:`spread` divide.
+        They are one over the common density of both sets. The weights of rays are multiplied by
+        ``spp``, by which :meth:`develop` and :meth:`spread` divide.
         """
         weight = dr.rcp(self.spp + crowd)
         of_image = dr.arange(mi.UInt32, dr.width(crowd)) < dr.opaque(mi.UInt32, dr.width(rays))
@@ -131,8 +133,7 @@ class PixelFilter:
     def spread_to(
         self, grads: list[mi.Float], q: mi.Point2f, crowd: mi.Float | None = None
     ) -> list[mi.Float]:
-        """Eq. 4 backward: from gradients by pixels (H W,) to those by the contributions (S,) at
-        ``q``.
+        """Convert gradients by pixels (H W,) to gradients by contributions (S,) at ``q``, eq. 4.
 
         Points of triangles have a ``crowd``, as in :meth:`balance`.
         """
@@ -151,7 +152,7 @@ class PixelFilter:
         q: mi.Point2f,
         crowd: mi.Float | None = None,
     ) -> None:
-        """Eq. 4 forward: add the points' contributions (S,) to pixels (H W,)."""
+        """Add the contributions (S,) of points at ``q`` to pixels (H W,), eq. 4."""
         for pixel, weight, valid in self._around(q, crowd):
             carried = [dr.select(valid, weight * value, 0) for value in values]
             pixel = dr.select(valid, pixel, 0)
@@ -164,7 +165,7 @@ class PixelFilter:
     def _around(
         self, q: mi.Point2f, crowd: mi.Float | None
     ) -> Iterator[tuple[mi.UInt32, mi.Float, mi.Bool]]:
-        """Pixels that a point on the image adds to, with ``f(q - c_p) / M_p``."""
+        """Yield the pixels that a point on the image adds to, with ``f(q - c_p) / M_p``."""
         x, y = mi.Int32(q.x), mi.Int32(q.y)
         if self.steps == 0:
             yield mi.UInt32(y) * self._columns + mi.UInt32(x), mi.Float(1), mi.Bool(True)
@@ -180,8 +181,7 @@ class PixelFilter:
     def _gather(
         self, values: list[mi.Float], pixel: mi.UInt32, place: mi.UInt32 | None = None
     ) -> list[mi.Float]:
-        """Return Σ_i f(q_i - c_p) v_i for pixels p, or Σ_p f(q_i - c_p) g_p for samples i of places
-        in pixels."""
+        """Return Σ_i f(q_i - c_p) v_i for pixels p; with ``place``, Σ_p f(q_i - c_p) g_p."""
         size = self.width, self.height
         return _around_pixels(values, pixel, place, self.table, self.steps, self.spp, size)
 
@@ -241,15 +241,26 @@ def _add(
 
 
 def lattice(spp: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places (x, y) of the samples in a pixel, as :meth:`PixelFilter.positions` has them."""
+    """Return the places (x, y) of samples in a pixel, as in :meth:`PixelFilter.positions`.
+
+    Example:
+        >>> x, y = lattice(4)
+        >>> x, y.round(2)
+        (array([0.125, 0.375, 0.625, 0.875]), array([0.5 , 0.12, 0.74, 0.35]))
+    """
     k = np.arange(spp)
     return (k + 0.5) / spp, (0.5 + k * GOLDEN_STEP) % 1
 
 
 def column_and_row(pixel: mi.UInt32, columns: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
-    """Return where pixels lie, counted row by row: exactly, by float64 numbers.
+    """Return column and row of pixels that are numbered row by row.
 
-    A kernel divides these in packets, and integers one by one.
+    The division is in float64, which is exact here: a kernel divides floats in packets, and
+    integers one by one.
+
+    Example:
+        >>> column_and_row(mi.UInt32(0, 5, 11), mi.UInt32(5))
+        ([0, 0, 1], [0, 1, 2])
     """
     y = mi.UInt32((mi.Float64(pixel) + 0.5) * dr.rcp(mi.Float64(columns)))
     return pixel - y * columns, y
@@ -258,31 +269,31 @@ def column_and_row(pixel: mi.UInt32, columns: mi.UInt32) -> tuple[mi.UInt32, mi.
 def _total(mass: np.ndarray, count: int) -> np.ndarray:
     """Return ∫ f over the pixels on the image, for each of ``count`` pixels in a row.
 
-    ``mass`` is that over one pixel, by the step from it to the one with the filter.
+    ``mass`` is the integral over one pixel, by the step from it to the filter's pixel.
     """
     return np.convolve(np.ones(count), mass, mode="full")[len(mass) // 2 :][:count]
 
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of a view on a grid of its own."""
+    """A part of a view on a grid of its own; ``gva_mi.mesh.mesh_scene.tile_of`` makes one."""
 
-    left: float  # of its corner, pixels of the view
+    left: float  # of its upper left corner, pixels of the view
     top: float
-    scale: float  # its pixels for one of the view
-    width: int  # its pixels
+    scale: float  # pixels of the tile per pixel of the view
+    width: int  # pixels of the tile
     height: int
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """A tile in Dr.Jit arrays: its numbers change between views and are no kernel constants."""
+    """A tile in Dr.Jit arrays: with constants, kernels would be compiled for each tile."""
 
     corner: mi.Point2f  # pixels of the view
     scale: mi.Float
-    size: mi.Point2f  # its pixels
+    size: mi.Point2f  # pixels of the tile
     columns: mi.UInt32
-    start: mi.UInt32  # of its pixels among those of all tiles
+    start: mi.UInt32  # number of its first pixel among the pixels of all tiles
 
 
 @dataclass(frozen=True)
@@ -309,7 +320,10 @@ class MultiCrop(PixelFilter):
             dr.make_opaque(grid.corner, grid.scale, grid.size, grid.columns, grid.start)
             grids.append(grid)
             start += tile.width * tile.height
-        return MultiCrop(start, 1, 1, 0, film.rfilter(), one, one, one, tuple(grids))
+        return MultiCrop(
+            width=start, height=1, spp=1, steps=0, rfilter=film.rfilter(),
+            table=one, discrete=one, continuous=one, grids=tuple(grids),
+        )  # fmt: skip
 
     def positions(self, rays: mi.UInt32 | None = None) -> mi.Point2f:
         """Return the positions of the pixels' rays in the view (eq. 5)."""
@@ -326,7 +340,7 @@ class MultiCrop(PixelFilter):
         return corner + mi.Point2f(x + 0.5, y + 0.5) / scale
 
     def balance(self, crowd: mi.Float, rays: mi.UInt32) -> mi.Float:
-        """Eq. 7 of the rays; 1 of the points, whose weights depend on the tile."""
+        """Return the weights of rays (eq. 7); 1 for points, whose weights depend on the tile."""
         sample = dr.arange(mi.UInt32, dr.width(crowd))
         of_image = sample < dr.opaque(mi.UInt32, dr.width(rays))
         ray = dr.gather(mi.UInt32, rays, sample, of_image)
@@ -338,7 +352,7 @@ class MultiCrop(PixelFilter):
     def _around(
         self, q: mi.Point2f, crowd: mi.Float | None
     ) -> Iterator[tuple[mi.UInt32, mi.Float, mi.Bool]]:
-        """The pixel of each tile that holds a point of the view, and its weight (eq. 6, 7)."""
+        """Yield the pixel of each tile that holds a point of the view, with its weight (6, 7)."""
         for grid in self.grids:
             at = (q - grid.corner) * grid.scale
             valid = (at.x >= 0) & (at.y >= 0) & (at.x < grid.size.x) & (at.y < grid.size.y)
@@ -348,5 +362,5 @@ class MultiCrop(PixelFilter):
 
 
 def _share(scale: mi.Float, crowd: mi.Float) -> mi.Float:
-    """Eq. 7, with as many points for a pixel of the view as ``crowd`` says."""
+    """Evaluate eq. 7 with ``crowd`` = 1 / A."""
     return dr.square(scale) * dr.rcp(dr.square(scale) + crowd)

@@ -5,16 +5,16 @@ P_1, P_2``:
 
 1. scale  ``h = P_2 x̃``: the depth before a pinhole, 1 in an orthographic view,
 2. pixel  ``q_i = (P_i x̃) / h``,
-3. ray    the points seen in ``q`` are ``o(q) + w d(q)``, ``w`` their depth: the distance from the
-   sensor's plane. A pinhole has one ``o`` and ``d = A^{-1} (q, 1)`` with ``A`` the left part of
-   ``P``; an orthographic view has one ``d``, the optical axis,
+3. ray    the points that project to ``q`` are ``o(q) + w d(q)``, ``w`` their depth: the distance
+   from the sensor's plane. A pinhole has one ``o`` and ``d = A^{-1} (q, 1)`` with ``A`` the left
+   part of ``P``; an orthographic view has one ``d``, the optical axis,
 4. motion ``∂q_i/∂x = (P_i - q_i P_2)[:3] / h``,
-5. lines  the way from ``a`` to ``b`` on the image shows a segment of the world; where the share
-   ``t`` of the way has passed, ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment has,
-6. pose   with ``T`` the sensor's ``to_world``, what is fixed to it moves by ``dT T^{-1} v``: a
-   point with ``v = (x, 1)``, a direction with ``(n, 0)``. Gradients are those by the entries of
-   ``T``, of which the last row is not used. They hold for any ``dT`` in an orthographic view; a
-   pinhole sensor is rigid: there only those of rotations and translations have a meaning.
+5. lines  a segment of the world appears as the line from ``a`` to ``b`` on the image; the share
+   ``t`` of the line shows the share ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment,
+6. pose   with ``T`` the sensor's ``to_world``, a point fixed to the sensor moves by ``dT T^{-1} v``
+   with ``v = (x, 1)``, a direction with ``v = (n, 0)``. Gradients are by the entries of ``T``; its
+   last row is not used. They hold for any ``dT`` in an orthographic view. A pinhole sensor is
+   rigid, so only gradients along rotations and translations have a meaning.
 
 Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
 """
@@ -32,7 +32,17 @@ PINHOLE, PARALLEL = "PerspectiveCamera", "OrthographicCamera"
 
 @dataclass(frozen=True)
 class SensorProjection:
-    """A view of the world on W x H pixels."""
+    """A view of the world on W x H pixels.
+
+    Example:
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16}
+        >>> sensor = mi.load_dict({"type": "perspective", "fov": 90, "film": film})
+        >>> view = SensorProjection.of(sensor)  # looks along +z, x to the left
+        >>> view.pixel(mi.Point3f(1, 0, 4))
+        ([[6, 8]], [4])
+        >>> view.ray(mi.Point2f(6, 8)).d
+        [[0.25, 0, 1]]
+    """
 
     pinhole: bool  # else orthographic
     rows: tuple[mi.Vector3f, mi.Vector3f, mi.Vector3f]  # of P, without its last column
@@ -50,7 +60,7 @@ class SensorProjection:
 
     @staticmethod
     def of(sensor: mi.Sensor, pixel_aspect: float = 1.0) -> SensorProjection:
-        """The projection of a sensor.
+        """Make the projection of a sensor.
 
         Args:
             sensor: a Mitsuba sensor of type ``perspective`` or ``orthographic``.
@@ -58,7 +68,7 @@ class SensorProjection:
                 square; another aspect stretches the image in y about the principal point.
 
         Raises:
-            ValueError: for another kind of sensor.
+            ValueError: another kind of sensor.
         """
         kind = sensor.class_name()
         if kind not in (PINHOLE, PARALLEL):
@@ -93,28 +103,28 @@ class SensorProjection:
             dr.make_opaque(rows, offset, pixel_to_world, eye, axis, axis_offset)
             dr.make_opaque(camera_world, to_world, near, reach, determinant, size)
         return SensorProjection(
-            pinhole, rows, offset, pixel_to_world, determinant, mi.Point3f(eye), axis, axis_offset,
-            camera_world, to_world, near, reach, size,
+            pinhole=pinhole, rows=rows, offset=offset, pixel_to_world=pixel_to_world,
+            determinant=determinant, eye=mi.Point3f(eye), axis=axis, axis_offset=axis_offset,
+            camera_world=camera_world, to_world=to_world, near=near, reach=reach, size=size,
         )  # fmt: skip
 
     def depth(self, x: mi.Point3f) -> mi.Float:
-        """Distance of world points from the sensor's plane."""
+        """Return the distances of world points from the sensor's plane."""
         return dr.dot(self.axis, x) + self.axis_offset
 
     def pixel(self, x: mi.Point3f) -> tuple[mi.Point2f, mi.Float]:
-        """Eq. 1, 2: where world points are seen, in pixels, and their scale ``h``."""
+        """Project world points to pixels; return their scale ``h``, too (eq. 1, 2)."""
         h = dr.dot(self.rows[2], x) + self.offset.z
         u = dr.dot(self.rows[0], x) + self.offset.x
         v = dr.dot(self.rows[1], x) + self.offset.y
         return mi.Point2f(u, v) / h, h
 
     def toward(self, x: mi.Point3f) -> mi.Vector3f:
-        """A vector along the ray that meets a world point, away from the sensor."""
+        """Return a vector along the ray that meets a world point, away from the sensor."""
         return x - self.eye if self.pinhole else self.axis
 
     def ray(self, q: mi.Point2f) -> mi.Ray3f:
-        """Eq. 3: rays through pixels, from the near plane on; a parameter ``t`` is a depth of
-        ``near + t``."""
+        """Return the rays through pixels (eq. 3); a ray's parameter t is the depth ``near + t``."""
         if self.pinhole:
             o, d = self.eye, self.pixel_to_world @ mi.Vector3f(q.x, q.y, 1)
         else:
@@ -124,21 +134,21 @@ class SensorProjection:
         return ray
 
     def sideways(self, m: mi.Vector2f) -> mi.Vector3f:
-        """Return the motion of the point seen at depth 1 for a step of the pixel on the image."""
+        """Return the motion of the ray's point at depth 1 for a step of the pixel."""
         return self.pixel_to_world @ mi.Vector3f(m.x, m.y, 0)
 
     def pull_back(self, m: mi.Vector2f, q: mi.Point2f, h: mi.Float) -> mi.Vector3f:
-        """Eq. 4: the world vector ``(∂q/∂x)ᵀ m`` at a point seen in ``q`` at scale ``h``."""
+        """Return the world vector ``(∂q/∂x)ᵀ m`` (eq. 4) of a point at pixel ``q``, scale ``h``."""
         rows = self.rows
         return (m.x * (rows[0] - q.x * rows[2]) + m.y * (rows[1] - q.y * rows[2])) / h
 
     def carried(self, d_to_world: mi.Matrix4f, v: mi.Vector3f, w: int) -> mi.Vector3f:
-        """Eq. 6: how points (w = 1) or directions (w = 0) move that are fixed to the sensor."""
+        """Return the motion of points (w = 1) or directions (w = 0) fixed to the sensor, eq. 6."""
         move = d_to_world @ (dr.rcp(self.to_world) @ mi.Vector4f(*v, w))
         return mi.Vector3f(move.x, move.y, move.z)
 
     def carried_adjoint(self, grad: mi.Vector3f, v: mi.Vector3f, w: int) -> mi.Matrix4f:
-        """Eq. 6 backward: from the gradient by these motions to that by ``T``."""
+        """Convert the gradient by motions of eq. 6 to the gradient by ``T``."""
         y = dr.rcp(self.to_world) @ mi.Vector4f(*v, w)
         dr.eval(grad, y)
         return mi.Matrix4f([[dr.sum(g * entry) for entry in y] for g in grad] + [[0, 0, 0, 0]])
@@ -153,12 +163,14 @@ class SensorProjection:
         return dr.square(h) / (self.determinant * dr.abs(along))
 
     def is_inside(self, q: mi.Point2f) -> mi.Bool:
-        """Whether a pixel position lies on the image."""
+        """Return whether a pixel position lies on the image."""
         return (q.x >= 0) & (q.y >= 0) & (q.x < self.size.x) & (q.y < self.size.y)
 
     def clip(self, a: mi.Point2f, b: mi.Point2f) -> tuple[mi.Float, mi.Float]:
-        """The shares of the way from ``a`` to ``b`` at which it enters and leaves the image; they
-        fall, or are equal, where it does not cross it."""
+        """Return the shares of the line ``a`` to ``b`` at which it enters and leaves the image.
+
+        A line beside the image does not enter it before it leaves: t0 ≥ t1.
+        """
         t0, t1 = mi.Float(0), mi.Float(1)
         for k, size in enumerate(self.size):
             step = b[k] - a[k]
@@ -172,8 +184,10 @@ class SensorProjection:
 
 
 def _camera_to_pixels(sensor: mi.Sensor, pixel_aspect: float) -> tuple[mi.Matrix3f, mi.Vector3f]:
-    """Eq. 1 and 2 in the sensor's frame, with Mitsuba's axes: ``K`` and ``k`` of ``K y + k``, whose
-    last entry is ``h``."""
+    """Return ``K`` and ``k`` of eq. 1 and 2 in the sensor's frame, with Mitsuba's axes.
+
+    ``K y + k`` is ``(h q, h)`` of a point ``y``.
+    """
     size, whole = _size_of(sensor.film().crop_size()), _size_of(sensor.film().size())
     film = sensor.projection_transform().matrix  # camera to film in [0, 1]², depth in row 2
     dr.make_opaque(size, whole, film)
@@ -192,5 +206,5 @@ def _size_of(size: mi.ScalarVector2u) -> mi.Point2f:
 
 
 def share_on_segment(t: mi.Float, ha: mi.Float, hb: mi.Float) -> mi.Float:
-    """Eq. 5: the share of a segment of the world, from that of its image and the ends' scales."""
+    """Convert the share of a segment's image to the share of the segment (eq. 5)."""
     return t * ha / (t * ha + (1 - t) * hb)

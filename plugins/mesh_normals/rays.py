@@ -1,4 +1,4 @@
-"""Rays from the sensor: the faces they meet, the image's channels there, jumps between two rays.
+"""Rays from the sensor: the faces that they meet, the image's channels, jumps between two rays.
 
 Interior, contours and intersections share one :class:`RayCaster`.
 
@@ -6,15 +6,16 @@ Interior, contours and intersections share one :class:`RayCaster`.
 Name                Channels  A pixel holds
 ==================  ========  ==================================================================
 ``normal``          3         the shading normal, in camera or world space
-``mask``            1         1 where a mesh is seen
+``mask``            1         1 where a mesh is visible
 ``depth``           1         the distance from the sensor's plane, scene units
 ==================  ========  ==================================================================
 
-All are zero where no mesh is seen. A pixel is the mean over its area, and so ``depth`` divided by
-``mask`` is the mean depth of what is seen in it.
+All are zero where no mesh is visible. A pixel is the mean over its area, so ``depth`` divided by
+``mask`` is the mean depth of the meshes in it.
 
 Camera space has OpenCV's axes, x right, y down, z forward: a surface that faces the camera has
-``n_z < 0``. A normal is the mesh's own: on the inner side of an open mesh it points away.
+``n_z < 0``. Normals are not turned toward the camera: on the inner side of an open mesh they point
+away from it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,12 @@ class Channels:
         """Parse a plugin's parameters, such as ``"normal, mask"`` and ``"camera"``.
 
         Raises:
-            ValueError: a name that does not exist or comes twice.
+            ValueError: a name does not exist or comes twice.
+
+        Example:
+            >>> channels = Channels.parse("mask, normal", "camera")
+            >>> channels.names, channels.first("normal")
+            (['mask', 'normal.X', 'normal.Y', 'normal.Z'], 1)
         """
         kinds = tuple(name.strip() for name in channels.split(","))
         unknown = [kind for kind in kinds if kind not in WIDTHS]
@@ -57,13 +63,13 @@ class Channels:
 
     @property
     def names(self) -> list[str]:
-        """One name for each channel."""
+        """Return one name for each channel."""
         axes = {"normal": ["normal.X", "normal.Y", "normal.Z"]}
         return [name for kind in self.kinds for name in axes.get(kind, [kind])]
 
     @property
     def moves_inside(self) -> bool:
-        """Whether any channel changes as a surface moves within its contours."""
+        """Return whether any channel changes as a surface moves within its contours."""
         return "normal" in self.kinds or "depth" in self.kinds
 
     def first(self, kind: str) -> int | None:
@@ -98,7 +104,10 @@ class Channels:
     def adjoint(
         self, grads: list[mi.Float], camera_world: mi.Matrix3f
     ) -> tuple[mi.Vector3f | None, mi.Float | None]:
-        """Convert gradients by channels to those by normal (world) and depth; None if unused."""
+        """Return the gradients by normal (world) and by depth from gradients by channels.
+
+        None for a kind that the image lacks.
+        """
         normal, depth = self.first("normal"), self.first("depth")
         grad_n = None
         if normal is not None:
@@ -141,7 +150,7 @@ class RayCaster:
         return RayHits(ray, face, found.t + self.projection.near, hit)
 
     def meets(self, q: mi.Point2f) -> mi.Bool:
-        """Whether rays through pixel positions (R,) meet any face."""
+        """Return whether rays through pixel positions (R,) meet any face."""
         return self.scene.ray_test(self.projection.ray(q), coherent=True)
 
     def values(self, hits: RayHits) -> list[mi.Float]:

@@ -18,7 +18,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Segments:
-    """Entries of S segments: segment ``i`` holds ``items[start[i]:start[i + 1]]``."""
+    """Entries of S segments: segment ``i`` holds ``items[start[i]:start[i + 1]]``.
+
+    Example:
+        >>> segments = Segments.by_owner(np.array([1, 0, 1]), count=3)
+        >>> segments.sum(mi.Vector3f(1, [10, 20, 30], 0)).y
+        [20, 40, 0]
+    """
 
     start: mi.UInt32  # (S + 1,)
     items: mi.UInt32  # (M,) positions in the array that is summed
@@ -38,12 +44,23 @@ class Segments:
 
 
 def sum_runs(values: list[mi.Vector3f], start: mi.UInt32, total: int) -> list[mi.Vector3f]:
-    """Sum runs of neighbouring entries: run ``i`` starts at ``start[i]`` and ends at the next."""
+    """Sum runs of neighbouring entries: run ``i`` ends where run ``i + 1`` starts.
+
+    Example:
+        >>> sum_runs([mi.Vector3f(1, [10, 20, 30], 0)], mi.UInt32(0, 2), 3)[0].y
+        [30, 30]
+    """
     return _sum(values, None, start, _ends(start, total))
 
 
 def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vector3f], mi.UInt32]:
-    """Sum the entries that share a key; return sums and keys, each once, in rising order."""
+    """Sum the entries that share a key; return sums and keys, each once, in rising order.
+
+    Example:
+        >>> sums, keys = sum_by_key([mi.Vector3f(1, [10, 20, 30], 0)], mi.UInt32(7, 4, 7))
+        >>> sums[0].y, keys
+        ([20, 40], [4, 7])
+    """
     order = dr.argsort(key)
     key = dr.gather(mi.UInt32, key, order)
     i = dr.arange(mi.UInt32, dr.width(key))
@@ -56,7 +73,11 @@ def sum_by_key(values: list[mi.Vector3f], key: mi.UInt32) -> tuple[list[mi.Vecto
 def concat(first: Sequence[dr.ArrayBase], then: Sequence[dr.ArrayBase]) -> list[dr.ArrayBase]:
     """Concatenate arrays (A,) with arrays (B,) of the same kinds, each to one (A + B,).
 
-    For arrays whose lengths vary, because ``dr.concat`` compiles a kernel for each length.
+    Use it for arrays whose lengths vary, because ``dr.concat`` compiles a kernel for each length.
+
+    Example:
+        >>> concat([mi.Float(1, 2)], [mi.Float(3)])
+        [[1, 2, 3]]
     """
     a, b = dr.width(first), dr.width(then)
     result = [dr.empty(type(x), a + b) for x in first]

@@ -3,9 +3,10 @@
 With corners ``p_0, p_1, p_2`` of face ``f`` and the corners that share a normal ``v``:
 
 1. face normal      ``c_f = (p_1 - p_0) x (p_2 - p_0)``, as long as twice the area,
-2. shading normal   ``n_v = ± Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area,
+2. shading normal   ``n_v = ± Σ_f c_f / |Σ_f c_f|`` over the faces at ``v``: weighted by area
+   (Gouraud, "Continuous Shading of Curved Surfaces", 1971),
 3. on a ray         ``n = Σ_k b_k n_k / |Σ_k b_k n_k|`` with the barycentric coordinates ``b`` of
-   the point hit, ``o + t d = Σ_k b_k p_k``.
+   the hit, ``o + t d = Σ_k b_k p_k`` (Phong, "Illumination for Computer Generated Pictures", 1975).
 
 Every sum runs over fixed lists in a fixed order (``segment_sums.py``); no step adds with
 atomics.
@@ -25,7 +26,7 @@ from gva_mi_plugins.mesh_normals.topology import AREA_ROUNDING, SMALLEST_LENGTH,
 
 @dataclass(frozen=True)
 class MeshSurface:
-    """Meshes with their vertices at one place, and the normals that follow from it."""
+    """Meshes with the positions of their vertices, and the normals that follow from them."""
 
     topology: Topology
     positions: mi.Vector3f  # (V,) world
@@ -51,7 +52,7 @@ class MeshSurface:
 
     @cached_property
     def _shading(self) -> tuple[mi.Vector3f, mi.Float]:
-        """Normals and inverse lengths; a mask needs none."""
+        """Return normals and inverse lengths, computed when first used: a mask needs none."""
         total = self.topology.faces_of_normal.sum(self.face_normals)
         inverse_length = dr.rcp(dr.maximum(dr.norm(total), SMALLEST_LENGTH))
         inverse_length = dr.select(self.topology.flips, -inverse_length, inverse_length)
@@ -61,7 +62,7 @@ class MeshSurface:
 
     @property
     def corners(self) -> list[mi.Vector3f]:
-        """The corners of all faces, three (F,) world."""
+        """Return the corners of all faces, three (F,) world."""
         return self._at_corners(self.positions)
 
     def vertices_of(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
@@ -83,7 +84,7 @@ class MeshSurface:
         return np.array(dr.compress(dr.norm(self.face_normals) <= least)).astype(np.int64)
 
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
-        """Eq. 1 and 2 forward: how the shading normals (N,) move with the positions (V,)."""
+        """Return the motion of the shading normals (N,) as positions (V,) move (eq. 1, 2)."""
         p, dp = self.corners, self._at_corners(d_positions)
         dc = dr.cross(dp[1] - dp[0], p[2] - p[0]) + dr.cross(p[1] - p[0], dp[2] - dp[0])
         dr.eval(dc)
@@ -91,8 +92,10 @@ class MeshSurface:
         return self._tangential(d_total)
 
     def adjoint(self, grad_corners: mi.Vector3f, grad_corner_normals: mi.Vector3f) -> mi.Vector3f:
-        """Eq. 1 and 2 backward: from gradients by the positions and by the normals of all corners
-        (3F,) to that by the positions (V,)."""
+        """Return the gradient by positions (V,) (eq. 1 and 2 backward).
+
+        The inputs are gradients by the positions and by the normals of all corners, (3F,).
+        """
         topology = self.topology
         grad_total = self._tangential(topology.corners_of_normal.sum(grad_corner_normals))
         dr.eval(grad_total)
@@ -109,15 +112,17 @@ class MeshSurface:
     def shade(
         self, ray: mi.Ray3f, face: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Vector3f, mi.Float]:
-        """Eq. 3: the unit normals ``n`` and parameters ``t`` (R,) at which rays meet faces; zero
-        where not active."""
+        """Return unit normals and ray parameters t (R,) where rays meet faces (eq. 3).
+
+        Both are zero where not active.
+        """
         n, t = interpolate(ray, *self._at(face, active))
         return dr.select(active, n, 0), dr.select(active, t, 0)
 
     def shade_tangent(
         self, ray: mi.Ray3f, face: mi.UInt32, d_positions: mi.Vector3f, d_normals: mi.Vector3f
     ) -> tuple[mi.Vector3f, mi.Float]:
-        """Eq. 3 forward, for rays that all hit."""
+        """Evaluate eq. 3 forward, for rays that all hit."""
         leaves = self._at(face, True)
         tangents = [dr.gather(mi.Vector3f, d_positions, i) for i in self.vertices_of(face)]
         tangents += [dr.gather(mi.Vector3f, d_normals, i) for i in self._normals(face)]
@@ -130,8 +135,15 @@ class MeshSurface:
     def shade_adjoint(
         self, ray: mi.Ray3f, face: mi.UInt32, grad_n: mi.Vector3f | None, grad_t: mi.Float | None
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Eq. 3 backward, for rays (R,) that all hit: from gradients by normals and ray parameters,
-        None for zero, to those by positions and by shading normals of all corners, (3F,)."""
+        """Evaluate eq. 3 backward, for rays (R,) that all hit.
+
+        Args:
+            ray, face: the rays, and the faces that they hit.
+            grad_n, grad_t: gradients by normals and ray parameters; None for zero.
+
+        Returns:
+            Gradients by the positions and by the shading normals of all corners, (3F,) each.
+        """
         leaves = self._at(face, True)
         with dr.isolate_grad(), dr.resume_grad():
             dr.enable_grad(leaves)
@@ -149,7 +161,7 @@ class MeshSurface:
         return tuple(by_corner)
 
     def _tangential(self, x: mi.Vector3f) -> mi.Vector3f:
-        """Derivative of eq. 2's normalisation, its own transpose: ``± (I - n nᵀ) x / |Σ c_f|``."""
+        """Apply the derivative of eq. 2's normalisation, ``± (I - n nᵀ) / |Σ c_f|``: symmetric."""
         return (x - self.normals * dr.dot(self.normals, x)) * self.inverse_length
 
     def _at_corners(self, values: mi.Vector3f) -> list[mi.Vector3f]:
@@ -159,7 +171,7 @@ class MeshSurface:
         return [dr.gather(mi.UInt32, normal, face, active) for normal in self.topology.normals]
 
     def _at(self, face: mi.UInt32, active: mi.Bool) -> list[mi.Vector3f]:
-        """Corners and their shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
+        """Return corners and shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
         n = [dr.gather(mi.Vector3f, self.normals, i, active) for i in self._normals(face, active)]
         return self.corners_of(face, active) + n
 
@@ -173,7 +185,7 @@ def interpolate(
     n1: mi.Vector3f,
     n2: mi.Vector3f,
 ) -> tuple[mi.Vector3f, mi.Float]:
-    """Eq. 3: the normal, and the ray's parameter, where a ray meets a triangle's plane."""
+    """Return the normal and the ray's parameter where a ray meets a triangle's plane (eq. 3)."""
     b1, b2, t = meet_plane(ray, p0, p1, p2)
     n = (1 - b1 - b2) * n0 + b1 * n1 + b2 * n2
     return n / dr.norm(n), t
@@ -182,7 +194,15 @@ def interpolate(
 def meet_plane(
     ray: mi.Ray3f, p0: mi.Vector3f, p1: mi.Vector3f, p2: mi.Vector3f
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """The ``b_1, b_2`` and ``t`` at which ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)``."""
+    """Solve ``o + t d = p_0 + b_1 (p_1 - p_0) + b_2 (p_2 - p_0)`` for ``b_1, b_2, t``.
+
+    By Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997.
+
+    Example:
+        >>> ray = mi.Ray3f([0.25, 0.5, -2], [0, 0, 1])
+        >>> meet_plane(ray, *map(mi.Vector3f, ([0, 0, 0], [1, 0, 0], [0, 1, 0])))
+        ([0.25], [0.5], [2])
+    """
     e1, e2, s = p1 - p0, p2 - p0, mi.Vector3f(ray.o) - p0
     h, k = dr.cross(ray.d, e2), dr.cross(s, e1)
     det = dr.dot(e1, h)

@@ -12,10 +12,10 @@ Three numberings of a corner:
 * *normal*: corners that share a shading normal. A smooth mesh has one for each point, except where
   a file says that an edge is hard, a faceted one for each face.
 
-**Faces without area** show nothing, and the edges around them are what would be without them. A
-face with two corners at one place is left out. A face whose corners lie on a line may close a gap
-between its longest side and the two others, as where the edge of one neighbour was split. If the
-longest side has one other face ``C``, that face takes its place at the two others. ::
+**Faces without area** are invisible and change no edge around them. A face with two corners at one
+place is left out. A face whose corners lie on a line may close a gap between its longest side and
+the two others, where the edge of one neighbour was split. If the longest side has one other face
+``C``, that face replaces it at the two others. ::
 
        C
     A ----- B            A - M - B      between C and D, and between C and E
@@ -24,15 +24,17 @@ longest side has one other face ``C``, that face takes its place at the two othe
 
 **Normals of a file** decide where a surface has hard edges, and which way normals point. Shading
 normals are averages over faces, so that they move with the vertices. Where a file splits a vertex,
-its own normals say why: they are equal along a seam of textures, and differ along a hard edge.
-Where a file has none, Mitsuba invents them for every copy of a vertex alone (or leaves memory as it
-was); then copies of a smooth mesh belong together unless they differ by a right angle or so.
+the normals of the file tell the reason: they are equal along a seam of textures, and differ along a
+hard edge. If a file has none, Mitsuba computes them for every copy of a vertex alone, or leaves the
+memory uninitialised. Then copies of a smooth mesh belong together unless they differ by about a
+right angle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -44,23 +46,25 @@ from gva_mi_plugins.mesh_normals.segment_sums import Segments
 AREA_ROUNDING = 2.0**-22
 
 
-def live_sides(
-    points: np.ndarray, flat: np.ndarray, places: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class Sides(NamedTuple):
+    """The sides of all faces: side ``k`` of face ``f`` is ``3 f + k``."""
+
+    ends: np.ndarray  # (3F, 2) points at the ends, in the order in which the face runs
+    live: np.ndarray  # (3F,) whether it belongs to an edge
+    owner: np.ndarray  # (3F,) the face that it is a side of
+
+
+def live_sides(points: np.ndarray, flat: np.ndarray, places: np.ndarray) -> Sides:
     """Find the sides of faces (side ``k`` of face ``f`` is ``3 f + k``) that belong to edges.
 
-    Faces have ``points`` (F, 3) at ``places`` (V, 3); those numbered ``flat`` (n,) have no area.
-
-    Returns:
-        The points at the ends of sides in the order in which their faces run, (3F, 2); whether they
-        belong to an edge, (3F,); and the faces that they are sides of, (3F,).
+    Faces have ``points`` (F, 3) at ``places`` (V, 3); the faces ``flat`` (n,) have no area.
     """
     owner, live = np.arange(points.size) // 3, np.ones(points.size, bool)
     ends = np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2)
     live[(3 * flat[:, None] + np.arange(3)).ravel()] = False
     on_line = [face for face in flat.tolist() if len(set(points[face].tolist())) == 3]
     if not on_line:
-        return ends, live, owner
+        return Sides(ends, live, owner)
     length = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1).reshape(-1, 3)
     edge = [tuple(side) for side in np.sort(ends, axis=1).tolist()]
     at: dict[tuple[int, int], list[int]] = {}  # live sides of each edge
@@ -79,7 +83,7 @@ def live_sides(
                 ends[other] = ends[other, ::-1]
             live[other], owner[other] = True, owner[side]
             at.setdefault(edge[other], []).append(other)
-    return ends, live, owner
+    return Sides(ends, live, owner)
 
 
 # Normals of a file within 1 degree are one normal. Chosen: files round them to few digits.
@@ -95,9 +99,9 @@ SMALLEST_LENGTH = 1e-30  # divisor in the place of 0; any vector of a mesh is lo
 
 
 def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return for each vertex of a smooth mesh the one whose shading normal it shares, (V,).
+    """Return, for each vertex of a smooth mesh, the vertex whose shading normal it shares, (V,).
 
-    ``points`` (V,) is for each vertex the first one at its place.
+    ``points`` (V,) is, for each vertex, the first vertex at its place.
     """
     share = np.arange(len(points))
     if (points == share).all() or not mesh.has_vertex_normals():
@@ -122,7 +126,7 @@ def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.n
 
 
 def points_inward(mesh: mi.Mesh, faces: np.ndarray) -> bool:
-    """Whether normals point against the winding: flipped, or as in a file that was mirrored."""
+    """Return whether normals point against the winding: flipped, or by a mirrored file."""
     normals = None if mesh.has_face_normals() else _file_normals(mesh, faces)
     if normals is None:
         return mesh.has_flipped_normals()
@@ -135,7 +139,7 @@ def _vectors(buffer: mi.Float) -> np.ndarray:
 
 
 def _file_normals(mesh: mi.Mesh, faces: np.ndarray) -> np.ndarray | None:
-    """Normals (V, 3) that a mesh came with; None if there are none, or other numbers."""
+    """Return the normals (V, 3) of a mesh's file; None if it has none, or no unit vectors."""
     if not mesh.has_vertex_normals():
         return None
     normals = _vectors(mesh.vertex_normals_buffer())
@@ -149,19 +153,23 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _crosses(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Cross products of two sides of each face, (F, 3)."""
+    """Return the cross product of two sides of each face, (F, 3)."""
     a, b, c = positions[faces].swapaxes(0, 1)
     return np.cross(b - a, c - a)
 
 
 def _dots(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cosines between vectors; 1 where one has no length."""
+    """Return the cosines between vectors; 1 where a vector has no length."""
     size = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     return np.where(size > 0, (a * b).sum(-1) / np.maximum(size, SMALLEST_LENGTH), 1.0)
 
 
 def _by_angle(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals (V, 3) by the angles of the faces at each vertex; zero where there are none."""
+    """Return unit normals (V, 3), weighted by the faces' angles at each vertex; zero without faces.
+
+    These are Mitsuba's own (Thürmer and Wüthrich, "Computing Vertex Normals from Polygonal Facets",
+    1998).
+    """
     corners, n = positions[faces], _unit(_crosses(positions, faces))
     total = np.zeros_like(positions)
     for k in range(3):
@@ -180,7 +188,7 @@ class Topology:
     vertex_counts: tuple[int, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
     flips: mi.Bool  # (N,) the normal points against the winding of its faces
-    flat: np.ndarray  # (n,) faces without area, which are left out of the edges
+    flat: np.ndarray  # (n,) faces without area, which belong to no edge
     vertices: tuple[mi.UInt32, ...]  # three (F,): vertex of each corner
     points: tuple[mi.UInt32, ...]  # three (F,): point of each corner
     normals: tuple[mi.UInt32, ...]  # three (F,): normal of each corner
@@ -199,12 +207,12 @@ class Topology:
 
     @property
     def face_count(self) -> int:
-        """Number of faces F."""
+        """Return the number of faces F."""
         return dr.width(self.vertices[0])
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices V."""
+        """Return the number of vertices V."""
         return sum(self.vertex_counts)
 
     def face_number(self, shape: mi.ShapePtr, primitive: mi.UInt32, active: mi.Bool) -> mi.UInt32:
@@ -217,7 +225,7 @@ class Topology:
     def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NO_FACES) -> Topology:
         """Read the faces of the meshes and find the edges between them.
 
-        ``flat`` (n,) are faces without area, beside those with two corners at one place.
+        ``flat`` (n,) are further faces without area; faces with two corners at one place are found.
         """
         corners = _Corners.of(meshes)
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
@@ -236,7 +244,7 @@ class Topology:
             corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
             corners_of_normal=corners_of_normal,
             faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
-            **_edges(corners, *live_sides(corners.points, flat, corners.places)),
+            **_edges(corners, live_sides(corners.points, flat, corners.places)),
         )
 
 
@@ -261,8 +269,9 @@ def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
 def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
     """Return a scene for ray tracing: the scene itself, or a new one of its meshes alone.
 
-    With ellipsoids, one scene can feed both plugins. A ray would end at them, so the meshes become
-    a scene of their own, anew for every picture: only the first one is notified when they move.
+    A scene with ellipsoids can be used by both plugins. Rays would end at the ellipsoids, so the
+    meshes become a scene of their own. It is built again for every picture, because only the first
+    scene is notified when meshes move.
     """
     if not any(shape.is_ellipsoids() for shape in scene.shapes()):
         return scene
@@ -322,9 +331,9 @@ class _Corners:
 
 
 def _is_back(points: np.ndarray) -> np.ndarray:
-    """Whether faces (F, 3) repeat an earlier one the other way round: (F,).
+    """Return whether faces (F, 3) repeat an earlier face in the opposite winding, (F,).
 
-    Such backs of a sheet have normals of their own; with those of the front they would cancel.
+    The backs of a sheet have their own normals, which would cancel the normals of its front.
     """
     start = points.argmin(axis=1)[:, None]
     a, b, c = (np.take_along_axis(points, (start + k) % 3, axis=1)[:, 0] for k in range(3))
@@ -341,10 +350,9 @@ def _columns(array: np.ndarray, of: type | None = None) -> tuple:
     return tuple(of(np.ascontiguousarray(column)) for column in array.T)
 
 
-def _edges(
-    corners: _Corners, ends: np.ndarray, live: np.ndarray, owner: np.ndarray
-) -> dict[str, object]:
+def _edges(corners: _Corners, sides_of_faces: Sides) -> dict[str, object]:
     """Return the fields of edges, from the sides of faces as :func:`live_sides` finds them."""
+    ends, live, owner = sides_of_faces
     tail, head = np.arange(3), np.array([1, 2, 0])
     points = corners.points
     sides = np.stack([points[:, tail], points[:, head]], axis=-1).reshape(-1, 2)  # (3F, 2)

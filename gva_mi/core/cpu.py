@@ -105,7 +105,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run torch and Dr.Jit on one thread each, for kernels as small as those of a mesh's picture.
+    """Run torch and Dr.Jit on one thread each, for small kernels such as a mesh's picture.
 
     A second thread of Dr.Jit makes them a fifth faster, and costs half more CPU, because it mostly
     waits for the next kernel. On a busy machine both times double.
@@ -142,8 +142,8 @@ def _drjit_threads(count: int) -> Iterator[None]:
 def in_torch_thread(work: Callable[..., Result], *inputs: torch.Tensor) -> Future[Result]:
     """Start a computation of torch in another thread, which counts torch's threads as this one.
 
-    torch chooses some algorithms by that number, so the bits are those of a call in this thread.
-    Gradients are on there, whatever they are here.
+    torch chooses some algorithms by that number, so a call in this thread gives the same bits.
+    Gradients are enabled in the other thread.
     """
     import torch
 

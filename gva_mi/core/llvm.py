@@ -4,8 +4,8 @@ Dr.Jit loads ``libLLVM`` when it is imported and reads ``DRJIT_LIBLLVM_PATH`` on
 16 lack the float ``minimum`` and ``maximum`` that Dr.Jit emits: the first such kernel aborts the
 whole process. So ``import gva_mi`` calls :func:`prepare`, which chooses the library.
 
-The version is read from names alone: that of the file, that of what it links to, and the SONAME
-inside the library. Nothing is loaded and no kernel is tried, so this takes milliseconds.
+The version is read from names alone: the file's, its link target's, and the SONAME inside the
+library. Nothing is loaded and no kernel is tried, so this takes milliseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 
 OLDEST = 17  # the first major version whose code generator knows fminimum and fmaximum
-# Chosen: 19, with which the tests run, and its three successors; others only where none is there.
+# Major versions preferred to others. Chosen: 19, with which the tests run, and its successors.
 PREFERRED = range(19, 23)
 PACKAGE = "libllvm19"  # Debian 12's and Ubuntu 24.04's name of a version that works
 

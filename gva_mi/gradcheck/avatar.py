@@ -7,14 +7,14 @@ input, by ``Avatar.forward`` and ``render`` as a fit calls them, in float64, is 
   direction and along single entries,
 * with gradients and tangents in float32.
 
-All inputs are float32 numbers, so float32 is blamed for its arithmetic only. Pixels at a step of
-the picture are left out as in :mod:`gva_mi.gradcheck.splat`; Gaussians at a kink of the network's
-relu too.
+All inputs are float32 numbers, so an error of float32 is an error of its arithmetic. Pixels at a
+step of the picture are left out as in :mod:`gva_mi.gradcheck.splat`, and so are Gaussians at a kink
+of the network's relu.
 
 A picture is a function of the pose (``rotations``, ``transl``, ``expression``), the shape
 (``betas``), the ``light``, the canonical Gaussians and the weights of the residual's network. The
-network's derivative by the means is left out of the method (:class:`PoseResidual`): here it always
-reads the means as they are.
+method omits the network's derivative by the means (:class:`PoseResidual`). Therefore the network
+reads constant means here.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class PosedAvatar:
 
 
 class _ResidualOfMeans(nn.Module):
-    """A residual that reads the same means whatever it is given."""
+    """A residual that always reads the same means."""
 
     def __init__(self, network: PoseResidual, means: Tensor) -> None:
         super().__init__()
@@ -166,8 +166,10 @@ TOLERANCE_F64, TOLERANCE_F32 = 1e-8, 1e-5
 # Relative distance of an alpha to its cut-off up to which its pixel is left out. Chosen: beyond the
 # reach of a difference's steps.
 CUT_OFF_BAND = 1e-3
-DIFFERENCE_STEP = 1e-5  # of a difference, in the input's units; chosen: see TOLERANCE_F64
-STEP_FACTORS = {  # times it; chosen: inputs that move many pixels, or a small part of one
+DIFFERENCE_STEP = 1e-5  # in the input's units; chosen: see TOLERANCE_F64
+# Factors of the step, 1 for others. Chosen: short for inputs that move many pixels, long for inputs
+# that move a small part of one.
+STEP_FACTORS = {
     "rotations": 0.1, "transl": 0.1, "means": 0.1, "betas": 20.0, "expression": 60.0,
     "light": 30.0,
 }  # fmt: skip
@@ -223,8 +225,7 @@ def _check_of(posed: PosedAvatar, entries: int, generator: Generator) -> Check:
     """Draw a loss; return it with the picture and the gradients in float64."""
     inputs = leaves(posed.values)
     band = reference.threshold_band(posed.gaussians(inputs), posed.camera, alpha=CUT_OFF_BAND)
-    # Not about zero: a gradient whose terms cancel to a thousandth loses three digits, and no code
-    # is to blame.
+    # Not about zero: a gradient whose terms cancel to a thousandth loses three digits in any code.
     w = 1 + torch.randn(*band.shape, 5, generator=generator).double()
     w[band] = 0
     weights = dict(zip(IMAGES, (w[..., :3], w[..., 3], w[..., 4]), strict=True))

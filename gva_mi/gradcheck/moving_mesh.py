@@ -1,12 +1,13 @@
 """A moving mesh in float64, and the reference for the interior part of its image's derivative.
 
 In the interior part every point stays on its triangle: ``Σ_faces ∫ dI/dε |∂q/∂b| db`` over the
-points seen, ``b`` barycentric, ``dI/dε`` by central differences in float64. On the image the
-integrand grows without bound toward contours, where surfaces are seen flat. Points spread over the
-triangles see no such peak, because a triangle seen flat covers little of the image.
+visible points, ``b`` barycentric, ``dI/dε`` by central differences in float64. On the image the
+integrand grows without bound toward contours, at grazing angles. An integral over the triangles has
+no such peak, because a triangle at a grazing angle covers little of the image.
 
-Visibility is Mitsuba's, by rays; nothing here or in ``scanlines.py`` is shared with the plugin that
-is checked. Images are those of a box filter, (H, W, 5): normal in camera space, mask, depth.
+Mitsuba's rays find the visible points. Nothing here or in ``scanlines.py`` is shared with the
+plugin that is checked. Images have a box filter and five channels, (H, W, 5): normal in camera
+space, mask, depth.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> n
 
 
 def _reached(scene: mi.Scene, o: np.ndarray, d: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Whether rays reach the points x (F, 3), one on each face in turn, (F,) bool."""
+    """Return whether rays reach the points x (F, 3), one on each face in turn, (F,) bool."""
     import mitsuba as mi
 
     o, d = o.T.astype(np.float32), d.T.astype(np.float32)
@@ -183,7 +184,7 @@ def _reached(scene: mi.Scene, o: np.ndarray, d: np.ndarray, x: np.ndarray) -> np
 def _shade(
     lens: PinholeLens, o: np.ndarray, d: np.ndarray, p: np.ndarray, n: np.ndarray
 ) -> np.ndarray:
-    """Normal, mask and depth (R, 5) where rays meet the planes of triangles."""
+    """Return normal, mask and depth (R, 5) where rays meet the planes of triangles."""
     e1, e2, s = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], o - p[:, 0]
     h, k = np.cross(d, e2), np.cross(s, e1)
     det = (e1 * h).sum(1)

@@ -1,19 +1,19 @@
 """Check the derivatives of ``mesh_normals`` by single coordinates of the body's pose.
 
-The built-in body stands 512 pixels high in poses in which limbs are free, lie before the body,
-cross, or are pressed into it or one another, and one coordinate of the pose moves: a translation,
-a shoulder, an elbow, a finger. The derivative of the image by that coordinate, as ``mesh_normals``
-gives it for the vertices' motion, is compared with two references in float64 that share no code
-with it:
+The built-in body fills a picture of 512 pixels. Its limbs are free, lie before the body, cross, or
+intersect. One coordinate of the pose moves: a translation, a shoulder, an elbow, a finger.
+``mesh_normals`` gives the derivative of the image by the vertices' motion. It is compared with two
+references in float64 that share no code with the plugin:
 
-1. the mask's derivative and the normals' boundary term with ``scanlines.py``, the normals' interior
-   with ``moving_mesh.py``; each apart, because in their sum errors may cancel;
-2. each for WEIGHTINGS linear functions of the image, smooth random fields: the error is
-   ``|found - truth| / |truth|``, vectors over these functions. One function alone may be small
-   by chance, where opposite sides of a limb cancel.
+1. ``scanlines.py`` for the mask's derivative and the normals' boundary term, ``moving_mesh.py`` for
+   the normals' interior term. The terms are compared separately, because in their sum errors may
+   cancel.
+2. Each is compared for WEIGHTINGS linear functions of the image, smooth random fields. The error is
+   ``|found - truth| / |truth|``, norms over these functions. A single function may be small by
+   chance, where opposite sides of a limb cancel.
 
-Differences of whole images are no reference here: contours of neighbouring fingers all but
-coincide on the picture, and even a step of 0.1 pixels is too long.
+Differences of whole images are no reference here: contours of neighbouring fingers nearly coincide
+in the picture, and even a step of 0.1 pixels is too long.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of jo
     "intersecting": {
         "left_shoulder": (0, 0, -1.45), "right_shoulder": (0, 0, 1.45),
     },
-    # The thighs are mirror images: where an edge of one passes through the other, it meets an edge.
+    # The thighs are mirror images: edges of one pass through edges of the other.
     "pressed": {
         "left_hip": (0, 0, -0.2), "right_hip": (0, 0, 0.2),
     },
@@ -103,9 +103,9 @@ def check_normals(
     Args:
         count: coordinates to compare.
         size: width and height of the picture, pixels.
-        spp: rays for a pixel of the gradient that is examined.
-        lines: across the rectangle that moves, for the true boundary term.
-        points: on each face, for the true interior.
+        spp: rays per pixel of the plugin's derivative.
+        lines: rows and columns of the reference for the boundary term, over the part that moves.
+        points: points on each face, of the reference for the interior term.
 
     Example:
         >>> rows = next(check_normals(1, size=32, spp=4, lines=400, points=8))  # far too small

@@ -2,21 +2,21 @@
 
 On a line of the image a triangle is a segment. With a nearness that is affine on the image of a
 plane (one over the depth, for a pinhole) the line shows the upper envelope of these segments. It is
-found in float64 without rays or steps: contours may lie arbitrarily close to one another.
+computed in float64 without rays or steps: contours may lie arbitrarily close to one another.
 
 1. **Breakpoints**: the envelope passes from one triangle to another at the end of a segment, which
    lies on an edge, or where two segments cross, in the line where two triangles intersect.
    Contours, creases and lines of intersection are treated alike.
-2. **Speed**: a breakpoint is a zero of a function ``φ(q)`` affine on the image: the side of an edge
-   on which a pixel lies, or the difference of two triangles' nearness. As things move by ``ε``, its
-   curve moves along ``m = ∇φ / |∇φ|`` with the speed ``v = -∂φ/∂ε / |∇φ|``.
+2. **Speed**: a breakpoint is a zero of a function ``φ(q)`` affine on the image: the signed distance
+   from an edge, or the difference of two triangles' nearness. As vertices move by ``ε``, its curve
+   moves along ``m = ∇φ / |∇φ|`` with the speed ``v = -∂φ/∂ε / |∇φ|``.
 3. **Boundary**: ``∂I/∂ε = ∫ (I_- - I_+) v dℓ`` along all curves, ``m`` pointing from - to +.
 4. **Lines**: rows ``Δ`` apart meet a piece ``dℓ`` with the density ``|m_x| / Δ``, columns with
-   ``|m_y| / Δ``. Shared between them by ``m_x²`` and ``m_y²``, a breakpoint counts ``Δ |m_x|`` or
-   ``Δ |m_y|``, and no curve is too level to be met. Only the lines are sampled.
+   ``|m_y| / Δ``. Weighted by ``m_x²`` and ``m_y²``, a breakpoint counts ``Δ |m_x|`` or ``Δ |m_y|``,
+   and rows or columns meet every curve. Only the lines are sampled.
 
-Nothing is shared with ``mesh_normals``. Images are those of a box filter, (H, W, 5): normal in
-camera space, mask, depth.
+Nothing is shared with ``mesh_normals``. Images have a box filter and five channels, (H, W, 5):
+normal in camera space, mask, depth.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ END_SHARE = 1e-9
 
 @dataclass(frozen=True)
 class Breakpoints:
-    """Points where the envelopes of some lines pass from one triangle to another."""
+    """Points where the envelopes of lines pass from one triangle to another."""
 
     q: np.ndarray  # (S, 2) pixels
     runs: np.ndarray  # (S,) the coordinate that runs along the line: 0 a row, 1 a column
-    before: np.ndarray  # (S,) the triangle seen before it on the line, or -1
-    after: np.ndarray  # (S,) the one seen after it, or -1
-    on_edge: np.ndarray  # (S,) else on a line of intersection
+    before: np.ndarray  # (S,) the visible triangle before it on the line, or -1
+    after: np.ndarray  # (S,) the visible triangle after it, or -1
+    on_edge: np.ndarray  # (S,) bool: on an edge; else on a line of intersection
     pair: np.ndarray  # (S, 2) the vertices of the edge, or the two triangles
 
 
 def boundary(
     mesh: MovingMesh, lens: PinholeLens, lines: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Return Eq. 3, the derivative of the image by what appears and disappears, (H, W, 5).
+    """Return the derivative of the image by parts that appear or disappear (eq. 3), (H, W, 5).
 
     Args:
         mesh: with its motion.
@@ -126,10 +126,10 @@ class _FlatMesh:
         return np.flatnonzero(((corners.max(1) >= low) & (corners.min(1) <= high)).all(1))
 
     def breakpoints(self, near: np.ndarray, runs: int, place: float) -> Breakpoints | None:
-        """Eq. 1 on one line; None where nothing is seen.
+        """Find the breakpoints of one line (eq. 1); None if it meets no triangle.
 
         Args:
-            near: numbers of the triangles that are looked at.
+            near: numbers of the triangles to test.
             runs: the coordinate that runs along the line.
             place: the other coordinate.
         """
@@ -170,7 +170,7 @@ class _FlatMesh:
         return Breakpoints(q, np.full(len(at), runs), before, after, on_edge, pair)
 
     def change(self, points: Breakpoints) -> np.ndarray:
-        """Eq. 3 and 4: what each breakpoint adds to its pixel, (S, 5), for Δ = 1."""
+        """Return the contribution of each breakpoint to its pixel (eq. 3, 4), (S, 5), for Δ = 1."""
         gradient = self._level(points, 0)[1]
         d_level = (self._level(points, 1)[0] - self._level(points, 2)[0]) / (2 * DIFFERENCE_STEP)
         length = np.linalg.norm(gradient, axis=1)
@@ -179,7 +179,7 @@ class _FlatMesh:
         return jump * (-d_level / length * m)[:, None]
 
     def _level(self, points: Breakpoints, which: int) -> tuple[np.ndarray, np.ndarray]:
-        """Eq. 2: φ (S,) and its gradient (S, 2); ``which`` is 0 now, 1 after, 2 before."""
+        """Return φ (S,) of eq. 2 and its gradient (S, 2); ``which``: 0 now, 1 after, 2 before."""
         level, gradient = np.zeros(len(points.q)), np.zeros((len(points.q), 2))
         on, q = points.on_edge, self.q[which]
         a, b = q[points.pair[on]].transpose(1, 0, 2)
@@ -194,7 +194,7 @@ class _FlatMesh:
         return level, gradient
 
     def _shade(self, face: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Normal, mask and depth (S, 5) of triangles at pixel positions; zero for none."""
+        """Return normal, mask and depth (S, 5) of triangles at pixels; zero for none."""
         seen = face >= 0
         values = np.zeros((len(face), 5))
         face, q = face[seen], q[seen]
@@ -249,15 +249,15 @@ class _Segments:
 
 
 def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the highest of some segments at every place.
+    """Find the highest segment at every place of a line.
 
     Args:
-        x: (N, 2) where each begins and ends, in rising order.
+        x: (N, 2) where each segment begins and ends, in rising order.
         u: (N, 2) its heights there.
 
     Returns:
-        Where stretches begin, and at last where the last one ends, (M + 1,); and the segment that
-        is highest on each, (M,), -1 for none.
+        Where stretches begin, and where the last one ends, (M + 1,); and the highest segment on
+        each stretch, (M,), -1 for none.
 
     Example:
         >>> upper_envelope(np.array([[0.0, 2.0], [1.0, 3.0]]), np.array([[0.0, 2.0], [1.5, 0.5]]))
@@ -275,7 +275,7 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
         winner[covered] = over[rising[bounds[1:][covered] - 1]]
     highest = first.copy()
 
-    # A segment highest at both ends of a stretch is so all along it. Else some cross.
+    # A segment that is highest at both ends of a stretch is highest on all of it.
     starts, owners = [], []
     for k in np.flatnonzero(first != last):
         candidates = over[bounds[k] : bounds[k + 1]]
@@ -292,10 +292,10 @@ def upper_envelope(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _pairs_by_stretch(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all pairs of a segment and a stretch that it covers, by stretches: (P,) and (P,).
+    """Return all pairs of a segment and a stretch that it covers, ordered by stretch: (P,), (P,).
 
     Args:
-        places: (N, 2) numbers of the ends at which each segment begins and ends.
+        places: (N, 2) numbers of the places at which each segment begins and ends.
     """
     count = places[:, 1] - places[:, 0]
     over = np.repeat(np.arange(len(places)), count)

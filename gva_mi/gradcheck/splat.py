@@ -10,17 +10,17 @@ input is computed
 
 and compared with autograd through the reference implementation (splat/reference.py) in float64.
 
-**Fair.** All numbers of the scene, of the camera and of w are rounded to float32 first, and the
-reference is evaluated there: only the renderer's own arithmetic is judged.
+**Fair.** All numbers of the scene, the camera and w are rounded to float32 first, and the reference
+is evaluated at these numbers: only the renderer's own arithmetic is judged.
 **Strict.** An error beyond the tolerance fails, whatever the scene. The report also says how far
-the *true* gradient moves when the inputs move within their last float32 digit (``rounding``); it
-excuses nothing.
+the *true* gradient moves when the inputs move within their last float32 digit (``rounding``). This
+figure changes no verdict.
 
 The image has steps: where a pixel's alpha or transmittance crosses a cut-off, and where two
-Gaussians of one pixel change places in depth. No gradient exists there. The reference finds the
-pixels that are that close to a step; they have weight 0 in all comparisons, and are counted.
+Gaussians of one pixel exchange their order in depth. No gradient exists at a step. The reference
+finds the pixels close to one; they have weight 0 in all comparisons, and are counted.
 
-:func:`write_picture` draws the image, float32's error, and all errors per input.
+:func:`write_picture` draws the image, its error in float32, and all errors per input.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class RendererReport(Report):
 
 
 def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
-    """Compare a renderer's image and gradients with those of the reference implementation.
+    """Compare a renderer's image and gradients with the reference implementation.
 
     Args:
         fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``splat.render``. It

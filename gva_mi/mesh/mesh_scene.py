@@ -9,17 +9,17 @@ A camera becomes a sensor:
    ``to_world = T_camera_world^{-1} · diag(-1, -1, 1, 1)``,
 2. field of view in x: ``2 atan(W / (2 fx))``, in degrees,
 3. principal point: offsets ``(W / 2 - cx) / W`` and ``(H / 2 - cy) / H``,
-4. a crop of its picture on a grid with ``r`` times the focal length is a tile of the view: its
-   corner lies at ``c - c_tile / r``,
-5. ``fy / fx`` is left to the ``pixel_aspect`` of ``mesh_normals``: Mitsuba's pixels are square.
+4. a crop of its picture on a grid with ``r`` times the focal length is a tile of the view, with its
+   corner at ``c - c_tile / r``,
+5. ``fy / fx`` is the ``pixel_aspect`` of ``mesh_normals``, because Mitsuba's pixels are square.
 
-Mitsuba stores the angle as a float32 number of degrees and turns it back into a focal length, which
-costs a rounding or two. Passing K instead would change pictures in their last bits.
+Mitsuba stores the angle as a float32 number of degrees and converts it back to a focal length,
+which costs a rounding or two. Passing K instead would change pictures in their last bits.
 
-:func:`seen_vertices` asks the mesh's triangles which vertices are visible from given places. A
-vertex x is visible from a place y if its surface faces it, ``n · (y - x) > 0``, and the straight
-line to it meets no triangle. The line starts a little off the surface, so that the triangles around
-the point do not hide it.
+:func:`seen_vertices` finds the vertices that are visible from given places. A vertex x is visible
+from a place y if its surface faces y, ``n · (y - x) > 0``, and the straight line to y meets no
+triangle. The line starts a little off the surface, so that the triangles around the vertex do not
+hide it.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class MeshScene:
         import mitsuba as mi
 
         self._mesh = _mesh_of(faces, vertices)
-        # Mitsuba builds the ray tracer's tree of an instance four times as fast as that of a scene:
-        # with fewer cuts, for rays that take as long.
+        # Mitsuba builds the ray tracer's tree four times as fast for an instance as for a scene:
+        # with fewer cuts, while rays take as long.
         group = {"type": "shapegroup", "mesh": self._mesh}
         self._scene = mi.load_dict(
             {
@@ -105,8 +105,8 @@ class MeshScene:
             normals: False: the mask alone, whose gradient costs half as much.
 
         Returns:
-            (H, W, 4), or (H, W, 1) of the mask alone; zero where the mesh is not seen;
-            differentiable in the vertices.
+            (H, W, 4), or (H, W, 1) of the mask alone; zero beside the mesh; differentiable in the
+            vertices.
         """
         pixels = self._pixels(vertices, camera, (), normals)
         return pixels.view(camera.height, camera.width, pixels.shape[-1])
@@ -114,13 +114,13 @@ class MeshScene:
     def render_crops(
         self, vertices: Tensor, picture: Camera, crops: Sequence[Camera], normals: bool = True
     ) -> list[Tensor]:
-        """Render several crops of one picture, for little more than the cost of one.
+        """Render several crops of one picture for little more than the cost of one picture.
 
         Args:
             vertices: (V, 3) float32, world, metres.
-            picture: the camera that sees the whole picture.
-            crops: cameras that see parts of it, each at a resolution of its own; what they see
-                beyond the picture has no gradient.
+            picture: the camera of the whole picture.
+            crops: cameras of its parts, each at a resolution of its own; parts beyond the picture
+                have no gradient.
             normals: False: the mask alone.
 
         Returns:
@@ -159,8 +159,8 @@ class MeshScene:
         (sensor, projection), aspect = self._sensor(picture), pixel_aspect(picture)
         key = aspect, "normal, mask" if normals else "mask"
         if key not in self._integrators:  # each keeps the mesh's topology
-            # Searching for where a body intersects itself costs a fifth of a step, for few pixels.
-            # Its thinnest faces are so by design; the edges stay the same in all frames.
+            # To search where a body intersects itself costs a fifth of a step, for few pixels. Thin
+            # faces of a body remain faces, so that its edges stay the same in all frames.
             kind = {"type": "mesh_normals", "pixel_aspect": aspect, "channels": key[1]}
             kind |= {"intersections": False, "flat_faces": False}
             self._integrators[key] = mi.load_dict(kind)
@@ -170,7 +170,7 @@ class MeshScene:
         )
 
     def show(self, vertices: Tensor) -> None:
-        """Move the mesh to these vertices (V, 3), unless it is there already.
+        """Move the mesh to these vertices (V, 3), if they are not the last ones.
 
         The ray tracer's tree is built again, which takes a good part of a rendering's time.
         """
@@ -307,10 +307,10 @@ def pixel_aspect(camera: Camera) -> float:
 
 
 def tile_of(crop: Camera, whole: Camera) -> Tile:
-    """Return the tile of a view that another camera sees (eq. 4).
+    """Return the tile of a view that is the picture of another camera (eq. 4).
 
     Raises:
-        ValueError: that camera stands elsewhere, or its pixels have another aspect.
+        ValueError: the other camera has another pose, or pixels of another aspect.
 
     Example:
         >>> load_plugins()
@@ -338,7 +338,7 @@ TESTED_SHARE = 0.999
 
 
 def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Tensor:
-    """Return which vertices are visible from each of E viewpoints (E, 3), (E, V) bool.
+    """Return whether vertices are visible from each of E viewpoints (E, 3), (E, V) bool.
 
     Faces are counter-clockwise seen from outside; the edges of pictures are ignored.
 

@@ -19,8 +19,8 @@ image: a fold, or any border of an open mesh. At a **crease** two faces do not s
 rays very close to the edge, one on either side, find ``I_inside`` and ``I_outside``, and whether
 the edge is visible. At a contour the outer ray must hit nothing in front of the edge. The inner ray
 must hit a face of the edge, or a face that shares a corner with it and does not reach over the
-edge, because the ray may miss an own face that is seen edge-on. At a crease both rays must hit
-faces of the edge.
+edge, because the ray may miss a face of the edge that is seen edge-on. At a crease both rays must
+hit faces of the edge.
 """
 
 from __future__ import annotations

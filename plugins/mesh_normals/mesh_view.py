@@ -12,9 +12,9 @@
    also turn with the sensor (``projection.py``, eq. 6).
 
 Terms 2 and 3 are the two terms of Reynolds' transport theorem, sampled as in Li et al.,
-"Differentiable Monte Carlo Ray Tracing through Edge Sampling", 2018. The derivative approximates
-that of the exact mean over a pixel's area, also at one ray per pixel. Nothing here uses automatic
-differentiation across the view, so that code with a loop of its own can use :class:`MeshView`, too.
+"Differentiable Monte Carlo Ray Tracing through Edge Sampling", 2018. They approximate the
+derivative of the exact mean over a pixel's area, also at one ray per pixel. Nothing here uses
+automatic differentiation across the view, so code with its own loop can use :class:`MeshView`, too.
 """
 
 from __future__ import annotations

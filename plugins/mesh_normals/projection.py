@@ -16,7 +16,7 @@ P_1, P_2``:
    last row is not used. They hold for any ``dT`` in an orthographic view. A pinhole sensor is
    rigid, so only gradients along rotations and translations have a meaning.
 
-Pixels are those of the film's crop window: its left upper corner is (0, 0), pixel centres at +0.5.
+Pixels count from the upper left corner of the film's crop window; their centres lie at +0.5.
 """
 
 from __future__ import annotations

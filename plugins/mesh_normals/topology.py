@@ -88,12 +88,12 @@ def live_sides(points: np.ndarray, flat: np.ndarray, places: np.ndarray) -> Side
 
 # Normals of a file within 1 degree are one normal. Chosen: files round them to few digits.
 SAME_NORMAL_COSINE = np.cos(np.radians(1.0))
-# Normals that Mitsuba invented for copies of a vertex belong together within 60 degrees. Chosen
+# Normals that Mitsuba computed for copies of a vertex belong together within 60 degrees. Chosen
 # between a smooth seam and a right angle.
 SMOOTH_SEAM_COSINE = np.cos(np.radians(60.0))
-# Greatest distance of a file's unit normals from those that Mitsuba would invent, to count as
-# invented. Chosen: above float32 and the files' digits.
-INVENTED_NORMAL_DISTANCE = 1e-2
+# Unit normals up to this distance from the normals that Mitsuba computes do not come from a file.
+# Chosen: above float32 and the files' digits.
+COMPUTED_NORMAL_DISTANCE = 1e-2
 UNIT_LENGTH_TOLERANCE = 1e-2  # of a file's normals; longer or shorter ones are other numbers
 SMALLEST_LENGTH = 1e-30  # divisor in the place of 0; any vector of a mesh is longer
 
@@ -110,9 +110,9 @@ def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.n
     own = _by_angle(positions, faces)
     normals = own if normals is None else normals
     used = np.linalg.norm(own, axis=1) > 0.5
-    invented = (np.linalg.norm(normals - own, axis=1)[used] < INVENTED_NORMAL_DISTANCE).all()
+    computed = (np.linalg.norm(normals - own, axis=1)[used] < COMPUTED_NORMAL_DISTANCE).all()
     facets = (_dots(normals[faces], _crosses(positions, faces)[:, None]) > SAME_NORMAL_COSINE).all()
-    least = SMOOTH_SEAM_COSINE if invented and not facets else SAME_NORMAL_COSINE
+    least = SMOOTH_SEAM_COSINE if computed and not facets else SAME_NORMAL_COSINE
     order = np.argsort(points, kind="stable")
     for step in range(1, np.bincount(points).max()):
         later, earlier = order[step:], order[:-step]

@@ -1,20 +1,20 @@
-"""Networks that see a person in pictures.
+"""Networks that find a person in pictures: landmarks, masks, normals.
 
-MediaPipe's landmark networks:
-
-=======================  ==================================================================
-``watch``                one person's landmarks and silhouette in all pictures of a video
-``person_tracker``       finds people, and follows one of them
-``body_landmarks``       the body's landmarks and silhouette
-``hand_face_landmarks``  those of both hands and of the face
-``turned_square``        the part of a picture that such a network sees
-``mediapipe``            their files, fetched once by pip, and how they are run
-=======================  ==================================================================
-
-Networks that users bring as files of their own:
+MediaPipe's landmark networks, which pip fetches:
 
 =======================  ==================================================================
-``segment_anything``     the person's mask, by Segment Anything, prompted by the pose
+``watch``                landmarks and silhouette of one person in a whole video: start here
+``person_tracker``       detects people, and follows one of them
+``body_landmarks``       landmarks and silhouette of the body
+``hand_face_landmarks``  landmarks of both hands and of the face
+``turned_square``        the rotated square of a picture that a network sees
+``mediapipe``            the files of these networks, and how they are run
+=======================  ==================================================================
+
+Networks whose files the user provides:
+
+=======================  ==================================================================
+``segment_anything``     the person's mask, by Segment Anything, prompted by poses
 ``normals``              the person's normals, by an ONNX file
 =======================  ==================================================================
 """

@@ -2,15 +2,15 @@
 
 BlazePose sees a square around the person and gives
 
-* 33 landmarks of the body and 6 of which 2 place the next square, each with a visibility;
+* 33 landmarks of the body, and 6 more, 2 of which place the next square; each with a visibility;
 * a coarse heat map of each landmark, at whose centre the landmark is refined;
 * the same landmarks in metres, in axes turned with the square, relative to the middle of the hips;
 * the probability that a pixel is of the person.
 
 A second pass sees the square mirrored. The mean of both is better than each of them, and their
-standard deviation shows where the network is unsure. Where one pass takes the left arm or leg for
-the right one, or the back for the front, the mean would lie between both. There the pass counts
-that is closer to the picture before.
+standard deviation shows where the network is unsure. If one pass exchanges left and right arms or
+legs, or back and front, the mean would lie between both. Then the pass that is closer to the
+picture before is used.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
 from gva_mi.subject.landmarks import BODY_LANDMARKS
 
-SQUARE_MARGIN = 1.25  # side of the square, relative to the diameter of the circle around the person
+# As in MediaPipe's graph: the square's side over the diameter of the circle around the person;
+# cells of the heat map on each side of a landmark that refine it, and the least probability among
+# them.
+SQUARE_MARGIN = 1.25
+_HEAT_MAP_WINDOW, _HEAT_MAP_PEAK = 3, 0.5
 _POINT_COUNT = 39
-_HIPS, _TOP = 33, 34  # the middle of the hips, the top of the circle around the person
-_HEAT_MAP_WINDOW = 3  # cells of the heat map on each side of a landmark that refine it
-_HEAT_MAP_PEAK = 0.5  # least probability in the window for this
+_HIPS, _TOP = 33, 34  # the middle of the hips; the top of the circle around the person
 _ARM = ("elbow", "wrist", "pinky", "index", "thumb")
 _LEG = ("knee", "ankle", "heel", "foot_index")
 _BODY_PARTS = [  # each arm, each leg, the trunk
@@ -40,9 +42,9 @@ _BODY_PARTS = [  # each arm, each leg, the trunk
         (SIDES, ("shoulder", "hip")),
     )
 ]  # fmt: skip
-_PASSES_DISAGREE = 0.1  # of the radius: passes that see a part farther apart see two different ones
-
-_MIRRORED_POINTS = np.array([  # which landmark (39,) a landmark of the mirrored picture is
+# Of the radius. Chosen: two passes that place a part farther apart see two different parts.
+_PASSES_DISAGREE = 0.1
+_MIRRORED_POINTS = np.array([  # the number, in the mirrored picture, of each of the 39 landmarks
     *(BODY_LANDMARKS.index(mirrored_name(name)) for name in BODY_LANDMARKS),
     *range(33, _POINT_COUNT),
 ])  # fmt: skip
@@ -50,13 +52,13 @@ _MIRRORED_POINTS = np.array([  # which landmark (39,) a landmark of the mirrored
 
 @dataclass(frozen=True)
 class SeenBody:
-    """What the network sees of a person in a picture; the mean of the passes."""
+    """What the network finds of a person in a picture: one pass, or the mean of several."""
 
     points: np.ndarray  # (39, 2) pixels
     visibility: np.ndarray  # (39,) in [0, 1]
     spread: np.ndarray  # (39,) pixels: standard deviation between passes, of the worse axis
     metric: np.ndarray  # (39, 3) metres in the picture's axes, z away from the camera
-    presence: float  # in [0, 1]: that the square shows a person
+    presence: float  # probability that the square shows a person
     silhouettes: tuple[tuple[TurnedSquare, np.ndarray], ...]  # probabilities (s, s) of a square
 
     @property

@@ -1,10 +1,10 @@
 """The landmarks of hands and face: MediaPipe's networks on squares that the body's landmarks place.
 
 Each network sees an upright square around a hand or a face, and gives points in the square and the
-probability that it is one. Where to look comes from the picture before, or from the body. A second
-pass sees the square mirrored; the mean of both counts.
+probability that it is one. The square follows from the picture before, or from the body. A second
+pass sees the square mirrored, and the mean of both is used.
 
-* A hand has 21 landmarks, also in metres. It is left or right by the wrist that it hangs on,
+* A hand has 21 landmarks, also in metres. It is left or right by the wrist that it is near,
   because the network itself often mistakes the side.
 * A face has 468 points of a mesh. Only the 51 of :data:`gva_mi.subject.landmarks.FACE_LANDMARKS`
   are kept, which other programs know by their numbers. A face that is turned away, hidden or small
@@ -26,7 +26,7 @@ from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
 from gva_mi.subject.landmarks import BODY_LANDMARKS, hand_names
 
-_NEW_PART_LOOKS = 2  # at a part that is found anew: each look centres the next
+_NEW_PART_LOOKS = 2  # passes over a new part. Chosen: the first one centres the second
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def found_again(
     square: TurnedSquare,
     belongs: Callable[[SeenPart], bool] = lambda part: True,
 ) -> SeenPart | None:
-    """Look where a part was in the picture before; if it is not there, in a new square."""
+    """Find a part where it was in the picture before; otherwise in a new square."""
     part = None if before is None else see(before.square)
     if part is not None and belongs(part):
         return part
@@ -62,7 +62,7 @@ def found_again(
 
 
 def with_mirrored(see: See, first: SeenPart) -> SeenPart:
-    """Return the mean of a first pass and of a mirrored one, if that sees the part as well."""
+    """Return the mean of a first pass and a mirrored one; the first if the second finds nothing."""
     second = see(first.square, mirrored=True)
     if second is None:
         return first
@@ -73,16 +73,17 @@ def with_mirrored(see: See, first: SeenPart) -> SeenPart:
     )  # fmt: skip
 
 
-LEAST_HAND_PRESENCE = 0.3  # least probability of a hand
+LEAST_HAND_PRESENCE = 0.3  # probability of a hand. Chosen: the wrist confirms it, too
 _HAND_POINTS = 21
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
 _PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswith(("dip", "tip")))
-_PALM_MARGIN = 2.0  # side of the next square, relative to the palm's extent
-_HAND_MARGIN = 2.0  # likewise of a square from the body, relative to the hand's length
-_FINGERWARD_SHIFT = 0.1  # shift of both towards the fingers
-_WRIST_DISTANCE = (
-    0.15  # of the person's circle's diameter: a hand farther from its wrist is another thing
-)
+# As in MediaPipe's graph: side of the next square over the palm's extent, and its shift toward the
+# fingers. The first square, from the body's landmarks, has this side over the hand's length.
+_PALM_MARGIN, _FINGERWARD_SHIFT = 2.0, 0.1
+_HAND_MARGIN = 2.0
+# Of the diameter of the circle around the person. Both chosen.
+_WRIST_DISTANCE = 0.15  # a hand farther from its wrist is another hand, or no hand
+_LEAST_HAND_LENGTH = 0.08  # of a hand that points at the camera
 
 
 class HandNetwork:
@@ -105,10 +106,10 @@ class HandNetwork:
         found = {}
         see = partial(self._see, image)
         for side in SIDES:
-            hangs_on = lambda hand, side=side: (
+            near_wrist = lambda hand, side=side: (
                 _from_wrist(hand, body, side) < _WRIST_DISTANCE * 2 * body.radius
             )
-            hand = found_again(see, before.get(side), _square_at_wrist(body, side), hangs_on)
+            hand = found_again(see, before.get(side), _square_at_wrist(body, side), near_wrist)
             if hand is not None:
                 hand = with_mirrored(see, hand)
                 found[side] = replace(hand, square=_square_around_hand(hand.points))
@@ -151,7 +152,7 @@ def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
     """Return where the body's own landmarks place a hand."""
     wrist, index, pinky = (_body_point(body, side, part) for part in ("wrist", "index", "pinky"))
     middle = (2 * index + pinky) / 3
-    length = max(2 * float(np.linalg.norm(middle - wrist)), 0.08 * 2 * body.radius)
+    length = max(2 * float(np.linalg.norm(middle - wrist)), _LEAST_HAND_LENGTH * 2 * body.radius)
     up = (middle - wrist) / max(float(np.linalg.norm(middle - wrist)), 1e-6)
     centre = middle + _FINGERWARD_SHIFT * length * up
     return TurnedSquare.upright(centre, centre + up, _HAND_MARGIN * length)
@@ -174,26 +175,28 @@ def _one_each(found: dict[str, SeenPart], body: SeenBody) -> dict[str, SeenPart]
     return found
 
 
-LEAST_FACE_PRESENCE = 0.5  # least probability of a face
-SMALLEST_FACE_SQUARE = 32.0  # pixels: the side of a square in which a face can be read
-_MESH_POINTS = (  # of the network's 468 points, those with the numbers 17 to 67
+LEAST_FACE_PRESENCE = 0.5  # probability of a face. Chosen, as MediaPipe's default
+SMALLEST_FACE_SQUARE = 32.0  # pixels, side. Chosen: in a smaller one no face can be recognised
+_MESH_POINTS = (  # the network's numbers of the points 17 to 67
     70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows, the right one's outer end first
     168, 6, 195, 4, 98, 97, 2, 326, 327,  # nose: down its bridge, then below, from right to left
     33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,  # right eye, left eye
     61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181,  # lips, around their outer border
     78, 82, 13, 312, 308, 317, 14, 87,  # around the inner one
 )  # fmt: skip
-_MIRRORED_FACE = (  # which of the 51 each of them is in a mirrored picture
+_MIRRORED_FACE = (  # the number, in the mirrored picture, of each of the 51 points
     9, 8, 7, 6, 5, 4, 3, 2, 1, 0, 10, 11, 12, 13, 18, 17, 16, 15, 14,
     28, 27, 26, 25, 30, 29, 22, 21, 20, 19, 24, 23,
     37, 36, 35, 34, 33, 32, 31, 42, 41, 40, 39, 38, 47, 46, 45, 44, 43, 50, 49, 48,
 )  # fmt: skip
-_MESH_EYES = (33, 263)  # outer corners in the mesh: right, left
-_MESH_MARGIN = 1.5  # side of the next square, relative to the mesh's extent
+_MESH_EYES = (33, 263)  # outer corners of the eyes in the mesh: right, left
+_MESH_MARGIN = 1.5  # side of the next square over the mesh's extent, as in MediaPipe's graph
+# Side of the first square over the distance from eyes to mouth, and between the ears. Chosen: the
+# larger one holds for a face from the front and from the side.
 _FACE_PER_EYES_TO_MOUTH, _FACE_PER_EARS = 3.6, 1.9
-_FACE_DISTANCE = (
-    0.06  # of the person's circle's diameter: a face farther from the body's is another one
-)
+# Of the diameter of the circle around the person. Chosen: a face farther from the body's eyes and
+# mouth is somebody else's.
+_FACE_DISTANCE = 0.06
 
 
 class FaceNetwork:
@@ -218,7 +221,7 @@ class FaceNetwork:
     def _see(
         self, image: np.ndarray, body: SeenBody, square: TurnedSquare, mirrored: bool = False
     ) -> SeenPart | None:
-        """See the face in a square once; None if there is none, or that of somebody else."""
+        """See the face in a square once; None if there is none, or if it is somebody else's."""
         if square.side < SMALLEST_FACE_SQUARE:
             return None
         cut = square.cut(image, self._network.size)

@@ -2,19 +2,18 @@
 
 The networks are files of the wheel ``mediapipe`` 0.10.21 (Apache-2.0) on the Python Package Index.
 pip downloads the wheel (36 MB), so that the user's index, proxy and offline settings hold. It is
-unpacked and never installed. Its licence is kept beside the files. Every file that is opened must
-have the SHA-256 that is written here.
+unpacked and never installed. Its licence is kept beside the files. Each file must have the SHA-256
+of the table below.
 
-The files lie in, and missing ones are fetched into, the first of
+The files are in the first of these folders, and missing files are fetched into it:
 
 1. the folder that a command's option names;
 2. the folder that the environment variable ``GVA_MI_WEIGHTS`` names;
 3. ``gva_mi/mediapipe-0.10.21`` in the user's cache folder.
 
-A machine without a network gets a folder that another machine has filled.
+On a machine without a network connection, use a folder from another machine.
 
-Networks run on one thread, which gives the same bits in every run on a machine, whatever else the
-machine does.
+Networks run on one thread, so every run on a machine gives the same bits.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from gva_mi.core.errors import InputError, reason_of
 
 MEDIAPIPE_VERSION = "0.10.21"
 WEIGHTS_VARIABLE = "GVA_MI_WEIGHTS"  # environment variable
-_IN_WHEEL = {  # file: its folder in the wheel, its SHA-256
+_IN_WHEEL = {  # file: folder in the wheel, SHA-256
     "pose_detection.tflite": (
         "mediapipe/modules/pose_detection",
         "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
@@ -69,7 +68,7 @@ _PIP_DOWNLOAD = (
 
 
 def weights_file(name: str, folder: Path | None = None) -> Path:
-    """Return a file of weights, checked; if it is missing, all of the wheel are fetched first.
+    """Return a file of weights, checked; if it is missing, fetch all files first.
 
     Args:
         name: such as ``pose_detection.tflite``.
@@ -84,7 +83,7 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
 
 
 def _place(folder: Path | None) -> Path:
-    """Return the folder of the weights."""
+    """Return the folder of the weights: the first in the module's list."""
     if folder is not None:
         return Path(folder)
     if os.environ.get(WEIGHTS_VARIABLE):
@@ -138,8 +137,8 @@ def _require_hash(path: Path, expected: str) -> None:
     found = hashlib.sha256(path.read_bytes()).hexdigest()
     if found != expected:
         raise InputError(
-            f"{path}: is another file than MediaPipe's (SHA-256 {found[:12]}..., expected "
-            f"{expected[:12]}...); remove it, so that it can be fetched again"
+            f"{path}: is not MediaPipe's file (SHA-256 {found[:12]}..., expected "
+            f"{expected[:12]}...); delete it, so that it can be fetched again"
         )
 
 
@@ -180,7 +179,7 @@ def sigmoid(logits: np.ndarray) -> np.ndarray:
 
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """Drop what a library writes to the process's standard error, such as which kernels it has."""
+    """Discard what a library writes to standard error, such as a list of its kernels."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)

@@ -1,18 +1,18 @@
 """Estimate the person's normals by a network in an ONNX file.
 
 =====================  ==========================================================================
-input                  what it is given
+input                  value
 =====================  ==========================================================================
-(1, 3, h, w)           the person cut out, (rgb/255 − mean) / std; its name is free
-an integer             patches of 14 by 14 pixels: the ``num_tokens`` of MoGe-2, which is given
-                       rgb/255
+(1, 3, h, w)           a crop around the person, (rgb/255 − mean) / std; any name
+an integer, optional   the number of patches of 14 by 14 pixels, ``num_tokens`` of MoGe-2; then
+                       mean and std are 0 and 1 by default
 =====================  ==========================================================================
 
 Output: normals (1, 3, h', w') or (1, h', w', 3) of unit length, or (n + 1) / 2. Of several outputs,
 the one named ``normal`` is taken, as of MoGe-2.
 
-With the convention ``icon`` the background becomes the mean first, as PIFuHD is trained. With the
-other conventions it stays.
+With the convention ``icon`` the background is replaced by the mean, as in PIFuHD's training. With
+the other conventions it stays.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from gva_mi.core.errors import InputError, reason_of
 from gva_mi.subject.crop import CropBox
 from gva_mi.subject.normals import LONGEST_NORMAL, SHORTEST_NORMAL, Convention
 
-BOX_MARGIN = 0.1  # of the longer side of the mask's box, around it: shown to the network
-NORMAL_OUTPUT = "normal"  # the one of several outputs that is taken
-PATCH_PIXELS = 14  # pixels
+BOX_MARGIN = 0.1  # of the mask's box's longer side, on each side. Chosen: it shows the outline
+NORMAL_OUTPUT = "normal"  # name of the output that is used, of several
+PATCH_PIXELS = 14  # side of a patch of DINOv2, the encoder of MoGe-2
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
@@ -45,8 +45,8 @@ class NormalsSpec:
 
     convention: Convention  # axes, and the kind of view: gva_mi.subject.normals
     size: tuple[int, int] = (512, 512)  # (w, h) pixels, where an ONNX file does not say it itself
-    # Of red, green, blue in [0, 1]; None: 0.5 each, so that all lies in [−1, 1], or 0 and 1 of a
-    # network that counts patches.
+    # Of red, green, blue in [0, 1]; None: 0.5 and 0.5, which gives inputs in [−1, 1]; or 0 and 1
+    # for a network with a number of patches.
     mean: tuple[float, float, float] | None = None
     std: tuple[float, float, float] | None = None
     output: str | None = None  # its name; None: the only one, or NORMAL_OUTPUT
@@ -56,7 +56,7 @@ class NormalNetwork:
     """A normal network in an ONNX file, with its conventions."""
 
     def __init__(self, path: Path, spec: NormalsSpec) -> None:
-        """Read the file."""
+        """Open the file; ``spec`` are its conventions."""
         if path.suffix.lower() != ".onnx" or not path.is_file():
             raise InputError(
                 f"{path}: no such network of normals; expected a file .onnx of {_EXPECTED_NETWORK}"
@@ -145,7 +145,7 @@ def _from_unit(normals: np.ndarray) -> float:
 
 
 def _session(path: Path) -> InferenceSession:
-    """Open a file."""
+    """Open an ONNX file with onnxruntime."""
     try:
         import onnxruntime
     except ModuleNotFoundError:

@@ -5,14 +5,14 @@ around the head and four points. Two of these count: the middle of the hips, and
 around the whole person, whose centre is the middle of the hips.
 
 In each picture the body network looks where the person was in the picture before. The detector
-searches the whole picture when that finds nobody, in every picture for a while after several
-people were seen, and now and then to learn whether there are several. It sees the most prominent
-people, so those who are known are painted over. It misses people who fill less than a fifth of what
-it sees, so parts of the picture are searched, too. A detected person is one if the body network
-agrees twice: on the picture and on its mirror image.
+searches the whole picture in three cases: if the body network finds nobody; in every picture for a
+while after several people were seen; and at intervals, to learn whether there are several. It finds
+the most prominent people, so known people are painted over. It misses people who fill less than a
+fifth of its input, so parts of the picture are searched, too. A detection counts if the body
+network confirms it twice: on the picture and on its mirror image.
 
-Of several people, the one is followed who is near the expected place, of the same size, in the same
-colours between shoulders and hips. While that person is hidden, nobody is found.
+Of several people, the tracker follows the one near the expected place, of the same size, and with
+the same colours between shoulders and hips. While that person is hidden, it returns nobody.
 """
 
 from __future__ import annotations
@@ -29,35 +29,32 @@ from gva_mi.networks.mediapipe import TfliteNetwork, sigmoid, weights_file
 from gva_mi.networks.turned_square import TurnedSquare
 from gva_mi.subject.landmarks import BODY_LANDMARKS
 
-LEAST_DETECTION_SCORE = 0.5  # least score of a detected person
-_SAME_BOX_IOU = 0.3  # overlap of boxes (IoU) of one person
-_ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid of anchors, pixels; anchors a cell
+# As in MediaPipe's graph of the detector.
+LEAST_DETECTION_SCORE = 0.5
+_SAME_BOX_IOU = 0.3  # detections whose boxes overlap by more are one person
+_ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid, pixels; anchors in each cell
 
-LEAST_PRESENCE = 0.5  # least presence of a person
-PEOPLE_LIMIT = 6  # people of a picture
-_SEARCH_EVERY = 5  # pictures between two that are searched for other people
-_CROWDED_PICTURES = 60  # pictures after several people were seen in which each one is searched
-_DETECTION_SCALES = (
-    1.0,
-    1.7,
-)  # of a detected square: the detector may take a torso for a whole person
-_DETECTION_LOOKS = 3  # at a detected person: each look centres the next
-_SAME_PERSON_DISTANCE = 0.4  # of the radius: bodies closer than this are one person
-_DETECTIONS_TRIED = 3  # detected people whom the body network is asked about, of those not known
-_PASSES_AGREE = 0.12  # of the radius: median distance of landmarks in both passes over a person
-_PAINT, _PAINT_MARGIN = 128, 0.1  # what is painted over; of the radius: around the landmarks
-_LOST_SQUARE = 5.0  # of the radius: side of the square in which the person is searched
+# All chosen. Lengths are relative to the radius of the circle around the person.
+LEAST_PRESENCE = 0.5  # probability, by the body network, that a square shows a person
+PEOPLE_LIMIT = 6  # people that are searched for in a picture, which bounds the time
+_SEARCH_EVERY = 5  # pictures: in every fifth one others are searched for
+_CROWDED_PICTURES = 60  # pictures after others were seen, in each of which others are searched for
+_DETECTION_SCALES = (1.0, 1.7)  # of a detected square: the detector may take a torso for a person
+_DETECTION_LOOKS = 3  # passes over a detected person, each of which centres the next
+_SAME_PERSON_DISTANCE = 0.4  # bodies whose hips are closer are one person
+_DETECTIONS_TRIED = 3  # unknown detections that the body network is run on, the best first
+_PASSES_AGREE = 0.12  # median distance of the landmarks in both passes over a person
+_PAINT = 128  # 8-bit grey that hides known people from the detector
+_PAINT_MARGIN = 0.1  # around the landmarks
+_LOST_SQUARE = 5.0  # side of the square in which a lost person is searched for
 
-_COLOR_BINS = 4  # of each colour channel
-_COLOR_MEMORY, _SPEED_MEMORY = (
-    0.9,
-    0.7,
-)  # shares of the colours and of the speed that stay in each picture
-# Of the radius: what a person hardly moves beyond the expected place from one picture to the next,
-# and in each picture without a sight.
-_FREE_STEP, _FREE_DRIFT = 1.0, 0.3
-_LEAST_RESEMBLANCE = -0.5  # least resemblance to the person
-_LEAST_COLOR_OVERLAP = 0.42  # overlap of colours: less is another person, if several are around
+# How the followed person is recognised among others; all chosen.
+_COLOR_BINS = 4  # of each channel, in the histogram of the torso
+_COLOR_MEMORY, _SPEED_MEMORY = 0.9, 0.7  # shares of old colours and speed kept in each picture
+_FREE_STEP = 1.0  # distance from the expected place that costs as much as other colours,
+_FREE_DRIFT = 0.3  # and its growth with each picture in which the person was not seen
+_LEAST_RESEMBLANCE = -0.5  # overlap of the colours less the cost of the distance
+_LEAST_COLOR_OVERLAP = 0.42  # if others are around; with less it is another person
 _TORSO = [BODY_LANDMARKS.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
 
 
@@ -70,10 +67,10 @@ class PersonDetector:
         self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
 
     def find(self, image: np.ndarray, squares: Sequence[TurnedSquare]) -> list[TurnedSquare]:
-        """Return what the landmark network should see of the people of a picture (H, W, 3) 8-bit.
+        """Return a square for the landmark network around each person in a picture (H, W, 3) 8-bit.
 
-        Only ``squares`` of the picture are searched, in each of which people are seen who fill a
-        fifth of it or more. The most certain person comes first.
+        Only ``squares`` of the picture are searched. People who fill less than a fifth of a square
+        are missed. The most certain person comes first.
         """
         scores, boxes, points = (
             np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
@@ -112,9 +109,9 @@ def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
 
 
 def _middles(length: int, side: float) -> list[float]:
-    """Return the middles of the intervals that cover a length, which overlap by half or more.
+    """Return the middles of intervals of length ``side`` that cover ``length``.
 
-    If the interval is longer than that, one around the middle covers it.
+    Neighbours overlap by half or more. One interval is enough if it is longer than ``length``.
     """
     if side >= length:
         return [length / 2]
@@ -154,7 +151,7 @@ class PersonTracker:
         self._detector, self._network, self._person = detector, network, person
         self._body: SeenBody | None = None  # when the person was last seen
         self._colours = np.zeros(_COLOR_BINS**3)  # of the person's torso, of sum 1
-        self._unseen = 0  # pictures since then
+        self._unseen = 0  # pictures since the person was last seen
         self._speed = np.zeros(2)  # pixels a picture
         self._number = -1
         self.crowded: list[int] = []  # pictures in which several people were seen
@@ -192,7 +189,7 @@ class PersonTracker:
         return found
 
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
-        """Add the people who are not among the seen."""
+        """Return the seen people, and others whom the detector finds."""
         due = self._number % _SEARCH_EVERY == 0
         squares = squares_over(image, max(image.shape[:2]))
         if self.begun and not seen:
@@ -209,7 +206,7 @@ class PersonTracker:
     def _found_in(
         self, squares: Sequence[TurnedSquare], image: np.ndarray, seen: list[SeenBody]
     ) -> list[SeenBody]:
-        """Return the seen, and the other people in squares of a picture."""
+        """Return the seen people, and the other people in squares of a picture."""
         rest = image.copy()
         for body in seen:
             _paint_over(rest, body)
@@ -226,7 +223,7 @@ class PersonTracker:
         return seen
 
     def _look(self, image: np.ndarray, person: TurnedSquare) -> SeenBody | None:
-        """Return the body of a detected person, if the body network agrees that it is one."""
+        """Return the body of a detected person, if the body network confirms the detection."""
         bodies = []
         for scale in _DETECTION_SCALES:
             square = person.scaled(scale)
@@ -246,7 +243,7 @@ class PersonTracker:
         return best if mirrored.presence >= LEAST_PRESENCE and off < _PASSES_AGREE else None
 
     def _choose(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
-        """Choose the person, if enough people are there."""
+        """Choose the person to follow; None if too few people are seen."""
         if len(seen) < (self._person or 1):
             return None
         if self._person is not None:
@@ -259,7 +256,7 @@ class PersonTracker:
         return chosen
 
     def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
-        """Return the one of the seen who resembles our person most, if anybody does."""
+        """Return the seen body that resembles the followed person most; None if none does."""
         self._unseen += 1
         last, found, least = self._body, None, _LEAST_RESEMBLANCE
         for body in seen:
@@ -298,7 +295,7 @@ def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
 
 
 def _is_same(one: SeenBody, other: SeenBody) -> bool:
-    """Return whether two bodies are those of one person."""
+    """Return whether two bodies belong to one person."""
     apart = np.linalg.norm(one.hips - other.hips)
     return bool(apart < _SAME_PERSON_DISTANCE * min(one.radius, other.radius))
 

@@ -1,15 +1,15 @@
 """Segment the person by Segment Anything or SAM 2, prompted by a box and points of the body.
 
 The network sees a square around the box at its own resolution, so that a small person in a large
-picture is large to it. It guesses three masks; with the mask of the frame before as a prompt, it
-makes a fourth guess. The guess with the largest sum of these scores is taken:
+picture fills its input. It proposes three masks. With the mask of the frame before as a prompt, it
+proposes a fourth one. The proposal with the largest sum of these scores is taken:
 
 * the overlap with the ground truth that the network itself predicts, in [0, 1];
 * the share of the person's points inside, less the share of other people's;
-* the share of the guess that lies in the box;
+* the share of the proposal that lies in the box;
 * the overlap with the mask of the frame before, where there is one.
 
-By the first score alone, a sleeve or a face would often win.
+With the first score alone, a sleeve or a face would often win.
 
 Weights are a folder as ``transformers`` saves it, such as ``facebook/sam2.1-hiera-tiny`` of the
 Hugging Face hub: ``config.json`` and ``model.safetensors``, which holds arrays alone.
@@ -37,13 +37,13 @@ TRANSFORMERS_CLASSES = {
     "sam2_video": "Sam2Model",
 }  # by config.json
 
-BOX_MARGIN = 0.15  # of the box's longer side, on each side: shown to the network around the person
-_IMAGENET_MEAN, _IMAGENET_STD = (
-    (0.485, 0.456, 0.406),
-    (0.229, 0.224, 0.225),
-)  # of the pictures it was trained on
-_FILL_COLOR = tuple(round(255 * x) for x in _IMAGENET_MEAN)  # zero, as the network sees it
-_CERTAIN_LOGIT = 32.0  # a logit of certainty: beyond the last frame's crop, all is outside
+BOX_MARGIN = (
+    0.15  # of the box's longer side, on each side. Chosen: it shows what is around the person
+)
+# RGB in [0, 1] of ImageNet's pictures: the network's input is normalised by them.
+_IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_FILL_COLOR = tuple(round(255 * x) for x in _IMAGENET_MEAN)  # 8-bit; zero after normalisation
+_CERTAIN_LOGIT = 32.0  # chosen: beyond any logit; outside the last crop the mask is empty
 
 
 @dataclass(frozen=True)

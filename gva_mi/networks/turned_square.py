@@ -1,4 +1,4 @@
-"""``TurnedSquare``: the part of a picture that a landmark network sees, turned upright.
+"""``TurnedSquare``: the rotated square of a picture that a landmark network sees upright.
 
 Places in a square are (u, v) in [0, 1], u to its right and v down. Pixels of the picture are
 (x, y); the centre of the first pixel is (0.5, 0.5)::
@@ -49,8 +49,8 @@ class TurnedSquare:
     def cut(self, image: np.ndarray, size: int, edge: bool = True) -> np.ndarray:
         """Resample the square of a picture (H, W, 3) 8-bit to (size, size, 3) float32 in [0, 1].
 
-        Beyond the border, the colour is that of the border's nearest pixel, or black without
-        ``edge``. Pixels are averaged before a picture is shrunk, so that thin things do not alias.
+        Beyond the picture's border, the nearest pixel is repeated, or with ``edge`` false all is
+        black. Pixels are averaged before a picture is shrunk, so that thin things do not alias.
         """
         from PIL import Image
 
@@ -59,7 +59,7 @@ class TurnedSquare:
         high = np.ceil(corners.max(0)).astype(int) + 2
         (x0, y0), (x1, y1) = low, high
         height, width = image.shape[:2]
-        # The part that lies in the picture has one pixel at least, also if the square does not.
+        # Take at least one pixel of the picture, even if the square lies outside it.
         left, right = np.clip((x0, x1), (0, 1), (width - 1, width))
         top, bottom = np.clip((y0, y1), (0, 1), (height - 1, height))
         seen = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right]))

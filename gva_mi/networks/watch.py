@@ -40,7 +40,7 @@ def watch_video(
     Args:
         pictures: T pictures (H, W, 3) 8-bit; each is read once.
         on_silhouette: called with each picture's number and the probability (H, W) float32 that
-            a pixel is of the person; zero where the person is not found.
+            a pixel shows the person; all zero if the person is not found.
         person: the N-th from the left; None: the largest and most central.
         weights: folder of the networks' files; None: ``GVA_MI_WEIGHTS`` or the cache.
         progress: called after every picture.
@@ -65,9 +65,9 @@ def watch_video(
         if progress:
             progress(k + 1, len(pictures))
     if not tracker.begun:
-        several = f"{person} people" if (person or 1) > 1 else "anybody"
+        several = f"{person} people" if (person or 1) > 1 else "a person"
         raise InputError(
-            f"no picture of the video shows {several} whom the network recognises; film one person "
+            f"the network finds {several} in no picture of the video; expected one person, filmed "
             "from head to feet"
         )
     landmarks = Landmarks(LANDMARK_NAMES, *(np.stack(parts) for parts in zip(*rows, strict=True)))

@@ -171,5 +171,5 @@ def test_a_lost_person_is_found_again(rendered_person):
 
 
 def test_a_video_without_anybody_is_refused():
-    with pytest.raises(InputError, match="no picture of the video shows anybody"):
+    with pytest.raises(InputError, match="finds a person in no picture of the video"):
         watch_video([GREY] * 2)

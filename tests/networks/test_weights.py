@@ -70,7 +70,7 @@ def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_pat
 def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
     path = weights_file(NAMES[0], tmp_path / "here")
     path.write_bytes(b"another network")
-    with pytest.raises(InputError, match="another file than MediaPipe's .*remove it"):
+    with pytest.raises(InputError, match="is not MediaPipe's file .*delete it"):
         weights_file(NAMES[0], path.parent)
     inside = mediapipe._IN_WHEEL[NAMES[0]][0]
     monkeypatch.setitem(mediapipe._IN_WHEEL, NAMES[0], (inside, "0" * 64))

@@ -12,6 +12,7 @@ import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -40,7 +41,7 @@ def compare(scene: Scene, repeats: int, theirs: Callable[[], Tensor] | None = No
     g, inputs = scene.gaussians, list(scene.gaussians.arrays().items())
     if theirs is None:
         pairs = _pairs(scene)
-        theirs = lambda: render(scene, *pairs)
+        theirs = lambda: render(scene, pairs)
     ours = lambda: our_render(g, scene.camera, scene.options, scene.background).color
     leaves = [v for _, v in inputs]
     expected = ours().detach()
@@ -74,8 +75,16 @@ def _project(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
     return means2d[0], conics[0], depths[0]
 
 
-def _pairs(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
-    """List pixel and Gaussian of all pairs with alpha >= alpha_min, front to back; and starts."""
+class PixelPairs(NamedTuple):
+    """All P pairs of a pixel and a Gaussian with alpha >= alpha_min, by pixel, front to back."""
+
+    pixel: Tensor  # (P,)
+    ids: Tensor  # (P,) of the Gaussian
+    start: Tensor  # (P,) first pair of the same pixel
+
+
+def _pairs(scene: Scene) -> PixelPairs:
+    """List the pairs of a scene."""
     with torch.no_grad():
         means2d, conics, depths = _project(scene)
     W, H = scene.camera.width, scene.camera.height
@@ -97,14 +106,14 @@ def _pairs(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
         ids.append(torch.full_like(found, i))
     pixel, order = torch.sort(torch.cat(pixels), stable=True)
     start = torch.searchsorted(pixel, pixel)
-    return pixel, torch.cat(ids)[order], start
+    return PixelPairs(pixel, torch.cat(ids)[order], start)
 
 
-def render(scene: Scene, pixel: Tensor, ids: Tensor, start: Tensor) -> Tensor:
+def render(scene: Scene, pairs: PixelPairs) -> Tensor:
     """Render the colour (H, W, 3) by gsplat's reference."""
     from gsplat.cuda import _torch_impl as theirs
 
-    g, camera = scene.gaussians, scene.camera
+    g, camera, (pixel, ids, start) = scene.gaussians, scene.camera, pairs
     means2d, conics, _ = _project(scene)
     toward = g.means - torch.tensor(camera.position, dtype=torch.float32)
     degree = int(g.sh.shape[1] ** 0.5) - 1

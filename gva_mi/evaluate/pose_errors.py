@@ -56,13 +56,13 @@ def pose_errors(
         ``fingers`` (eq. 3), ``pelvis_depth``, ``ankles_depth``, ``wrists_depth`` (eq. 4, mean of
         both sides).
     """
-    points = _Points.of(body, truth.foreign)
+    (pose, shape), points = found, _Points.of(body, truth.foreign)
     axes = torch.from_numpy(np.stack([c.T_camera_world[2, :3] for c in truth.cameras]))
     parts: list[dict[str, Tensor]] = []
     with one_torch_thread():
         for start in range(0, len(truth.pose), _FRAMES_AT_A_TIME):
             some = slice(start, start + _FRAMES_AT_A_TIME)
-            x = body(found[0][some], found[1])
+            x = body(pose[some], shape)
             y = truth.body(truth.pose[some], truth.shape)
             parts.append(points.errors(x, y) | _depths(x, y, axes[some].to(x.joints)))
     return {name: 1e3 * torch.cat([part[name] for part in parts]) for name in parts[0]}

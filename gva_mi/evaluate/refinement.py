@@ -119,8 +119,9 @@ def measure(
         frames["", "", f"{stage} IoU"] = silhouette_iou(video, body, pose, shape, cameras)
     if truth is None:
         return frames
-    true = truth.pose, truth.shape, truth.cameras
-    frames["", "", "true IoU"] = silhouette_iou(video, truth.body, *true)
+    frames["", "", "true IoU"] = silhouette_iou(
+        video, truth.body, truth.pose, truth.shape, truth.cameras
+    )
     for part in (("body", "absolute"), ("body", "pelvis-aligned"), ("hands", "absolute")):
         if refined is not None:
             before, after = (frames[*part, f"{stage} error, mm"] for stage in states)

@@ -19,6 +19,7 @@ stored, because that takes longer than computing it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import drjit as dr
 import torch
@@ -45,13 +46,17 @@ class Cutout:
     color: Tensor  # (3,) in [0, 1], b
 
 
-@exclusive
-def composite_target(cutout: Cutout, part: Box) -> tuple[Tensor, Tensor, Tensor]:
-    """Composite a person on a background (eq. 1 and 2) in a part of a picture.
+class CompositeTarget(NamedTuple):
+    """A part of a picture as a render should equal it, all in [0, 1]."""
 
-    Returns:
-        The target (H, W, 3), the background (H, W, 3), and the mask (H, W) in [0, 1].
-    """
+    target: Tensor  # (H, W, 3)
+    background: Tensor  # (H, W, 3)
+    mask: Tensor  # (H, W)
+
+
+@exclusive
+def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
+    """Composite a person on a background (eq. 1 and 2) in a part of a picture."""
     count = part.width * part.height
     target, background, S = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
     found = [store_columns(target, count, Float), store_columns(background, count, Float), S]
@@ -59,7 +64,7 @@ def composite_target(cutout: Cutout, part: Box) -> tuple[Tensor, Tensor, Tensor]
     target, background, mask = (
         x.view(part.height, part.width, -1) for x in to_tensors(found, count)
     )
-    return target, background, mask[..., 0]
+    return CompositeTarget(target, background, mask[..., 0])
 
 
 def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:

@@ -184,7 +184,7 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
         gaussians = avatar.animate(pose, sh).gaussians
         target = sample.target(gaussians)
         image = render(gaussians, target.camera, AVATAR_SPLATTING)
-        total = (image.color * target.composite()[2][..., None]).sum()
+        total = (image.color * target.composite().mask[..., None]).sum()
         (by_sh,) = torch.autograd.grad(total, sh)
     T_world_rest = avatar.posed_skeleton(pose).T_world_rest
     A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5

@@ -44,7 +44,13 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.fit.backgrounds import Cutout, absolute_error, composite_render, composite_target
+from gva_mi.fit.backgrounds import (
+    CompositeTarget,
+    Cutout,
+    absolute_error,
+    composite_render,
+    composite_target,
+)
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.rowwise import flat_array, load_columns
 from gva_mi.jit.tensors import PRECISION
@@ -193,14 +199,13 @@ class SampleTarget:
     window: Box  # of the whole picture, inside of this part
     area: int  # pixels of the person's box
 
-    def composite(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the target (H, W, 3), its background (H, W, 3), and the mask (H, W), in [0, 1]."""
+    def composite(self) -> CompositeTarget:
+        """Return the target on its background."""
         return composite_target(self.cutout, self.part)
 
     def error(self, image: Image) -> Tensor:
         """Return the mean of ``|C - I|``: its sum over this part by the person's area."""
-        own = image.color, image.alpha
-        return absolute_error(*own, self.cutout, self.part, 3 * self.area)
+        return absolute_error(image.color, image.alpha, self.cutout, self.part, 3 * self.area)
 
     def in_window(self, image: Image) -> tuple[Tensor, Tensor]:
         """Return a render of this part on its background, and the target, inside the window."""

@@ -96,14 +96,14 @@ class Pipeline:
     def write(self, folder: Path) -> None:
         """Write poses, cameras, the convention of normals, and ``noise.json``."""
         options, errors, near, cameras = self.options, self.errors, self.near, self.cameras
-        writer, found = SubjectWriter(folder), (near.pose, near.shape)
+        writer, pose, shape = SubjectWriter(folder), near.pose, near.shape
         if errors is not None:
             rng = options.random(SubjectStream.POSE_ERRORS, errors=True)
-            found = noisy_poses(self.body, *found, cameras[0], errors.pose, rng)
+            pose, shape = noisy_poses(self.body, pose, shape, cameras[0], errors.pose, rng)
             cameras = [estimated_camera(camera, errors.pose) for camera in cameras]
             if errors.normal.convention != "perspective":
                 writer.normals_record(errors.normal.convention)
-        writer.poses(*found, stage=1)
+        writer.poses(pose, shape, stage=1)
         writer.cameras(cameras)
         about = {
             "error_model": options.error_model,

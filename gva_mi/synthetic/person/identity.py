@@ -39,6 +39,7 @@ def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
     return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))
 
 
+# Palettes in 8-bit sRGB, chosen by eye: common colours.
 _linear = lambda *colors: [linear(*c) for c in colors]
 SKINS = _linear((232, 190, 165), (214, 165, 135), (190, 135, 102), (146, 98, 72), (104, 68, 50))
 HAIRS = _linear((38, 28, 24), (70, 45, 30), (120, 78, 45), (176, 132, 78), (60, 58, 60))
@@ -142,14 +143,20 @@ NAMED: Mapping[str, SyntheticPerson] = MappingProxyType({
         SKINS[1], HAIRS[1], IRISES[3],
         _fabric("stripes", (238, 232, 222), (176, 44, 48), (40, 44, 70), scale=0.058),
         _fabric("plain", (58, 78, 118), (90, 110, 150)), linear(236, 232, 226),
-        Outfit(1.75, 0.06, 0.016, "trousers", 1.92, 0.008, "long", 0.019),
+        Outfit(
+            sleeve=1.75, hem=0.06, loose=0.016, bottom="trousers", length=1.92,
+            flare=0.008, hair="long", hair_thick=0.019,
+        ),
     ),
     "bruno": SyntheticPerson(  # short hair, plaid
         102, (1.1, 0.5, 0.2, 0.2, 0.9, -0.2, 0.2, 0.4, 0.9, 0.0),
         SKINS[0], HAIRS[2], IRISES[1],
         _fabric("plaid", (52, 104, 84), (24, 38, 48), (226, 178, 70), scale=0.075),
         _fabric("plain", (160, 138, 104), (120, 100, 76)), linear(96, 62, 42),
-        Outfit(0.62, 0.16, 0.020, "trousers", 1.93, 0.014, "short", 0.014),
+        Outfit(
+            sleeve=0.62, hem=0.16, loose=0.020, bottom="trousers", length=1.93,
+            flare=0.014, hair="short", hair_thick=0.014,
+        ),
     ),
     "dalia": SyntheticPerson(  # a skirt, hair to the shoulder blades, a top of one colour
         104, (0.3, -0.2, 0.6, 0.1, -0.6, 1.0, 1.0, -0.3, -0.5, 0.0),
@@ -157,13 +164,19 @@ NAMED: Mapping[str, SyntheticPerson] = MappingProxyType({
         _fabric("smooth", (66, 140, 150)),
         _fabric("dots", (120, 48, 84), (238, 226, 214), (238, 226, 214), scale=0.045),
         linear(60, 60, 68),
-        Outfit(0.55, 0.035, 0.017, "skirt", 0.95, 0.26, "long", 0.019),
+        Outfit(
+            sleeve=0.55, hem=0.035, loose=0.017, bottom="skirt", length=0.95,
+            flare=0.26, hair="long", hair_thick=0.019,
+        ),
     ),
     "edgar": SyntheticPerson(  # a heavy body, a white shirt without texture
         105, (0.2, 1.3, -0.2, 0.0, 0.6, 0.4, 0.3, 1.3, 0.2, 0.0),
         SKINS[3], HAIRS[0], IRISES[3],
         _fabric("smooth", (226, 224, 218)),
         _fabric("plain", (92, 104, 84), (60, 70, 54)), linear(46, 48, 58),
-        Outfit(0.70, 0.17, 0.024, "shorts", 0.92, 0.022, "short", 0.012),
+        Outfit(
+            sleeve=0.70, hem=0.17, loose=0.024, bottom="shorts", length=0.92,
+            flare=0.022, hair="short", hair_thick=0.012,
+        ),
     ),
 })  # fmt: skip

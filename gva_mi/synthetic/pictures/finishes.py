@@ -87,6 +87,7 @@ def finish_color(table: Array, number: Array, u: Array, v: Array) -> Array:
     return mi.Color3f(*(dr.clip(c * (1 + of("rough") * grain), 0.0, 0.9) for c in color))
 
 
+# Palettes in 8-bit sRGB, chosen by eye: common colours.
 _WOODS = [linear(*c) for c in ((176, 128, 84), (122, 82, 52), (206, 172, 130), (84, 58, 42))]
 _PAINTS = [linear(*c) for c in ((236, 232, 224), (222, 214, 200), (205, 214, 218), (214, 222, 206),
                                 (232, 214, 190), (160, 178, 190), (150, 122, 108))]  # fmt: skip
@@ -124,14 +125,25 @@ def books(rng: np.random.Generator) -> Finish:
     """Draw the backs of a row of books."""
     first, second = (palette(rng, _BOOKS) for _ in range(2))
     width = float(rng.uniform(0.022, 0.04))
-    return Finish(first, second, 0.5, (width, ENDLESS_CELL), joint=0.004, vary=0.6, rough=0.05)
+    return Finish(
+        first,
+        other=second,
+        share=0.5,
+        cell=(width, ENDLESS_CELL),
+        joint=0.004,
+        vary=0.6,
+        rough=0.05,
+    )
 
 
 def poster(rng: np.random.Generator) -> Finish:
     """Draw a picture on a wall: patches of two colours."""
     side = float(rng.uniform(0.04, 0.2))
     first, second = palette(rng, _BOOKS), palette(rng, _PAINTS)
-    return Finish(first, second, 0.5, (side, 1.4 * side), 0.5, vary=0.3, grain=(9, 9), rough=0.5)
+    return Finish(
+        first, other=second, share=0.5, cell=(side, 1.4 * side), shift=0.5, vary=0.3, grain=(9, 9),
+        rough=0.5,
+    )  # fmt: skip
 
 
 def doors(rng: np.random.Generator) -> Finish:
@@ -152,8 +164,8 @@ def floor(rng: np.random.Generator) -> Finish:
         side, shift = float(rng.uniform(0.15, 0.5)), float(rng.choice([0.0, 0.0, 0.5]))
         first, second = (palette(rng, _STONES) for _ in range(2))
         return Finish(
-            first, second, float(rng.choice([0.0, 0.0, 0.5])), (side, side), shift, 0.006, 0.08,
-            (25, 25), 0.10,
+            first, other=second, share=float(rng.choice([0.0, 0.0, 0.5])), cell=(side, side),
+            shift=shift, joint=0.006, vary=0.08, grain=(25, 25), rough=0.10,
         )  # fmt: skip
     return Finish(palette(rng, _CARPETS), grain=(160, 160), rough=float(rng.uniform(0.15, 0.4)))
 
@@ -171,5 +183,7 @@ def wall(rng: np.random.Generator, like: Sequence[Color] = ()) -> Finish:
         return replace(plain, other=other, share=0.35, cell=(side, side), shift=0.5, vary=0.08)
     if kind == "bricks":
         color = linear(*((158, 88, 66) if rng.random() < 0.5 else (214, 206, 196)))
-        return Finish(color, (0, 0, 0), 0.0, (0.24, 0.075), 0.5, 0.011, 0.2, (60, 60), 0.25)
+        return Finish(
+            color, cell=(0.24, 0.075), shift=0.5, joint=0.011, vary=0.2, grain=(60, 60), rough=0.25
+        )
     return plain

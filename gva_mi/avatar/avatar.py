@@ -174,7 +174,7 @@ class Avatar(nn.Module):
 
         Args:
             pose: one frame. Expression coefficients that the body does not have are ignored.
-            sh: colours of the Gaussians, in the shape of ``canonical.sh``, which None stands for.
+            sh: colours of the Gaussians, in the shape of ``canonical.sh``; None: its own.
 
         Returns:
             Differentiable in all parameters, in the pose, and in the colours.

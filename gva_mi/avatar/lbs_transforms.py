@@ -125,7 +125,18 @@ def _pulled(dW: Lane, grad_E: Lane) -> Lane:
 
 
 def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
-    """Evaluate eq. 1 and 2: A and E of each Gaussian, float64."""
+    """Evaluate eq. 1 and 2: A and E of each Gaussian, float64.
+
+    Example:
+        Half way between a joint at rest and one that moved by 1 m along y.
+
+        >>> pairs = SparseWeights.of(torch.full((1, 2), 0.5), torch.zeros(1, 3, 2)).of_gaussians
+        >>> T = np.stack([np.eye(4)[:3], np.eye(4)[:3]])
+        >>> T[1, 1, 3] = 1
+        >>> A, E = forward(pairs, Float64(T.ravel()), mean=[Float64(0)] * 3)
+        >>> A[7]  # the entry of row 1, column 3
+        [0.5]
+    """
     mean = [Float64(x) for x in mean]
 
     def add(k: UInt32, sums: Lane) -> Lane:
@@ -141,7 +152,19 @@ def forward(pairs: PairLists, T: Float64, mean: Lane) -> tuple[Lane, Lane]:
 
 
 def adjoint_of_means(pairs: PairLists, T: Array, grad_E: Lane) -> Lane:
-    """Evaluate eq. 4, with T in the precision of the model."""
+    """Evaluate eq. 4, with T in the precision of the model.
+
+    Example:
+        The second joint doubles all lengths, and its weight grows along x.
+
+        >>> from drjit.llvm import Float
+        >>> slopes = torch.zeros(1, 3, 2)
+        >>> slopes[0, 0] = torch.tensor([-1.0, 1.0])
+        >>> pairs = SparseWeights.of(torch.full((1, 2), 0.5), slopes).of_gaussians
+        >>> T = Float(np.stack([np.eye(4)[:3], 2 * np.eye(4)[:3]]).ravel())
+        >>> adjoint_of_means(pairs, T, grad_E=[Float(1), *[Float(0)] * 8])
+        ([1], [0], [0])
+    """
 
     def add(k: UInt32, sums: Lane) -> Lane:
         _, *dW = load_columns(pairs.weights, 4, k)
@@ -153,7 +176,17 @@ def adjoint_of_means(pairs: PairLists, T: Array, grad_E: Lane) -> Lane:
 
 
 def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane, Lane]]) -> Lane:
-    """Evaluate eq. 5 for each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian."""
+    """Evaluate eq. 5 for each piece; ``of`` returns grad_A, grad_E and μ of a Gaussian.
+
+    Example:
+        One Gaussian that follows two joints alike: two pieces.
+
+        >>> from drjit.llvm import Float
+        >>> pieces = SparseWeights.of(torch.full((1, 2), 0.5), torch.zeros(1, 3, 2)).of_pieces
+        >>> gradients = lambda gaussian: ([Float(1)] * 12, [Float(0)] * 9, [Float(0)] * 3)
+        >>> adjoint_of_joints(pieces, gradients)[0]
+        [0.5, 0.5]
+    """
 
     def add(k: UInt32, sums: Lane) -> Lane:
         W, *dW = load_columns(pieces.weights, 4, k)
@@ -168,6 +201,15 @@ def adjoint_of_joints(pieces: PairLists, of: Callable[[UInt32], tuple[Lane, Lane
 
 
 def add_pieces(weights: SparseWeights, sums: Array, T: Tensor) -> Tensor:
-    """Add up the gradient of T (J, 12) from the sums of all pieces."""
+    """Add up the gradient of T (J, 12) from the sums of all pieces.
+
+    Example:
+        >>> from drjit.llvm import Float
+        >>> weights = SparseWeights.of(torch.full((100, 2), 0.5), torch.zeros(100, 3, 2))
+        >>> len(weights.piece_joints)  # 100 Gaussians take two pieces for each joint
+        4
+        >>> add_pieces(weights, Float(np.ones(4 * 12)), torch.zeros(2, 12))[:, 0]
+        tensor([2., 2.])
+    """
     (pieces,) = to_tensors([sums], len(weights.piece_joints))
     return pieces.new_zeros(T.shape).index_add(0, weights.piece_joints, pieces).to(T)

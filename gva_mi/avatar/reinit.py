@@ -24,7 +24,7 @@ Differences from the paper (``surface="alpha"`` and ``random`` of the options ar
 * Random rotations would begin as a cloud of needles. Discs lie in the surface, turned randomly
   about the normal; their sizes are the spacing of the points times a random factor.
 
-Sources beside the paper: Taubin, "A signal processing approach to fair surface design", 1995;
+Further sources: Taubin, "A signal processing approach to fair surface design", 1995;
 floaters are found as in PCL's ``StatisticalOutlierRemoval`` (Rusu et al., 2008).
 """
 
@@ -89,12 +89,12 @@ class ReinitOptions:
     count: PythonOnly[Count] = 0
     # The offset surface, or the outer boundary of an alpha shape with Laplacian smoothing.
     surface: PythonOnly[Literal["offset", "alpha"]] = "offset"
-    # The mean distance of a floater to its neighbours exceeds the mean of all by so many standard
-    # deviations.
+    # Gaussians whose mean distance to their neighbours exceeds the average by more than this many
+    # standard deviations are floaters.
     floater_sigmas: PythonOnly[Annotated[float, Within(0, 1000)]] = 2.0
     # Gaps narrower than twice this are closed, metres; at least the points' spacing.
     alpha: PythonOnly[Annotated[float, Within(0.004, 1)]] = 0.015
-    # The body inside lies so far below its surface.
+    # Depth of the inner body below its surface, metres.
     filler_depth: PythonOnly[Annotated[float, Within(0, 1)]] = 0.012
     # Steps of Taubin's, or Laplace's filter.
     smoothing: PythonOnly[Annotated[int, Within(0, 1000)]] = 10

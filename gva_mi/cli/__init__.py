@@ -8,7 +8,7 @@
                                                                             ├──────▶ export
                                                                             └──────▶ track
 
-``prepare`` makes such a subject/ from a real video, and ``check`` reports what is wrong with one.
+``prepare`` makes subject/ from a real video, and ``check`` reports what is wrong with it.
 ``avatar`` runs all steps on a video, ``demo`` on a synthetic subject. Each command reads a folder,
 writes a folder, and can be run alone; no output is replaced without ``--overwrite``. A command
 reads its arguments and calls the library: for a step, the function of its name in

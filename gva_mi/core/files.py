@@ -161,7 +161,7 @@ def require_array(
         path: the file.
         name: the array's name.
         array: as it was read. Floating point other than 32 or 64 bits becomes 64 bits, because
-            linear algebra knows no other.
+            linear algebra supports only these.
         forms: its possible shapes; none: any.
         kind: the kind of its dtype, a key of ``_KINDS``.
         largest: the largest absolute value that is allowed, which makes all numbers finite; None:

@@ -219,7 +219,7 @@ def _encode(text: str, codec: str) -> bytes:
     return text.encode("latin-1")
 
 
-# By package and name, whatever module lies between. A text stands for a class that is never made.
+# By package and name, whatever module lies between. A text stands for a class that is never used.
 ALLOWED: dict[tuple[str, str], Any] = {
     **{("builtins", kind.__name__): kind
        for kind in (object, bool, int, float, complex, str, list, dict, set)},

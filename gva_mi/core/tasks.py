@@ -131,7 +131,7 @@ def usual_workers() -> int:
 def local_executor(count: int) -> Iterator[ProcessPoolExecutor | None]:
     """Yield an executor of ``count`` processes that share the cores.
 
-    For one process it is None, which stands for this process.
+    For one process it is None: this process does the work itself.
     """
     if count == 1:
         yield None

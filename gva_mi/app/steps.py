@@ -66,7 +66,7 @@ def prepare(
     """Make a subject's folder from a video: frames, masks, camera, landmarks and stage-1 poses.
 
     Args:
-        recording: a video of one person who turns around once, or a folder of its pictures.
+        recording: a video file of one person who turns around once, or a folder of its pictures.
         out: the subject's folder.
         options: what is known about the video.
         own_masks: masks that come from another program.

@@ -126,7 +126,7 @@ def avatar(
     steps that depend on them.
 
     Args:
-        recording: a video of one person who turns around once, or a folder of its pictures.
+        recording: a video file of one person who turns around once, or a folder of its pictures.
         out: the folder.
         options, own_masks, person, lens: as for :func:`gva_mi.app.prepare`.
         effort: how much work is spent.
@@ -136,11 +136,11 @@ def avatar(
     Example:
         >>> avatar("no_such_video.mp4", "out")
         Traceback (most recent call last):
-        gva_mi.core.errors.InputError: no_such_video.mp4: no such video or folder of pictures
+        gva_mi.core.errors.InputError: no_such_video.mp4: no such video file or folder of pictures
     """
     recording, out = Path(recording), Path(out)
     if not recording.exists():
-        raise InputError(f"{recording}: no such video or folder of pictures")
+        raise InputError(f"{recording}: no such video file or folder of pictures")
     model = load_body(body)  # a bad file is refused before any work
     subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {recording.name}"
     refining, fitting = effort.refining(options.height), effort.fitting()

@@ -33,7 +33,7 @@ def avatar(
     the steps that depend on them. Each step is also a command of its own.
 
     Args:
-        recording: a video of one person who turns around once, or a folder of its pictures.
+        recording: a video file of one person who turns around once, or a folder of its pictures.
         video_options: what is known about the video.
         effort: how much work is spent on the avatar.
         own_masks: masks that come from another program.

@@ -53,7 +53,7 @@ def even_pictures(
     """
     path = Path(path)
     if not path.exists():
-        raise InputError(f"{path}: no such video or folder of pictures")
+        raise InputError(f"{path}: no such video file or folder of pictures")
     files, notes = files_of(path), []
     if files is not None:
         source, sizes = files, [_upright_size(file) for file in files]

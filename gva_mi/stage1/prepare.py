@@ -126,7 +126,7 @@ def prepare_video(
 
     Args:
         out: an empty folder.
-        recording: a video, or a folder of pictures.
+        recording: a video file, or a folder of its pictures.
         options: of the video.
         body: file of the body that poses are for; None: the built-in body.
         person: the N-th from the left where there are several; None: the largest.
@@ -229,7 +229,7 @@ def motion_of_video(
     """Find the motion of one person in a video: networks, then stage 1.
 
     Args:
-        recording: a video, or a folder of pictures.
+        recording: a video file, or a folder of its pictures.
         options: of the video.
         body: of the poses.
         person: the N-th from the left where there are several; None: the largest.

@@ -1,4 +1,7 @@
-"""Read pictures and masks from a video, a folder or an array; and the numbers of their frames."""
+"""Read pictures and masks that a user names, from a video file, a folder or an array.
+
+Also infer the numbers of their frames from file names.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,16 @@ from gva_mi.subject.masks import MaskMeaning, meaning_of
 from gva_mi.subject.pictures import matte_of_pixels, read_image
 from gva_mi.subject.video_file import decoded, open_video_file, pixels_of, steps_of
 
-Pictures = Path | tuple[Path, ...]  # a video or a folder, or single files in order
+Pictures = Path | tuple[Path, ...]  # a video file or a folder, or single files in order
+SQUARE_PIXELS = 0.01  # of the logarithm of width over height. Chosen: nobody sees the difference
+EVEN_STEP = 0.1  # of the time between pictures. Chosen: cameras of an even rate vary by less
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
 
 def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
-    """Yield the pictures of a video, a folder or files, turned as their metadata say.
+    """Yield the pictures of a video file, a folder or files, turned as their metadata say.
 
-    ``channels`` is 3 for RGB (H, W, 3), or 1 for the values of masks (H, W):
-    :mod:`gva_mi.subject.pictures`.
+    ``channels`` is 3 for RGB (H, W, 3), or 1 for masks (H, W): :mod:`gva_mi.subject.pictures`.
     """
     files = files_of(source)
     if files is not None:
@@ -31,10 +35,10 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
             yield read_image(path, channels)
     elif source.suffix in (".npz", ".npy", ".pkl", ".pt"):
         raise InputError(
-            f"{source}: expected a video, a folder of pictures, or for masks one .npy (T, H, W)"
+            f"{source}: expected a video file, a folder of pictures, or for masks a .npy (T, H, W)"
         )
     elif not source.is_file():
-        raise InputError(f"{source}: no such video or folder of pictures")
+        raise InputError(f"{source}: no such video file or folder of pictures")
     else:
         for number, frame in enumerate(decoded(source)):
             if channels == 3:
@@ -46,7 +50,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
 
 
 def files_of(source: Pictures) -> list[Path] | None:
-    """Return the picture files, sorted by the last number in their names; None for a video."""
+    """Return the picture files, sorted by the last number in their names; None for a video file."""
     if isinstance(source, tuple):
         return list(source)
     if not source.is_dir():
@@ -58,15 +62,15 @@ def files_of(source: Pictures) -> list[Path] | None:
 
 
 def folder_of(source: Pictures) -> Path:
-    """Return the video or folder of a source of pictures, for messages."""
+    """Return the video file or the folder of pictures, for messages."""
     return source[0].parent if isinstance(source, tuple) else source
 
 
 def masks(source: Pictures, meaning: MaskMeaning | None = None) -> Iterator[np.ndarray]:
-    """Yield the masks of a video, a folder, or a .npy (T, H, W): each (H, W) 8-bit, 255 inside.
+    """Yield masks (H, W) 8-bit, 255 inside, from a video file, a folder, or a .npy (T, H, W).
 
-    A folder may hold a .npy (H, W) a frame. ``meaning`` is that of their values; without it, what
-    all of them together say.
+    A folder may also hold a .npy (H, W) for each frame. ``meaning`` is the range of their values;
+    None: it is decided from all masks.
     """
     meaning = mask_meaning(source) if meaning is None else meaning
     for where, mask in raw_masks(source):
@@ -74,12 +78,12 @@ def masks(source: Pictures, meaning: MaskMeaning | None = None) -> Iterator[np.n
 
 
 def mask_meaning(source: Pictures) -> MaskMeaning:
-    """Return what the values of a source's masks mean."""
+    """Decide the range of the values in a source's masks."""
     return meaning_of(mask for _, mask in raw_masks(source))
 
 
 def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield a name for errors and the values (H, W) of each mask."""
+    """Yield a name for errors, and the stored values (H, W), of each mask."""
     whole = isinstance(source, Path)
     if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_by_number)):
         for path in files:
@@ -103,41 +107,41 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
 
 
 def count_of(source: Pictures) -> int:
-    """Return how many pictures a video, a folder or files hold, without decoding them."""
+    """Count the pictures of a video file, a folder or files, without decoding them."""
     files = files_of(source)
     return len(steps_of(source)[0]) + 1 if files is None else len(files)
 
 
 def uneven_pixels(source: Pictures) -> str | None:
-    """Return a note if a video is meant to be shown wider or narrower than its pictures are."""
+    """Return a note if a video file's pixels are not square."""
     if isinstance(source, tuple) or not source.is_file():
         return None
-    with open_video_file(source) as recording:
-        ratio = float(recording.streams.video[0].sample_aspect_ratio or 1)
-    if abs(np.log(ratio or 1)) < 0.01:
+    with open_video_file(source) as container:
+        ratio = float(container.streams.video[0].sample_aspect_ratio or 1)
+    if abs(np.log(ratio or 1)) < SQUARE_PIXELS:
         return None
     return (
-        f"the video's pixels are not square but {ratio:.3g} times as wide as high, and people in "
-        "it are squeezed; convert it first: ffmpeg -i VIDEO -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
+        f"the video's pixels are {ratio:.3g} times as wide as high, so that people look squeezed; "
+        "convert it first: ffmpeg -i VIDEO -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
     )
 
 
 def uneven_rate(source: Pictures) -> str | None:
-    """Return a note if a video's frame rate varies; each picture still counts as one frame."""
+    """Return a note if a video file's frame rate varies; each picture still is one frame."""
     if isinstance(source, tuple) or not source.is_file():
         return None
     varies = varying(*steps_of(source))
-    return varies and f"{varies}; each is one frame, and motion is taken as even"
+    return varies and f"{varies}; each is one frame, as if the rate were even"
 
 
 def varying(steps: np.ndarray, tick: float) -> str | None:
-    """Return words if the seconds (T − 1,) between pictures vary; ``tick`` is the clock's."""
+    """Return a sentence if the seconds (T − 1,) between pictures vary; ``tick`` is in seconds."""
     usual = float(np.median(steps)) if len(steps) else 0.0
-    # Moments are whole ticks: 30 a second are 33 or 34 ms apart where a tick is 1 ms.
-    if not len(steps) or np.abs(steps - usual).max() <= max(0.1 * usual, 1.5 * tick):
+    # Time stamps are whole ticks: with ticks of 1 ms, 30 pictures a second are 33 or 34 ms apart.
+    if not len(steps) or np.abs(steps - usual).max() <= max(EVEN_STEP * usual, 1.5 * tick):
         return None
     least, most = 1000 * steps.min(), 1000 * steps.max()
-    return f"the video's rate varies: its pictures are {least:.3g} to {most:.3g} ms apart"
+    return f"the video's frame rate varies: its pictures are {least:.3g} to {most:.3g} ms apart"
 
 
 def _numbers_in(name: object) -> list[int]:
@@ -159,7 +163,8 @@ def number_in(name: object) -> int:
 def frames_named(names: Sequence[object]) -> np.ndarray:
     """Return the frame numbers (n,) in the names of n files.
 
-    It is the last number that differs between all of them, so that ``walk_2_000001_v3`` is 1.
+    It is the last number that differs in all names; without one, the last number. In files such as
+    ``walk_2_000001_v3`` it is the 1.
 
     Raises:
         ValueError: a name has no number.
@@ -173,13 +178,13 @@ def frames_named(names: Sequence[object]) -> np.ndarray:
 def first_number(
     frames: np.ndarray, count: int, usual: int | None, pictures: Sequence[object] | None
 ) -> int:
-    """Return the number that a source gave the first of ``count`` frames.
+    """Infer the number that a source gave the video's first frame.
 
     Args:
         frames: (n,) the source's numbers.
-        count: of the video.
-        usual: the number that the program begins with; None: that of the pictures it was given.
-        pictures: their names in order; None for a video.
+        count: of the video's frames.
+        usual: the number that the program begins with; None: the number in the picture's name.
+        pictures: names of the pictures in order; None for a video file.
     """
     fits = range(int(frames.max()) - count + 1, int(frames.min()) + 1)
     if usual is None and pictures is not None:
@@ -210,6 +215,6 @@ def frame_numbers(value: Any) -> np.ndarray:  # noqa: ANN401
 
 
 def counted_from_0(names: Sequence[object]) -> list[int]:
-    """Return the numbers in names of frames; if the least is 1, they are counted from 0."""
+    """Return the numbers in names of frames; if the smallest is 1, one less each."""
     numbers = [number_in(name) for name in names]
     return [number - (min(numbers) == 1) for number in numbers]

@@ -1,24 +1,25 @@
-"""The lens of a video: assumed by an estimator, recorded in the file, or given by the user.
+"""The lens of a phone video: assumed by an estimator, recorded in the file, or given by the user.
 
 Photographs (EXIF) and videos of some phones (a QuickTime key) record the equivalent focal length on
-35 mm film. It refers to equal diagonals; that film's is 43.27 mm:
+35 mm film. It refers to equal diagonals; a picture on 35 mm film has 43.27 mm:
 
 1. ``f = millimetres · diagonal / 43.27``,   ``diagonal = √(W² + H²)`` pixels
 
-Sensors are 4:3 or 3:2. Wider pictures, such as 16:9, are cut from one of 4:3 whose longer side they
-show whole: its diagonal counts, 5/4 of that side. What stabilisation cuts off is not recorded: a
-phone's video has a focal length up to a fifth longer than eq. 1.
+Sensors are 4:3 or 3:2. A wider picture, such as 16:9, is cut from a 4:3 picture with the same
+longer side, so the diagonal is 5/4 of that side. Stabilisation cuts off more, which is not
+recorded: a phone's video has a focal length up to a fifth longer than eq. 1.
 
-A place x before the lens f, c, seen at the pixel u, has before another lens f', c' the place
+A point x that a lens f, c sees at the pixel u is seen at the same pixel by another lens f', c' if
+it moves to
 
 2. ``z' = z f' / f``,   ``x' = (u − c') z' / f'``,   y alike
 
-at the same pixel, with as many pixels a metre. f is the geometric mean of both focal lengths.
+where it also has as many pixels a metre. f is the geometric mean of both focal lengths of a lens.
 
-FFmpeg reads the keys of a QuickTime video, but not those of its tracks, where phones record the
-lens. A video is boxes in boxes, each its size, four letters, and contents. ``moov``, and each
-``trak`` in it, may hold a ``meta`` with two lists: ``keys`` has names, ``ilst`` values, each under
-the number of its name (Apple, *QuickTime File Format*, "Metadata").
+FFmpeg reads the keys of a QuickTime file, but not the keys of its tracks, where phones record the
+lens. The file is a tree of boxes: size, four letters, content. ``moov``, and each ``trak`` in it,
+may hold a ``meta`` with two lists: ``keys`` has names, and ``ilst`` has values, each under the
+number of its name (Apple, *QuickTime File Format*, "Metadata").
 """
 
 from __future__ import annotations
@@ -80,10 +81,10 @@ def rescaled(where: str, K: np.ndarray, of: Sequence[float], size: tuple[int, in
 
 
 def usual_lens(K: np.ndarray) -> np.ndarray:
-    """Return K (3, 3) of a lens that is likely for pictures that lenses (n, 3, 3) belong to.
+    """Return K (3, 3) of a usual lens for pictures that lenses (n, 3, 3) belong to.
 
-    Its axis is where theirs is on the median. A picture of twice that is seen under 53 degrees
-    along its diagonal, as by a camera of 43 mm.
+    Its axis is the median of theirs, taken as the picture's middle. The picture's diagonal is seen
+    under 53 degrees, as by a 43 mm lens on 35 mm film.
     """
     cx, cy = np.median(K[:, :2, 2], axis=0)
     focal = 2 * max(np.hypot(cx, cy), 1.0)
@@ -96,9 +97,9 @@ def is_one_lens(K: np.ndarray) -> bool:
 
 
 def seen_alike(places: np.ndarray, K: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return where (n, 3) metres through the lens ``other`` shows the picture of ``K`` (eq. 2).
+    """Move places (n, 3), metres, so that the lens ``other`` sees them as ``K`` did (eq. 2).
 
-    ``places`` are (n, 3); both lenses (3, 3) or (n, 3, 3).
+    Both lenses are (3, 3) or (n, 3, 3).
     """
     K, other = (np.broadcast_to(x, (len(places), 3, 3)) for x in (K, other))
     f, axes, middle = _parts(K)
@@ -124,13 +125,13 @@ def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
 
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
-    """Return the focal length (pixels) recorded in the video or first picture; None without one."""
+    """Return the focal length (pixels) recorded in the video file or first picture; or None."""
     found = in_pixels(recorded_35mm(source) or 0.0, size)
     return found if found in FOCAL_IN_PIXELS else None
 
 
 def recorded_35mm(source: Pictures) -> float | None:
-    """Return the 35 mm focal length (mm) that the video or first picture records, if it does."""
+    """Return the 35 mm focal length (mm) recorded in the video file or first picture; or None."""
     files, found = files_of(source), 0.0
     if files is None:
         found = quicktime_numbers(source).get(_QUICKTIME_FOCAL, 0)
@@ -145,7 +146,7 @@ def recorded_35mm(source: Pictures) -> float | None:
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
     """Parse a user's focal length to pixels: pixels, "26mm" of 35 mm film, or "recorded".
 
-    ``of_file`` is what the video of ``size`` (W, H) records, in pixels.
+    ``of_file`` is the recorded one, pixels, of a video of ``size`` (W, H).
     """
     if text == RECORDED and of_file is None:
         raise InputError(
@@ -203,9 +204,9 @@ def undistort(
 
 
 def quicktime_numbers(path: Path) -> dict[str, float]:
-    """Return the keys whose values are numbers; none for a file that is no QuickTime video.
+    """Return the numbers in a QuickTime file's metadata by their keys; empty for another file.
 
-    The video's own keys win over those of its tracks, and the first track's over the others'.
+    Keys of the file win over keys of its tracks, and the first track wins over later ones.
     """
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as held:

@@ -1,7 +1,7 @@
 """A subject opened for a step: video, body and poses that belong together.
 
-Every step that starts from a subject's folder opens it by :func:`open_subject`, so that they all
-find the same files, and refuse or warn of the same faults before any work.
+Every step that starts from a subject's folder calls :func:`open_subject`. So all steps use the same
+files, and report the same faults before they start to work.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class OpenedSubject:
     """A subject's folder, opened."""
 
     folder: Path
-    video: Video  # under these poses
-    model: BodyModel  # of these poses
-    poses: Path  # their file
-    body: Path | None  # the file of the body; None: the built-in body
+    video: Video  # with the poses below
+    model: BodyModel  # that the poses are for
+    poses: Path  # file of the poses
+    body: Path | None  # file of the body; None: the built-in body
 
 
 def open_subject(
@@ -35,15 +35,13 @@ def open_subject(
     body: Path | str | None = None,
     normals: str | None = None,
 ) -> OpenedSubject:
-    """Open a subject's folder.
-
-    A line is printed if the body does not stand where the masks are.
+    """Open a subject's folder; print a warning if the posed body does not overlap the masks.
 
     Args:
         folder: the folder.
-        poses: a file of poses; without it the refined poses, else those of stage 1.
-        body: a body file; without it the one that the subject was prepared for, else the built-in.
-        normals: how the normals were made (:mod:`gva_mi.subject.normals`).
+        poses: a file of poses; None: the refined poses if they exist, otherwise stage 1's.
+        body: a body file; None: the one that the subject was prepared for, or the built-in body.
+        normals: how the normals were made (:mod:`gva_mi.subject.normals`); None: as recorded.
 
     Raises:
         InputError: a file is missing or wrong, or the poses belong to another body.
@@ -58,9 +56,9 @@ def open_subject(
 
 
 def body_of(folder: Path, given: Path | str | None = None) -> Path | None:
-    """Return the file of the given body; without it the one that a subject was prepared for.
+    """Return the given body's file, or that of the body that a subject was prepared for.
 
-    None is the built-in body.
+    The result is None for the built-in body.
 
     Raises:
         InputError: the file does not exist any more.
@@ -70,16 +68,14 @@ def body_of(folder: Path, given: Path | str | None = None) -> Path | None:
     found = prepared_body(folder)
     if found is not None and not found.exists():
         raise InputError(
-            f"{folder}: was prepared for the body {found}, which is gone; give it with --body"
+            f"{folder}: was prepared for the body {found}, which does not exist any more; pass "
+            "its new path with --body"
         )
     return found
 
 
 def _poses_of(folder: Path, given: Path | str | None) -> Path:
-    """Return the file of the given poses; without it the refined poses, else stage 1's.
-
-    Unrefined poses are no error, but a line mentions them.
-    """
+    """Return the given file of poses, or the refined poses, or stage 1's with a printed note."""
     if given is not None:
         return Path(given)
     if not (folder / REFINED_POSES).exists():

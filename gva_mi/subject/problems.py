@@ -1,4 +1,4 @@
-"""What is wrong with a subject's folder, or with a video, in words and figures: ``Problem``."""
+"""``Problem`` and ``CheckReport``: what is wrong with a subject's folder, or with a video."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Problem:
 
     severity: Literal["error", "doubtful"]  # errors spoil the results; doubtful things may
     what: str  # the same few words for the same fault
-    figure: str  # what was measured, with its unit; or where, what, and what was expected
+    figure: str  # what was measured, with its unit; or a reader's error
     cause: str
     remedy: str
-    frames: Iterable[int] = ()  # empty if it is about no frame in particular
+    frames: Iterable[int] = ()  # empty: it concerns no frame in particular
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frames", tuple(map(int, self.frames)))
@@ -67,7 +67,7 @@ class CheckReport:
 
 
 class Faults:
-    """The errors of readers, each of which would stop a step; one problem for all frames alike."""
+    """Collects the errors of readers, which would stop any other step, as problems."""
 
     def __init__(self) -> None:
         self._found: list[tuple[str, int | None, str]] = []  # what is read, frame, error
@@ -75,7 +75,10 @@ class Faults:
     def attempt(
         self, what: str, frame: int | None, read: Callable[..., T], *given: object
     ) -> T | None:
-        """Read something, of a frame or of the whole folder; None if it is refused."""
+        """Call ``read(*given)``; on an InputError keep it and return None.
+
+        ``what`` says what is read; ``frame`` is its number, or None for the whole folder.
+        """
         try:
             return read(*given)
         except InputError as refused:
@@ -83,9 +86,9 @@ class Faults:
             return None
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what was refused: for all frames of a kind the first error."""
-        cause = "a file is missing, damaged, of another form, or of another video"
-        remedy = "write it again in the form that docs/own_video.md describes"
+        """Yield a problem for each error; for many frames, one problem with the first error."""
+        cause = "a file is missing, damaged, in an unexpected format, or of another video"
+        remedy = "write it again in the format that docs/own_video.md describes"
         of_frames: dict[str, dict[int, str]] = {}
         for what, frame, reason in self._found:
             if frame is None:

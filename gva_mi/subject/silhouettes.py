@@ -1,6 +1,7 @@
-"""Does the body stand where the masks are? Both are compared frame by frame, at a reduced size.
+"""Compare the posed body with the masks, frame by frame, at a reduced size.
 
-:func:`sanity_check` asks this quickly before hours of work; ``gva-mi check`` looks at all frames.
+:func:`sanity_check` does this in seconds before a step starts; ``gva-mi check`` does it for all
+frames.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ MASK_COLOR = (0.1, 0.75, 0.35)  # RGB in [0, 1]: green, beside the body's orange
 
 @dataclass(frozen=True)
 class BodyAndMask:
-    """The body and the mask of one frame. An inverted mask is compared as it is meant."""
+    """How well body and mask of a frame agree. An inverted mask is inverted back first."""
 
-    joints: tuple[int, int]  # of root and body: in the mask, in the picture
+    joints: tuple[int, int]  # how many of root and body lie in the mask, and in the picture
     overlap: float  # IoU of both silhouettes
     size: float  # of the mask, relative to the body; NaN if the border cuts it
-    full: bool  # the mask shows nothing but the person
-    inverted: bool  # the mask shows the background instead of the person
+    full: bool  # the mask covers the whole picture
+    inverted: bool  # the mask covers the background
 
 
 @torch.no_grad()
@@ -57,7 +58,7 @@ def compare(
 ) -> BodyAndMask:
     """Compare a body with the mask (H, W) of a frame.
 
-    Without a ``scene`` of the body, its vertices stand for its silhouette, and nothing is rendered.
+    Without a ``scene`` of the body nothing is rendered: pixels with a vertex are its silhouette.
     """
     from PIL import Image
 
@@ -119,7 +120,7 @@ def count_in_mask(pixels: np.ndarray, mask: np.ndarray) -> tuple[int, int]:
 
 
 def sanity_check(video: Video, body: BodyModel) -> str | None:
-    """Return a warning if the video's body does not stand where its masks are, else None."""
+    """Return a warning if the video's body does not lie in its masks, else None."""
     frames = [k for k in range(len(video)) if k not in video.absent]
     outlines = video.outlines(spread(frames, COMPARED_FRAMES))
     doubt = doubt_of(((x.pose, x.camera, x.mask) for x in outlines), video.shape, body)
@@ -130,7 +131,7 @@ def sanity_check(video: Video, body: BodyModel) -> str | None:
 def doubt_of(
     frames: Iterable[tuple[Pose, Camera, np.ndarray]], shape: Shape, body: BodyModel
 ) -> str | None:
-    """Return a doubt if the body is not where the masks (H, W) of frames are, else None.
+    """Return a warning if the body does not lie in the masks (H, W) of frames, else None.
 
     Joints beyond the picture's edge are ignored, because many videos end at the hips.
     """

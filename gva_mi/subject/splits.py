@@ -47,12 +47,10 @@ class Splits:
 
     @staticmethod
     def of_video(frames: int) -> Splits:
-        """Make every 8th frame a test frame, and a tenth of all a held-out range.
+        """Make every 8th frame a test frame, and a tenth of all frames a held-out range.
 
-        Of a long video fewer, at most 16 each.
-
-        The range lies in the middle of the second half, where a person who turns once shows a side
-        that the first half has shown.
+        A long video has fewer: at most 16 each. The range lies in the middle of the second half. A
+        person who turns around once has shown this side in the first half, too.
         """
         count = min(max(1, frames // 10), TEST_FRAMES_LIMIT)
         first = min(frames - count, 3 * frames // 4 - count // 2)
@@ -66,7 +64,7 @@ class Splits:
         return Splits(train, sorted(test), list(held_out))
 
     def to_json(self) -> dict[str, list[int]]:
-        """Return what ``splits.json`` holds; no range where there is none."""
+        """Return the content of ``splits.json``; without the range if it is empty."""
         record = asdict(self)
         return record if self.held_out_range else {n: record[n] for n in ("train", "test")}
 
@@ -92,9 +90,9 @@ def load_splits(folder: Path, frames: int) -> Splits:
         "frame {} does not exist": [k for k in (*train, *test) if not 0 <= k < frames],
         "frame {} of the held-out range is no test frame": sorted(set(held_out) - set(test)),
         "frame {} is in both": sorted(set(train) & set(test)),
-        "frame {} is there twice": [
+        "frame {} is listed twice": [
             k for split in (train, test) for k, times in Counter(split).items() if times > 1],
-        "no train frame": [] if train else [None],
+        "there is no train frame": [] if train else [None],
     }  # fmt: skip
     for fault, wrong in faults.items():
         if wrong:
@@ -104,7 +102,7 @@ def load_splits(folder: Path, frames: int) -> Splits:
 
 
 def spread(indices: Iterable[int], count: int) -> list[int]:
-    """Return at most ``count`` of some frame numbers, evenly spaced."""
+    """Choose at most ``count`` frame numbers, evenly spaced."""
     indices = list(indices)
     chosen = np.linspace(0, len(indices) - 1, min(count, len(indices))).round().astype(int)
     return [indices[k] for k in chosen]

@@ -1,11 +1,10 @@
-"""``Video`` and ``Frame``, the input of every step: a subject's folder, opened and checked.
+"""``Video`` and ``Frame``, the input of every step; :func:`load_video` reads a subject's folder.
 
-:mod:`gva_mi.subject.folder` says which files it holds.
+:mod:`gva_mi.subject.folder` lists the files. Pictures, masks and normals of single frames may be
+missing. A frame without a picture, or with a missing or empty mask, is *absent*: it belongs to no
+split, and no step changes its pose.
 
-Pictures, masks and normals of single frames may be missing. A frame without a picture, or whose
-mask is missing or empty, is *absent*: it belongs to no split, and its pose stays as it is.
-
-Everything is checked once when it is opened, so that no step stops half-way for a bad file.
+All files are checked when the folder is opened, so that no step stops half-way at a bad file.
 """
 
 from __future__ import annotations
@@ -71,33 +70,33 @@ class Frame:
 
 @dataclass(frozen=True)
 class Outline:
-    """A frame without its picture, which takes longest to read."""
+    """A frame without its picture, which would take longest to read."""
 
     index: int
     mask: np.ndarray  # (H, W) float32 in [0, 1]
-    normals: Callable[[Part], np.ndarray | None]  # of a part of the frame, otherwise as in Frame
+    normals: Callable[[Part], np.ndarray | None]  # reads a part of the frame's normals
     camera: Camera
     pose: Pose  # of one frame
 
 
 @dataclass(frozen=True)
 class Video:
-    """A monocular video with its masks, cameras and poses."""
+    """A subject's video: pictures of one camera with masks, cameras and poses."""
 
     folder: Path
     cameras: list[Camera]
     pose: Pose
     shape: Shape
     splits: Splits
-    _images: Sequence[np.ndarray] = field(repr=False)  # a video, or [] to read frames/ one by one
-    normals: NormalMaps | None = None  # of some frames; None: of none
-    absent: Mapping[int, str] = field(default_factory=dict)  # frames that say nothing, and why
-    stage: int = 1  # who made the poses: gva_mi.body.pose.PoseFile
-    offsets: Tensor | None = None  # (V, 3) of the rest surface, which the file of poses holds
-    landmarks: Landmarks | None = None  # of all frames, where a network found them
-    kind: str | None = None  # what stage 1 was prepared from, such as "video", if it is known
-    fps: float | None = None  # frames a second of a prepared video, if they are known
-    shrink: int = 1  # pixels of a file, each way, that are one pixel here
+    _images: Sequence[np.ndarray] = field(repr=False)  # video.mp4; [] reads frames/ one by one
+    normals: NormalMaps | None = None  # None: no frame has normals
+    absent: Mapping[int, str] = field(default_factory=dict)  # frames that cannot be used, and why
+    stage: int = 1  # that made the poses: gva_mi.body.pose.PoseFile
+    offsets: Tensor | None = None  # (V, 3) metres, of the rest surface, from the file of poses
+    landmarks: Landmarks | None = None  # of all frames
+    kind: str | None = None  # of the source of poses.npz, as in prepare.json; None: unknown
+    fps: float | None = None  # frames a second, as in prepare.json; None: unknown
+    shrink: int = 1  # side, in pixels of a file, of the square that is one pixel here
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -142,7 +141,7 @@ class Video:
     def shrunk(self, factor: int) -> Video:
         """Return the video with pictures that are ``factor`` times smaller, without normals.
 
-        A pixel is the mean of those it stands for; what is left over at the right and below is cut.
+        A pixel is the mean of a square. Incomplete squares at the right and the bottom are cut off.
         """
         if factor == 1:
             return self
@@ -165,7 +164,7 @@ class Video:
         return self.offsets
 
     def require_train_frames(self) -> None:
-        """Raise an InputError without a train frame, for steps that train on some."""
+        """Raise an InputError if there is no train frame."""
         if not self.splits.train:
             k, reason = next(iter(self.absent.items()))
             raise InputError(f"{self.folder}: no train frame can be used; frame {k}: {reason}")
@@ -186,7 +185,7 @@ class Video:
         return mask
 
     def truly_cut(self, frame: Frame) -> Frame:
-        """Return one of its frames with the ground-truth mask, where that is known."""
+        """Return a frame with its ground-truth mask, if that is known."""
         mask = self.true_mask(frame.index)
         return frame if mask is None else replace(frame, mask=mask)
 
@@ -196,11 +195,11 @@ def load_video(
     poses: Path | None = None,
     normals: Convention | Literal["none"] | None = None,
 ) -> Video:
-    """Open a subject's folder and check everything in it.
+    """Read a subject's folder and validate all of its files.
 
     Args:
-        folder: in the format above.
-        poses: another file of poses than ``folder/poses.npz``, such as the refined ones.
+        folder: in the format of :mod:`gva_mi.subject.folder`.
+        poses: the file of poses, such as the refined ones; None: ``folder/poses.npz``.
         normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
 
     Raises:
@@ -267,11 +266,11 @@ def read_video(
 def _open_pictures(
     folder: Path, attempt: Callable[..., Any]
 ) -> tuple[VideoFile | list[np.ndarray], dict[int, tuple[int, int]]]:
-    """Open the video ([] for frame files), and return the size (W, H) of each existing frame."""
+    """Open ``video.mp4`` ([] for ``frames/``); also return the size (W, H) of each picture."""
     files = sorted((folder / FRAMES).glob("*.png"))
     if not files:
-        recording = attempt("pictures", None, _open_video_file, folder)
-        return ([], {}) if recording is None else (recording, dict(enumerate(recording.sizes)))
+        video_file = attempt("pictures", None, _open_video_file, folder)
+        return ([], {}) if video_file is None else (video_file, dict(enumerate(video_file.sizes)))
     for path in files:
         if not is_frame_name(path):
             attempt("pictures", None, _refuse, f"{path}: frames are numbered, such as 000000.png")
@@ -283,7 +282,7 @@ def _open_pictures(
 
 def _open_video_file(folder: Path) -> VideoFile:
     if not (folder / VIDEO).exists():
-        raise InputError(f"{folder}: neither frames/000000.png ... nor video.mp4 is there")
+        raise InputError(f"{folder}: no pictures; expected frames/000000.png ... or video.mp4")
     return VideoFile(folder / VIDEO)
 
 
@@ -303,7 +302,7 @@ def _refuse(reason: str) -> None:
 
 @once_a_file
 def _why_absent(file: Path, width: int, height: int) -> str:
-    """Return the reason why a frame cannot be used; empty if it can."""
+    """Return the reason why a frame is absent, judged by its mask; empty if it can be used."""
     folder, index = file.parent, int(file.stem)
     mask = read_mask(folder, index)
     if mask is None:

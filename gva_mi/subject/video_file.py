@@ -1,8 +1,8 @@
-"""Videos: any picture of a video file, with few in memory; their colours; how they are written.
+"""Read any picture of a video file with few in memory, as sRGB; write video files.
 
-Opening a file decodes all of it once, because damage shows nowhere else, and notes the time stamps.
-The last pictures that were decoded in a row stay in memory as the decoder left them, most in half
-the bytes of an RGB array. Any other is decoded on demand, from the key picture before it.
+Opening a file decodes all of it once, which finds any damage, and keeps the time stamps. The
+pictures that were decoded last stay in memory in the decoder's format, mostly half as large as RGB.
+Other pictures are decoded on demand, from the key frame before them.
 
 **Colours** are sRGB of 8 bits, whatever the video was recorded in.
 
@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -56,6 +56,14 @@ _ENCODINGS = {  # codec, pixel format and options
 KEPT_BYTES = 1 << 27  # of decoded pictures. Chosen: 43 pictures of 1920 x 1080 in 4:2:0
 
 
+class _Position(NamedTuple):
+    """Where a decoder stands in a file."""
+
+    number: int  # of the next picture
+    frames: Iterator[Any]  # from there on
+    container: Any  # the open file
+
+
 class VideoFile(Sequence[np.ndarray]):
     """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
 
@@ -65,7 +73,7 @@ class VideoFile(Sequence[np.ndarray]):
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
         self._keys: list[int] = []  # numbers of the key pictures
-        self._at: tuple[int, Iterator[Any], Any] | None = None  # number of the next one
+        self._at: _Position | None = None  # None: no decoder is open
         self._near, self._kept = _Near(kept), kept
         with open_video_file(self.path) as container:
             self._tick = float(container.streams.video[0].time_base or 0)
@@ -98,16 +106,18 @@ class VideoFile(Sequence[np.ndarray]):
         if index in self._near:
             return self._near.rgb(index)
         key = self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
-        if self._at is None or not key <= self._at[0] <= index:
+        if self._at is None or not key <= self._at.number <= index:
             self._seek(index)
         number, frames, container = self._at
         for frame in frames:
-            self._at = (number + 1, frames, container)
+            self._at = _Position(number + 1, frames, container)
             self._near.put(number, frame)
             if number == index:
                 return self._near.rgb(index)
             number += 1
-        raise InputError(f"{self.path}: picture {index} was there, and cannot be decoded any more")
+        raise InputError(
+            f"{self.path}: picture {index} was decoded before, but now fails; was the file changed?"
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the open file; another process opens its own."""
@@ -116,7 +126,7 @@ class VideoFile(Sequence[np.ndarray]):
     def _seek(self, index: int) -> None:
         """Go to the key picture at or before a picture, or to the start."""
         if self._at is not None:
-            self._at[2].close()
+            self._at.container.close()
         # A decoder's memory is freed with its last picture, so drop all of the old decoder's.
         self._at, self._near = None, _Near(self._kept)
         known = {moment: k for k, moment in enumerate(self._moments)}
@@ -128,11 +138,11 @@ class VideoFile(Sequence[np.ndarray]):
             first = next(frames, None)
             number = None if first is None else known.get(first.pts)
             if number is not None and number <= index:
-                self._at = (number, chain([first], frames), container)
+                self._at = _Position(number, chain([first], frames), container)
                 return
             container.close()
         container = open_video_file(self.path)
-        self._at = (0, self._decoded(container), container)
+        self._at = _Position(0, self._decoded(container), container)
 
     def _decoded(self, container: Any) -> Iterator[Any]:  # noqa: ANN401 (an import costs everybody)
         with decoding(self.path):
@@ -174,7 +184,7 @@ def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _decoded)
 
 
 def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """Yield the frames of a video."""
+    """Yield the decoded frames of a video file."""
     count = 0
     with decoding(path), open_video_file(path) as container:
         for frame in container.decode(video=0):
@@ -186,7 +196,7 @@ def decoded(path: Path) -> Iterator[av.VideoFrame]:
 
 
 def open_video_file(path: Path) -> av.container.InputContainer:
-    """Open a video whose pictures have an acceptable size."""
+    """Open a video file; refuse one without pictures, or with too large ones."""
     import av
 
     with decoding(path):
@@ -225,7 +235,7 @@ def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
 
 
 def size_of(frame: av.VideoFrame) -> tuple[int, int]:
-    """Return the size (W, H) of the picture that :func:`pixels_of` returns."""
+    """Return the size (W, H) of a frame that is turned as its metadata say."""
     size = frame.width, frame.height
     return size[::-1] if _quarter_turns(frame) % 2 else size
 
@@ -236,7 +246,7 @@ def _quarter_turns(frame: av.VideoFrame) -> int:
 
 
 def steps_of(path: Path) -> tuple[np.ndarray, float]:
-    """Return the seconds (T − 1,) between a video's pictures, and one tick of its clock."""
+    """Return the seconds (T − 1,) between a video file's pictures, and one tick of its clock."""
     import av
 
     with decoding(path), av.open(str(path)) as container:
@@ -281,7 +291,7 @@ def rgb_of(
 ) -> np.ndarray:
     """Return a frame as sRGB, (H, W, 3) 8-bit, not turned; it may share the frame's memory.
 
-    ``converter`` is reused for frames alike; each keeps tables.
+    ``converter`` is reused for similar frames, because each converter keeps tables.
     """
     from av.video.reformatter import Colorspace, VideoReformatter
 
@@ -293,7 +303,7 @@ def rgb_of(
             or min(frame.width, frame.height) >= HD_HEIGHT
         )
         matrix = Colorspace.BT2020 if wide_gamut else Colorspace.ITU709 if large else None
-    # More than 8 bits go by 16: the converter would cut them off, up to 2 levels too dark.
+    # Convert more than 8 bits to 16, because the converter to 8 truncates, up to 2 levels too dark.
     deep = any(component.bits > 8 for component in frame.format.components)
     kind = "rgb48le" if deep or wide_gamut or frame.color_trc in HDR else "rgb24"
     found = (converter or VideoReformatter()).reformat(frame, format=kind, src_colorspace=matrix)

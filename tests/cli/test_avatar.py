@@ -159,7 +159,7 @@ def test_segment_anything_helps_to_find_the_masks(filmed, tmp_path, cli, monkeyp
 
 
 SENTENCES = {
-    "no video": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such video or folder of pictures"),
+    "no video": (("avatar", "x.mp4", "--out", "me"), "x.mp4: no such video file or folder"),
     "no body": (("avatar", "{video}", "--out", "me", "--body", "b.npz"), "b.npz: no such file"),
     "height": (("avatar", "{video}", "--out", "me", "--height", 175), "from 0.4 to 2.6 metres"),
     "not of videos": (

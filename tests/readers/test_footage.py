@@ -82,7 +82,7 @@ def test_ten_bits_are_read_as_eight(tmp_path):
 
 def test_pixels_that_are_not_square_are_said(tmp_path):
     squeezed = recording(tmp_path / "wide.mp4", 2, codec="libx264", form="yuv420p", aspect="4/3")
-    assert "not square but 1.33 times as wide as high" in uneven_pixels(squeezed)
+    assert "pixels are 1.33 times as wide as high" in uneven_pixels(squeezed)
     assert (
         uneven_pixels(recording(tmp_path / "a.mp4", 2)) is None and uneven_pixels(tmp_path) is None
     )

@@ -77,7 +77,7 @@ def test_later_steps_take_the_body_that_was_prepared_for(wham, tmp_path, cli, se
     (tmp_path / "taller.npz").unlink()
     err = cli.fails("refine", subject)
     assert err.count("\n") == 1
-    assert f"was prepared for the body {tmp_path}/taller.npz, which is gone" in err
+    assert f"was prepared for the body {tmp_path}/taller.npz, which does not exist" in err
     assert sorted(subject.rglob("*")) == before
 
 

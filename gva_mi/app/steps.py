@@ -41,10 +41,10 @@ from gva_mi.fit.photometric import (
 )
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.readers.own_masks import MaskOptions
-from gva_mi.refine.observed_video import RefineOptions
+from gva_mi.refine import RefineOptions
 from gva_mi.refine.refine import refine_all
 from gva_mi.refine.sequence import SequenceOptions
-from gva_mi.stage1.prepare import RecordingOptions, prepare_video
+from gva_mi.stage1.prepare import PrepareVideoOptions, prepare_video
 from gva_mi.subject.check import check_subject
 from gva_mi.subject.folder import POSES, PREPARED, REFINED_POSES
 from gva_mi.subject.opened import body_of, open_subject
@@ -55,7 +55,7 @@ from gva_mi.subject.video import load_video
 def prepare(
     recording: Path | str,
     out: Path | str,
-    options: RecordingOptions = RecordingOptions(),  # noqa: B008 (frozen)
+    options: PrepareVideoOptions = PrepareVideoOptions(),  # noqa: B008 (frozen)
     own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
     *,
     person: int | None = None,

@@ -34,8 +34,8 @@ from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine.sequence import SequenceOptions
-from gva_mi.stage1.prepare import RecordingOptions, Stage1Record
-from gva_mi.stage1.video_check import check_recording
+from gva_mi.stage1.prepare import PrepareVideoOptions, Stage1Record
+from gva_mi.stage1.video_check import check_video
 from gva_mi.subject.folder import (
     CAMERAS,
     FRAMES,
@@ -111,7 +111,7 @@ class AvatarEffort:
 def avatar(
     recording: Path | str,
     out: Path | str,
-    options: RecordingOptions = RecordingOptions(),  # noqa: B008 (frozen)
+    options: PrepareVideoOptions = PrepareVideoOptions(),  # noqa: B008 (frozen)
     effort: AvatarEffort = AvatarEffort(),  # noqa: B008 (frozen)
     own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
     *,
@@ -274,7 +274,7 @@ def _check(subject: Path, body: Path | None) -> None:
     report, record = check(subject, body=body), Stage1Record.load(subject)
     video = load_video(subject)
     with bar("check") as progress:
-        found = check_recording(
+        found = check_video(
             video, load_body(body), video.landmarks, record.fps, record.crowded, progress
         )
     found = CheckReport(report.frames, list(found), [], report.figures)

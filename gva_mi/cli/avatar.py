@@ -12,12 +12,12 @@ from gva_mi.app import AvatarEffort, DemoOptions
 from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
 from gva_mi.core.options import Within
 from gva_mi.readers.own_masks import MaskOptions
-from gva_mi.stage1.prepare import RecordingOptions
+from gva_mi.stage1.prepare import PrepareVideoOptions
 
 
 def avatar(
     recording: Positional[Path],
-    video_options: Flat[RecordingOptions] = RecordingOptions(),  # noqa: B008 (frozen)
+    video_options: Flat[PrepareVideoOptions] = PrepareVideoOptions(),  # noqa: B008 (frozen)
     effort: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
     own_masks: Flat[MaskOptions] = MaskOptions(),  # noqa: B008 (frozen)
     *,

@@ -20,7 +20,7 @@ from gva_mi.readers.estimators import KINDS
 from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_motion
 from gva_mi.readers.prepare import PrepareOptions, prepare_folder
 from gva_mi.readers.target_body import TargetBody
-from gva_mi.stage1.prepare import RecordingOptions, RecordingSource, motion_of_video
+from gva_mi.stage1.prepare import PrepareVideoOptions, VideoSource, motion_of_video
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import PREPARED
 
@@ -38,7 +38,7 @@ def prepare(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[PrepareOptions] = PrepareOptions(),  # noqa: B008 (frozen)
-    recording: Flat[RecordingOptions] = RecordingOptions(),  # noqa: B008 (frozen)
+    recording: Flat[PrepareVideoOptions] = PrepareVideoOptions(),  # noqa: B008 (frozen)
     *,
     overwrite: Switch = False,
 ) -> None:
@@ -84,7 +84,7 @@ def motion(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
-    recording: Flat[RecordingSource] = RecordingSource(),  # noqa: B008 (frozen)
+    recording: Flat[VideoSource] = VideoSource(),  # noqa: B008 (frozen)
     *,
     lens: str | None = None,
     body: Path | None = None,
@@ -110,7 +110,7 @@ def motion(
     target = TargetBody.read(body)
     of_video = [*given(recording).values(), *(["--lens"] if lens else [])]
     if source.suffix.lower() in VIDEO_FILES:
-        known = RecordingOptions(**vars(recording))
+        known = PrepareVideoOptions(**vars(recording))
         found = _of_video(source, known, lens, target, options)
     elif of_video:
         raise InputError(
@@ -126,7 +126,7 @@ def motion(
 
 def _of_video(
     recording: Path,
-    known: RecordingOptions,
+    known: PrepareVideoOptions,
     lens: str | None,
     body: TargetBody,
     options: MotionOptions,

@@ -22,7 +22,7 @@ from gva_mi.core.tasks import local_executor
 from gva_mi.evaluate.figures import Table, pivot, table, to_json
 from gva_mi.prior.stature import PERSON_HEIGHTS
 from gva_mi.readers.world import Axis, axis_of
-from gva_mi.stage1.prepare import RecordingOptions
+from gva_mi.stage1.prepare import PrepareVideoOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
@@ -153,7 +153,7 @@ def _multiview(what: MultiviewChoice) -> None:
     """Solve the videos, then print and write a row for each camera."""
     if what.json_file is not None:
         require_room(what.json_file, overwrite=True)
-    options = RecordingOptions(height=what.height)
+    options = PrepareVideoOptions(height=what.height)
     with bar("study") as progress:
         figures = multiview(
             what.recordings, what.calibration, load_body(), options, axis_of(what.up),

@@ -29,7 +29,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.refine.evidence import hand_vertices
+from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.subject.ground_truth import GroundTruth
 
 _BODY_JOINTS = 22  # of trunk and limbs, the first ones; finger joints would outnumber them

@@ -45,8 +45,8 @@ from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats
-from gva_mi.prior.inference import AXES
-from gva_mi.refine.observed_video import RefineOptions
+from gva_mi.prior.inference import PLACE_AXES
+from gva_mi.refine import RefineOptions
 from gva_mi.refine.refine import Refined
 from gva_mi.splat import Camera
 from gva_mi.subject.crop import Box, NoEvidence, points_extent
@@ -247,7 +247,7 @@ def describe(measured: MeasuredRefinement) -> Iterator[str]:
         yield f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}"
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
-    yield from describe_prior(refined.noise, refined.contact)
+    yield from describe_prior(refined.error_models, refined.contact)
     for found in pose_tables(measured.figures()):
         yield from aligned([found.head, *found.rows])
     yield f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}"
@@ -260,7 +260,7 @@ def describe_prior(
     if not noise:
         return
     turns = ", ".join(f"{name} {np.degrees(noise[name].size):.1f}°" for name in GROUPS)
-    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in AXES)
+    places = " and ".join(f"{1000 * noise[name].size:.0f} mm {name}" for name in PLACE_AXES)
     moving = ", more in motion" if any(n.lag for n in noise.values()) else ""
     yield f"stage 1     errs by {turns}; by {places}{moving}"
     white = ", ".join(f"{name} {np.degrees(noise[name].white):.1f}°" for name in GROUPS)
@@ -283,7 +283,7 @@ def write_refinement(measured: MeasuredRefinement) -> None:
     record = {
         "figures": to_json(figures),
         "points": None if truth is None else "joints" if truth.foreign else "vertices",
-        "stage1_errors": {name: asdict(noise) for name, noise in refined.noise.items()},
+        "stage1_errors": {name: asdict(noise) for name, noise in refined.error_models.items()},
         "footing": None if refined.contact is None else asdict(refined.contact),
         "swapped": refined.swapped,
         "test_frames": "held out" if held_out else "seen",

@@ -64,7 +64,7 @@ from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
 from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.prior.anatomy import Anatomy
-from gva_mi.prior.stage1_poses import Stage1
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut, join
 from gva_mi.refine.optimize import (
     DescentOptions,
@@ -73,9 +73,9 @@ from gva_mi.refine.optimize import (
     Passes,
     PriorWeight,
     descend,
-    lever_arms,
     worse_frames,
 )
+from gva_mi.refine.vector_adam import lever_arms
 from gva_mi.splat import Camera, render
 from gva_mi.subject.crop import NoEvidence, gather, person_extent
 from gva_mi.subject.pictures import in_8_bits
@@ -318,7 +318,7 @@ def _evidence(
     """Return the evidence of a clip. Its faces start as given or at the smoother MAP estimate,
     whichever fits the pictures better."""
     frames = sorted(seen)
-    stage1 = Stage1.of(pose, frames, seen[frames[0]].camera)
+    stage1 = Stage1Poses.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
     starts = [
         PictureEvidence(avatar, seen, options, face, arms)

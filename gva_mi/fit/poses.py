@@ -55,10 +55,11 @@ from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.inference import updated_process
 from gva_mi.prior.process import ProcessPrior
-from gva_mi.prior.stage1_poses import Stage1, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
 from gva_mi.refine.clips import cut
 from gva_mi.refine.corrections import Corrections
-from gva_mi.refine.optimize import PriorWeight, Steps, VectorAdam, lever_arms, optimiser
+from gva_mi.refine.optimize import PriorWeight, Steps, optimiser
+from gva_mi.refine.vector_adam import VectorAdam, lever_arms
 from gva_mi.splat import Camera
 
 JAW = JOINTS.index("jaw")
@@ -82,11 +83,11 @@ class Face:
         parts: the jaw and the expression, if they were estimated.
     """
 
-    def __init__(self, stage1: Stage1, parts: Sequence[FacePart]) -> None:
+    def __init__(self, stage1: Stage1Poses, parts: Sequence[FacePart]) -> None:
         self._stage1, self.parts = stage1, parts
 
     @staticmethod
-    def map_estimate(stage1: Stage1) -> Face:
+    def map_estimate(stage1: Stage1Poses) -> Face:
         """Return the MAP estimate before any picture is seen."""
         pose = stage1.pose
         moving = pose.expression.any(0).nonzero()[:, 0]
@@ -173,7 +174,7 @@ class FacePart:
 
     def __init__(self, name: str, coefficients: Tensor, prior: ProcessPrior, start: Tensor) -> None:
         self.name, self.coefficients, self.prior, self.start = name, coefficients, prior, start
-        self._spread, self._precision = prior.spread(start), prior.precision()
+        self._spread, self._precision = prior.preconditioner(start), prior.precision()
         self.u = torch.zeros_like(start).requires_grad_()
 
     @staticmethod
@@ -265,7 +266,7 @@ class TrainedPoses:
         anatomy = Anatomy.of(rig.joints)
         arms = lever_arms(Rest(rig.vertices, rig.joints), rig.weights, rig.parents)
         for frames in cut(len(given), options.part, overlap=0):
-            stage1 = Stage1.of(given, frames, cameras[frames.start])
+            stage1 = Stage1Poses.of(given, frames, cameras[frames.start])
             map_estimate = Corrections.map_estimate(stage1, anatomy)
             corrections = map_estimate.zeroed() if as_given else map_estimate
             face = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])

@@ -1,5 +1,8 @@
 """What landmarks say of poses, for both stages.
 
-``rig.py`` places landmarks on the body, ``landmark_noise.py`` infers how far off they are, and
-``swaps.py`` finds frames in which left and right were exchanged.
+======================  ==============================================================
+``rig``                 where landmarks sit on the body
+``landmark_noise``      how far off landmarks are, and how many frames count as one
+``swaps``               fixes frames in which left and right were swapped
+======================  ==============================================================
 """

@@ -1,49 +1,45 @@
 """How far off a network's landmarks are: standard deviations in pixels, and of depths in metres.
 
-In the picture a landmark is off by a share of the person's size, because networks see people scaled
-to one size. The spread between passes adds to it, and a low confidence widens it:
+**Pixels.** In the picture, the error of a landmark is a share of the person's size, because
+networks see people scaled to one size. The spread between passes of the network adds to it, and a
+low confidence widens it:
 
 1. ``σ² = ((share · S)² + spread²) / confidence² + hand_offset²``
-   with ``S`` pixels for a person of 1.7 m
+   with ``S`` the pixels of 1.7 m at the person's distance
 
-A hand is found by a tracker that may stay where the hand was, or jump to another one, without
-saying so. Of the two wrists, that of the hand and that of the body, then the body's is right: on
-rendered people a hand errs by as much as its wrist is away from the body's, and the body's wrist by
-no more than usual. So this distance, beyond what the body's wrist may be off, is the hand's
-``hand_offset``, of its points and of their depths; it is zero for other points.
+``hand_offset`` is for the points of a hand, and zero for others. The tracker of hands may stay
+where the hand was, or jump to another hand, with high confidence. Two networks see the wrist: the
+one of the hand and the one of the body. If they disagree, the body's is right: on rendered people a
+hand errs by as much as its wrist is away from the body's, and the body's wrist errs no more than
+usual. So ``hand_offset`` is this distance, minus what the body's wrist may be off. It widens the
+errors of pixels and of depths.
 
-A knee may be taken for a point higher or lower on the leg, but hardly for one beside the leg: on
-rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
-across it, shoulders and hips alike in all directions. So with the direction ``u`` of the limb in
-the picture, the points at its ends have the covariance of (2). Shoulders and hips are among them,
-and ``LONG`` is 2, because poses of twelve rendered videos were better so. That may be due to bones
-of the fitted body that are not as long as the person's.
+A knee may be taken for a point higher or lower on the leg, but hardly for a point beside the leg.
+On rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
+across it; shoulders and hips err equally in all directions. So with the direction ``u`` of the limb
+in the picture, the points at its ends have the covariance
 
-2. ``Σ = σ² (1 + (LONG² - 1) u uᵀ)``
+2. ``Σ = σ² (1 + (ALONG_LIMB² - 1) u uᵀ)``
 
-Depths are guesses. A network that is trained to be right on average gives the mean of the depths
-that a picture leaves possible, so its answers vary less than the true depths do. Along a bone from
-``i`` to ``j``, and with the scale ``s`` of :meth:`gva_mi.observe.rig.LandmarkRig.scale`,
+**Depths** are guesses. A network that is trained to be right on average gives the mean of the
+depths that a picture leaves possible. So its answers vary less than the true depths do. Along a
+bone from ``i`` to ``j``, with the scale ``s`` of :meth:`gva_mi.observe.rig.LandmarkRig.scale`,
 
-3. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e``: of standard deviation ``σ_z``
+3. ``s (m_j - m_i) = gain (z_j - z_i) + bias + e``,   ``e`` with standard deviation ``σ_z``
 
-The gain of legs and trunk is 1. Legs are mostly straight: dividing their answers by the smaller
-slope of answers against true depths would count that knowledge as seen, and bend the knees. Arms
-point anywhere, and their gain is that slope.
-``gain`` and ``bias`` (:data:`BONES`) are rounded from the answers of BlazePose and of the hand
-network on rendered people who turn and walk. Their errors of depth vary by 10 to 65 mm in a video,
-but they last: after 0.2 s their correlation is 0.2 to 0.7, and a part is constant. So ``σ_z``
-is several times as large. It was chosen by the errors of poses on twelve videos, that of legs on
-seven.
+The gain of legs and trunk is 1. Legs are mostly straight. If their answers were divided by the
+smaller slope of answers against true depths, knees would bend. Arms point anywhere, and their gain
+is that slope.
 
-Errors last, and the same picture of a person gets the same errors. So ``m`` frames that look alike
-count as one. They are at least those of a tenth of a second; a person who stands still, or does the
-same again and again, shows less in a minute than one who turns round once. With the mean square
-distance ``d²`` of two frames' landmarks, metres, about their middles,
+**Repeated errors.** Errors last, and the same picture of a person gets the same errors. So ``m``
+frames that look the same count as one: at least the frames of a tenth of a second. A person who
+stands still, or repeats one movement, shows less in a minute than a person who turns round once.
+With the mean square distance ``d²`` between the landmarks of two frames, metres, after both are
+centred,
 
 4. ``m_t = Σ_k exp(-d_tk² / 2 ℓ²)``,   ``ℓ² = 2 (share · 1.7 m)²``
 
-The body's landmarks decide this for the body, and a hand's for its fingers.
+The body's landmarks decide this for the body, and the landmarks of a hand for its fingers.
 """
 
 from __future__ import annotations
@@ -59,24 +55,32 @@ from torch import Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
-PERSON = 1.7  # metres, whose pixels are S
-SHARE, HAND_SHARE = 0.012, 0.004  # of S: a point of the body, of a hand
-LEAST_CONFIDENCE = 0.05  # a landmark of less is not used
-MEMORY = 0.1  # seconds for which a network's errors last at least
-TOGETHER = 3.0  # as many independent points count all those of the face, or of a hand
-HAND_FOUND = 0.5  # a hand of less is not used
-LONG = 2.0  # standard deviation along a limb, relative to that across it
+REFERENCE_HEIGHT = 1.7  # metres of a person, whose pixels are S; chosen: an average person
+# Error of a landmark of the body, and of a hand, as a share of S; chosen.
+BODY_SHARE, HAND_SHARE = 0.012, 0.004
+SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen
+HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
+CORRELATION_SECONDS = 0.1  # for which errors last at least; chosen
+# All points of the face, or of a hand, count as so many independent points; chosen.
+POINTS_OF_GROUP = 3.0
+# Standard deviation along a limb, relative to across it. Chosen by the poses of twelve rendered
+# videos, for shoulders and hips as well: bones of the fitted body may be too long or too short.
+ALONG_LIMB = 2.0
 
 
 class BoneDepth(NamedTuple):
-    """What a network knows of the depth along a bone (eq. 3)."""
+    """How a network answers for the depth along a bone (eq. 3)."""
 
     gain: float
     bias: float  # metres
     sigma: float  # σ_z, metres
 
 
-# From and to; both of one side unless the names say otherwise.
+# Bones by their ends, on both sides unless the names say one. ``gain`` and ``bias`` are rounded
+# from answers of BlazePose and of the hand network on rendered people who turn and walk. There the
+# errors of depth vary by 10 to 65 mm in a video, but they last: after 0.2 s their correlation is
+# 0.2 to 0.7, and a part is constant. So ``σ_z`` is several times as large: chosen by the poses of
+# twelve rendered videos, for legs of seven.
 BONES = {
     ("shoulder", "elbow"): BoneDepth(0.6, 0.0, 0.24),
     ("elbow", "wrist"): BoneDepth(0.45, -0.03, 0.42),
@@ -94,13 +98,13 @@ BONES = {
     ("hand_wrist", "hand_middle_mcp"): BoneDepth(0.4, -0.03, 0.06),
     ("hand_index_mcp", "hand_pinky_mcp"): BoneDepth(0.5, 0.0, 0.05),
 }
-LIMB = {  # a point, and the other end of its limb
+OTHER_END = {  # of the limb of a point
     "shoulder": "elbow", "elbow": "shoulder", "wrist": "elbow",
     "hip": "knee", "knee": "hip", "ankle": "knee",
 }  # fmt: skip
-PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger
+PHALANX = BoneDepth(0.3, 0.0, 0.015)  # every bone of a finger; source as of BONES
 _FACE = BODY_LANDMARKS[: BODY_LANDMARKS.index("left_shoulder")]
-_FINGERS = {
+_FINGER_POINTS = {
     "thumb": ("cmc", "mcp", "ip", "tip"),
     **{name: ("mcp", "pip", "dip", "tip") for name in ("index", "middle", "ring", "pinky")},
 }
@@ -112,14 +116,16 @@ class LandmarkNoise:
 
     Attributes:
         pixels: (T, P) ``σ``, pixels; infinite without a landmark.
-        aspect: (T, P, 2, 2) ``σ Σ^-1/2``, symmetric: makes errors as wide in all directions.
+        whitening: (T, P, 2, 2) ``σ Σ^-1/2``, symmetric: makes errors equally wide in all
+        directions.
         bones: (K, 2) from and to, indices of the P landmarks.
-        gain, bias: (K,) of eq. 3, ``bias`` in metres.
+        gain: (K,) of eq. 3.
+        bias: (K,) of eq. 3, metres.
         depth: (T, K) ``σ_z``, metres; infinite without both landmarks.
     """
 
     pixels: Tensor
-    aspect: Tensor
+    whitening: Tensor
     bones: Tensor
     gain: Tensor
     bias: Tensor
@@ -127,7 +133,7 @@ class LandmarkNoise:
 
     @staticmethod
     def of(landmarks: Landmarks, names: Sequence[str]) -> LandmarkNoise:
-        """Return the noise of the landmarks with some names, in the order of ``names``.
+        """Return the noise of landmarks, in the order of ``names``.
 
         Raises:
             InputError: no frame has a person.
@@ -136,13 +142,13 @@ class LandmarkNoise:
         confidence = np.nan_to_num(landmarks.confidence[:, at])
         of_hand = np.array(["_hand_" in name for name in names], bool)
         found = np.isfinite(landmarks.pixels[:, at]).all(2)
-        found &= confidence >= np.where(of_hand, HAND_FOUND, LEAST_CONFIDENCE)
+        found &= confidence >= np.where(of_hand, HAND_CONFIDENCE, SMALLEST_CONFIDENCE)
         sizes = person_sizes(landmarks)
-        share = np.where(of_hand, HAND_SHARE, SHARE) * sizes[:, None]
+        share = np.where(of_hand, HAND_SHARE, BODY_SHARE) * sizes[:, None]
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
-        hand_offset = _hand_offsets(landmarks, names, sizes / PERSON)
-        square = square / np.clip(confidence, LEAST_CONFIDENCE, 1) ** 2
-        pixels = np.sqrt(square + (hand_offset * sizes[:, None] / PERSON) ** 2)
+        hand_offset = _hand_offsets(landmarks, names, sizes / REFERENCE_HEIGHT)
+        square = square / np.clip(confidence, SMALLEST_CONFIDENCE, 1) ** 2
+        pixels = np.sqrt(square + (hand_offset * sizes[:, None] / REFERENCE_HEIGHT) ** 2)
         pixels = np.where(found, pixels, np.inf)
         known = list(_bones(names))
         bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
@@ -153,7 +159,7 @@ class LandmarkNoise:
         tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
         return LandmarkNoise(
             tensor(pixels),
-            tensor(_aspect(landmarks.pixels[:, at].astype(float), pixels, names)),
+            tensor(_whitening(landmarks.pixels[:, at].astype(float), pixels, names)),
             torch.from_numpy(bones),
             tensor([bone.gain for _, bone in known]),
             tensor([bone.bias for _, bone in known]),
@@ -161,23 +167,25 @@ class LandmarkNoise:
         )
 
 
-def _aspect(x: np.ndarray, sigma: np.ndarray, names: Sequence[str]) -> np.ndarray:
+def _whitening(x: np.ndarray, sigma: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Return ``σ Σ^-1/2`` of eq. 2 (T, P, 2, 2) for points (T, P, 2).
 
-    A limb whose picture is shorter than ``σ`` has no direction.
+    A limb that is shorter than ``σ`` in the picture has no direction: its covariance stays round.
     """
-    aspect = np.tile(np.eye(2), (*sigma.shape, 1, 1))
-    for point, other in _ends(LIMB.items(), names):
+    whitening = np.tile(np.eye(2), (*sigma.shape, 1, 1))
+    for point, other in _ends(OTHER_END.items(), names):
         limb = x[:, point] - x[:, other]
         length = np.hypot(*limb.T)
         seen = length > sigma[:, point]
         u = limb[seen] / length[seen, None]
-        aspect[seen, point] -= (1 - 1 / LONG) * u[:, :, None] * u[:, None]
-    return aspect
+        whitening[seen, point] -= (1 - 1 / ALONG_LIMB) * u[:, :, None] * u[:, None]
+    return whitening
 
 
-def _hand_offsets(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray) -> np.ndarray:
-    """Return ``hand_offset`` (T, P) of eq. 1, metres; ``metre`` (T,) is in pixels."""
+def _hand_offsets(
+    landmarks: Landmarks, names: Sequence[str], pixels_per_metre: np.ndarray
+) -> np.ndarray:
+    """Return ``hand_offset`` (T, P) of eq. 1, metres; ``pixels_per_metre`` is (T,)."""
     found, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
     for side in ("left", "right"):
         pair = f"{side}_wrist", f"{side}_hand_wrist"
@@ -185,18 +193,18 @@ def _hand_offsets(landmarks: Landmarks, names: Sequence[str], metre: np.ndarray)
             continue
         wrist, hand = landmarks.indices(pair)
         apart = landmarks.pixels[:, wrist].astype(float) - landmarks.pixels[:, hand]
-        confidence = np.nan_to_num(landmarks.confidence[:, wrist]).clip(LEAST_CONFIDENCE, 1)
-        usual = 2 * (SHARE * PERSON) ** 2 / confidence
-        beyond = (np.square(apart).sum(1) / metre**2 - usual).clip(0)
+        confidence = np.nan_to_num(landmarks.confidence[:, wrist]).clip(SMALLEST_CONFIDENCE, 1)
+        usual = 2 * (BODY_SHARE * REFERENCE_HEIGHT) ** 2 / confidence
+        beyond = (np.square(apart).sum(1) / pixels_per_metre**2 - usual).clip(0)
         of_hand = [name.startswith(f"{side}_hand_") for name in names]
         found[:, of_hand] = np.sqrt(np.nan_to_num(beyond))[:, None]
     return found
 
 
 def person_sizes(landmarks: Landmarks) -> np.ndarray:
-    """Return S (T,) of every frame: pixels of 1.7 m; frames without a person take the median.
+    """Return ``S`` (T,), the pixels of 1.7 m; frames without a person take the median.
 
-    S is the scale between pixels and the network's metres, by least squares over the body.
+    It is the scale between pixels and the network's metres, by least squares over the body.
 
     Raises:
         InputError: no frame has a person.
@@ -211,54 +219,58 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
     usable = (seen.sum(1) >= 4) & (along > 0)
     if not usable.any():
         raise InputError("landmarks: no frame has a person; expected at least four points of one")
-    sizes = PERSON * along / np.maximum(square, 1e-9)
+    sizes = REFERENCE_HEIGHT * along / np.maximum(square, 1e-9)
     return np.where(usable, sizes, np.median(sizes[usable]))
 
 
 def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:
-    """Return eq. 4, by the landmarks of the body: how many frames (T,) count as one.
+    """Return ``m`` (T,) of eq. 4: how many frames count as one.
 
-    Frames are ``dt`` seconds apart. ``hand``, left or right: by those of that hand instead.
+    Args:
+        landmarks: of T frames.
+        dt: seconds between frames.
+        hand: "left" or "right": compare the landmarks of this hand; None: of the body.
 
     Raises:
         InputError: no frame has a person.
     """
-    mine = lambda name: f"{hand}_hand_" in name if hand else "_hand_" not in name
-    some = [k for k, name in enumerate(landmarks.names) if mine(name)]
-    share = HAND_SHARE if hand else SHARE
-    metre = person_sizes(landmarks)[:, None, None] / PERSON
-    x = landmarks.pixels[:, some].astype(float) / metre
+    compared = lambda name: f"{hand}_hand_" in name if hand else "_hand_" not in name
+    some = [k for k, name in enumerate(landmarks.names) if compared(name)]
+    share = HAND_SHARE if hand else BODY_SHARE
+    pixels_per_metre = person_sizes(landmarks)[:, None, None] / REFERENCE_HEIGHT
+    x = landmarks.pixels[:, some].astype(float) / pixels_per_metre
     seen = np.isfinite(x).all(2).astype(float)
     x = np.where(seen[..., None] > 0, x, 0)
     x = (x - x.sum(1, keepdims=True) / np.maximum(seen.sum(1), 1)[:, None, None]) * seen[..., None]
     square = np.square(x).sum(2) @ seen.T
     apart = square + square.T - 2 * np.einsum("tpc,kpc->tk", x, x)
     apart = np.maximum(apart, 0) / np.maximum(seen @ seen.T, 1)
-    alike = np.exp(-apart / (4 * (share * PERSON) ** 2)) @ seen.any(1)
-    return torch.from_numpy(np.maximum(alike, max(1.0, MEMORY / dt)))
+    count = np.exp(-apart / (4 * (share * REFERENCE_HEIGHT) ** 2)) @ seen.any(1)
+    return torch.from_numpy(np.maximum(count, max(1.0, CORRELATION_SECONDS / dt)))
 
 
-def independent_points(names: Sequence[str], hands_together: bool) -> Tensor:
-    """Return as how many independent points each landmark counts (P,).
+def independent_points(names: Sequence[str], group_hands: bool) -> Tensor:
+    """Return the weight of each landmark (P,): the points of a group together count as few.
 
-    Points of the face err together, and with ``hands_together`` those of a hand, too: all of them
-    count as few.
+    Points of the face err together, and with ``group_hands`` the points of a hand, too.
     """
-    parts = [_part(name, hands_together) for name in names]
-    return torch.tensor([min(1.0, TOGETHER / parts.count(part)) if part else 1.0 for part in parts])
+    groups = [_group(name, group_hands) for name in names]
+    return torch.tensor(
+        [min(1.0, POINTS_OF_GROUP / groups.count(group)) if group else 1.0 for group in groups]
+    )
 
 
-def _part(name: str, hands_together: bool) -> str | None:
-    """Return the part of the body whose points err together, if the landmark is of one."""
+def _group(name: str, group_hands: bool) -> str | None:
+    """Return the name of the group whose points err together; None for other landmarks."""
     if name in _FACE:
         return "face"
-    return name[: name.index("_hand_")] if hands_together and "_hand_" in name else None
+    return name[: name.index("_hand_")] if group_hands and "_hand_" in name else None
 
 
 def _bones(names: Sequence[str]) -> Iterator[tuple[tuple[int, int], BoneDepth]]:
-    """Yield the bones between some landmarks, as indices, and what is known of each."""
+    """Yield each bone between the landmarks: the indices of its ends, and its depth model."""
     every = dict(BONES)
-    for finger, parts in _FINGERS.items():
+    for finger, parts in _FINGER_POINTS.items():
         points = [f"hand_{finger}_{part}" for part in parts]
         every |= {pair: PHALANX for pair in zip(points, points[1:], strict=False)}
     for pair, bone in every.items():
@@ -267,7 +279,7 @@ def _bones(names: Sequence[str]) -> Iterator[tuple[tuple[int, int], BoneDepth]]:
 
 
 def _ends(pairs: Iterable[tuple[str, str]], names: Sequence[str]) -> Iterator[tuple[int, int]]:
-    """Yield the indices of pairs of landmarks, of both sides unless their names say one."""
+    """Yield pairs of names as indices, for both sides unless the names say one."""
     at = {name: k for k, name in enumerate(names)}
     for pair in pairs:
         for side in ("left", "right"):

@@ -1,15 +1,16 @@
 """Prior of poses: how stage 1 errs, how people move, what bodies and the ground allow.
 
 ====================  ================================================================
-``stage1_poses``      stage-1 poses, and the axes in which they err
+``stage1_poses``      stage-1 poses, and the axes in which they are corrected
 ``error_model``       sizes and correlations of stage 1's errors
-``process``           the Gaussian process of errors and motion
-``frame_matrices``    fast products with its matrices over frames
-``inference``         estimates both models from one video; the camera-locked tilt
-``anatomy``           angles that joints do not reach
-``ground``            feet that stand do not slide
+``process``           Gaussian process of errors and motion
+``frame_matrices``    fast products with the matrices of the process
+``inference``         infers both models from one video
+``camera_tilt``       limbs that tilt toward the camera whichever way the person faces
+``anatomy``           hinge joints and their limits
+``ground``            standing feet do not slide
 ``stature``           a measured height sets the body's size
 ====================  ================================================================
 
-Both stages use it. A prior term implements :class:`gva_mi.prior.inference.PriorTerm`.
+Both stages use this package. A term implements :class:`gva_mi.prior.inference.PriorTerm`.
 """

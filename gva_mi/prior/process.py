@@ -1,9 +1,8 @@
-"""The Gaussian-process prior of corrections: stage 1's errors and the inertia of a
+"""The Gaussian-process prior of corrections: errors of stage 1, and inertia of the motion.
 
-Stage 1 gives ``y_k``, the true value is ``x_k = y_k + δ_k``. The error model
-(:mod:`gva_mi.prior.error_model`) and the motion model (eq. 5) give
-the corrections ``δ`` of one joint, or of one coordinate of a position, the energy (a negative log
-probability)
+Stage 1 gives ``y_k``; the true value is ``x_k = y_k + δ_k``. The error model
+(:mod:`gva_mi.prior.error_model`) and the motion model (eq. 5) give the corrections ``δ`` of one
+joint, or of one coordinate of a position, the energy (a negative log probability)
 
 1. ``E(δ) = 1/2 Σ_kl δ_k · P_kl δ_l + Σ_k cost(Δ_k)``,   ``P = K⁻¹``,   ``Δ_k = m_k + δ_k+1 - δ_k``
 
@@ -12,33 +11,32 @@ is close to
 
 2. ``H = P + Dᵀ W D``,    ``D δ = (δ_k+1 - δ_k)``,   ``W`` the stiffness of each step
 
-so its minimum, the MAP estimate without any image, is found by solving ``H δ = -Dᵀ W m`` several
+So its minimum, the MAP estimate without any image, is found by solving ``H δ = -Dᵀ W m`` several
 times, each time with updated ``W`` and outlier factors ``f`` of the errors.
 
 ``H`` also gives the coordinates ``u`` in which an optimiser should move ``δ``:
 
 3. ``δ = M u``,    ``M = min(H⁻¹ / h, 1)^(1/2)``,    ``h`` the mean variance, by eigenvalues
 
-Errors that last for many frames then move in large steps, and improbable ones, such as a tremor, in
-small ones (in the spirit of Nicolet et al., *Large Steps in Inverse Rendering*, 2021).
+The preconditioner ``M`` makes large steps of slow errors, and small steps of improbable ones, such
+as a tremor (in the spirit of Nicolet et al., *Large Steps in Inverse Rendering*, 2021).
 
-**Motion.** Joints rest, or move at the speed that images show. From one frame to the next a joint
-turns by ``Δ_k``. Most joints rest most of the time; then one moves for a while, slowly or fast. So
-the speed ``s_k`` is estimated around every frame:
+**Motion.** From one frame to the next a joint turns by ``Δ_k``. Most joints rest most of the time;
+then one moves for a while, slowly or fast. So the speed ``s_k`` is estimated around every frame:
 
 4. ``s_k² = mean over the frames around of |e_l|² / d``,   ``e_l = (Δ_l + ... + Δ_l+h-1) / √h``
 
-that of a random walk that gets as far in ``h`` frames, which suppresses remaining errors. It is
-estimated twice: from stage 1, with a median that ignores outliers and for several ``h``,
-because slow motions exceed white errors over many frames only; and from corrected poses, from
-the coordinate that images show. Turns in depth are taken to be as fast as those seen sideways.
+This is the speed of a random walk that gets as far in ``h`` frames; the sum suppresses remaining
+errors. The speed is estimated twice. From stage 1 a median is used, which ignores outliers, and
+several ``h``, because slow motions exceed white errors over many frames only. From corrected poses
+the coordinate that images show is used; motion in depth is assumed to be as fast as sideways.
 
-A known estimator that smooths its poses has neither outliers nor white errors. There the mean
-over the frames of stage 1 itself is ``s_k²``, and stays so: a median takes a short gesture for
-an outlier, and a prior that has flattened it would find it slow.
+A known estimator that smooths its poses has neither outliers nor white errors. Its ``s_k²`` is the
+mean over the frames of stage 1, and is not updated. A median would take a short gesture for an
+outlier, and a prior that has flattened the gesture would find it slow.
 
-Given ``s_k``, motions follow Student's t distribution, so a single jump costs the logarithm of
-its size, and not its square:
+Given ``s_k``, motions follow Student's t distribution, so a single jump costs the logarithm of its
+size, and not its square:
 
 5. ``E = Σ_k (ν + d) / 2 · log(1 + |Δ_k|² / (ν s_k²))``
 
@@ -56,7 +54,7 @@ from torch import Tensor
 
 from gva_mi.core.cpu import sqrt
 from gva_mi.prior.error_model import (
-    FREEDOM,
+    STUDENT_DOF,
     Stage1ErrorModel,
     covariance,
     median_of_square,
@@ -64,16 +62,16 @@ from gva_mi.prior.error_model import (
 )
 from gva_mi.prior.frame_matrices import FrameMatrices
 
-ROUNDS = 8  # of eq. 2
-LEAST_SPEED = 0.02  # least speed of a joint in a frame, relative to its error
-EXCURSION_FRAMES = 8  # h, frames
-STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h for stage 1
-WINDOW_FRAMES = 4.0  # frames to each side, standard deviation of the window of eq. 4
-MEDIAN_FRAMES = 10  # frames to each side, of the median
+MAP_ROUNDS = 8  # solves of eq. 2; chosen
+SPEED_FLOOR = 0.02  # least speed of a joint in a frame, relative to its error; chosen: not zero
+EXCURSION_FRAMES = 8  # h of corrected poses; chosen
+STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h of stage 1, the largest result counts; chosen
+WINDOW_FRAMES = 4.0  # standard deviation of the Gaussian window of the mean in eq. 4; chosen
+MEDIAN_FRAMES = 10  # frames to each side in the window of the median; chosen
 
 
 def excursions(changes: Tensor, span: int) -> Tensor:
-    """Return ``e`` (n, ...) of changes ``Δ`` (n, ...), centred; over fewer frames at the ends."""
+    """Return ``e`` (n, ...) of changes ``Δ`` (n, ...), centred; the ends sum fewer frames."""
     total = torch.cat([torch.zeros_like(changes[:1]), changes.cumsum(0)])
     n = len(changes)
     first = (torch.arange(n) - span // 2).clamp(0, max(n - span, 0))
@@ -82,8 +80,8 @@ def excursions(changes: Tensor, span: int) -> Tensor:
     return (total[last] - total[first]) / sqrt(frames)
 
 
-def usual_square(e: Tensor) -> Tensor:
-    """Return eq. 4 with a median: ``s²`` (n, C) of excursions (n, C, d) with outliers."""
+def median_square_speed(e: Tensor) -> Tensor:
+    """Return ``s²`` (n, C) of eq. 4 by a median, of excursions (n, C, d) with outliers."""
     square = e.square().sum(-1) / median_of_square(e.shape[-1])
     around = [
         square[max(0, k - MEDIAN_FRAMES) : k + MEDIAN_FRAMES + 1].median(0).values
@@ -92,66 +90,76 @@ def usual_square(e: Tensor) -> Tensor:
     return torch.stack(around) if around else square
 
 
-def mean_speed(changes: Tensor, times: Tensor) -> Tensor:
-    """Return eq. 4: ``s²`` (n, C) of changes (n, C, ...) at times (n,)."""
+def mean_square_speed(changes: Tensor, times: Tensor) -> Tensor:
+    """Return ``s²`` (n, C) of eq. 4 by a mean, of changes (n, C, ...) at times (n,)."""
     return mean_square(excursions(changes, EXCURSION_FRAMES).square().mean(-1), times.float())
 
 
 def mean_square(square: Tensor, times: Tensor) -> Tensor:
-    """Return eq. 4: ``s²`` (n, C) from the squares (n, C) of one coordinate of ``e``."""
+    """Return the windowed means (n, C) of squares (n, C) at times (n,)."""
     apart = (times[:, None] - times) / WINDOW_FRAMES
     weights = torch.exp(-apart.square() / 2)
     return (weights / weights.sum(1, keepdim=True)) @ square
 
 
 def step_cost(changes: Tensor, square_speed: Tensor) -> Tensor:
-    """Return eq. 5 before it is summed (...), of ``Δ`` (..., d) and ``s²`` (...)."""
-    x = changes.square().sum(-1) / (FREEDOM * square_speed)
-    return (FREEDOM + changes.shape[-1]) / 2 * torch.log1p(x)
+    """Return the summands (...) of eq. 5 for ``Δ`` (..., d) and ``s²`` (...), nats."""
+    x = changes.square().sum(-1) / (STUDENT_DOF * square_speed)
+    return (STUDENT_DOF + changes.shape[-1]) / 2 * torch.log1p(x)
 
 
 def step_stiffness(changes: Tensor, square_speed: Tensor) -> Tensor:
-    """Return the weight ``w`` of ``w |Δ|² / 2`` that has the slope of eq. 5 at ``Δ``."""
-    x = changes.square().sum(-1) / (FREEDOM * square_speed)
-    return (FREEDOM + changes.shape[-1]) / (FREEDOM * square_speed * (1 + x))
+    """Return the weight ``w`` with which ``w |Δ|² / 2`` has the slope of eq. 5 at ``Δ``."""
+    x = changes.square().sum(-1) / (STUDENT_DOF * square_speed)
+    return (STUDENT_DOF + changes.shape[-1]) / (STUDENT_DOF * square_speed * (1 + x))
 
 
 @dataclass(frozen=True)
 class ProcessPrior:
-    """The process of C joints, or coordinates of a position, in n frames, each a vector of d."""
+    """The process of C joints or coordinates of a position in n frames, each a vector of d.
 
-    times: Tensor  # (n,) numbers of the frames
-    steps: Tensor  # (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d)
-    error_models: Sequence[Stage1ErrorModel]  # C of them
-    factors: Tensor  # (C, n) ``f``
-    growth: Tensor  # (C, n) ``g``
-    square_speed: Tensor  # (n - 1 or n - 2, C) ``s²`` of each step
-    steady: bool  # whether constant speed is as probable as rest
+    Attributes:
+        times: (n,) frame numbers.
+        steps: (n - 1, C, d) ``m``; if steady, its changes (n - 2, C, d).
+        error_models: C of them.
+        factors: (C, n) ``f``, outlier factors.
+        growth: (C, n) ``g``, growth of errors in motion.
+        square_speed: (n - 1 or n - 2, C) ``s²`` of each step.
+        steady: whether constant speed is as probable as rest.
+    """
+
+    times: Tensor
+    steps: Tensor
+    error_models: Sequence[Stage1ErrorModel]
+    factors: Tensor
+    growth: Tensor
+    square_speed: Tensor
+    steady: bool
 
     @staticmethod
     def of_stage1(
         times: Tensor, steps: Tensor, error_models: Sequence[Stage1ErrorModel], steady: bool = False
     ) -> ProcessPrior:
-        """Estimate the speeds from stage 1 alone: from steps (n - 1, C, d) between n frames."""
+        """Estimate the speeds from steps (n - 1, C, d) between the n frames of stage 1 alone."""
         factors = torch.ones(steps.shape[1], len(times))
         each = zip(error_models, steps.unbind(1), strict=True)
-        growth = torch.stack([noise.growth(own, times) for noise, own in each])
+        growth = torch.stack([x.growth(own, times) for x, own in each])
         process = ProcessPrior(times, steps, error_models, factors, growth, steps[..., 0], steady)
         process = replace(process, steps=process.changes(steps))
-        white = torch.tensor([noise.white for noise in error_models]).square()
+        white = torch.tensor([x.white for x in error_models]).square()
         of_white = 4 if steady else 2  # the variance of a change, for white errors of variance 1
         seen = [
-            usual_square(excursions(process.steps, span)) - of_white * white / span
+            median_square_speed(excursions(process.steps, span)) - of_white * white / span
             for span in STAGE1_EXCURSION_FRAMES
         ]
         usual = torch.stack(seen).amax(0).clamp(min=0)
-        mean = mean_speed(process.steps, times[: len(usual)])
+        mean = mean_square_speed(process.steps, times[: len(usual)])
         return process.with_speeds(torch.where(process.known, mean, usual))
 
     @property
     def known(self) -> Tensor:
-        """Whether each error model (C,) is knowledge about the estimator."""
-        return torch.tensor([noise.known for noise in self.error_models])
+        """Whether each error model (C,) is known for the estimator."""
+        return torch.tensor([x.known for x in self.error_models])
 
     def changes(self, steps: Tensor) -> Tensor:
         """Return ``Δ`` of steps (n - 1, ...): the steps, or if steady their differences."""
@@ -162,8 +170,8 @@ class ProcessPrior:
 
     def with_speeds(self, square_speed: Tensor) -> ProcessPrior:
         """Return the process with other speeds, one for each step."""
-        sizes = torch.tensor([noise.size for noise in self.error_models])
-        return replace(self, square_speed=square_speed + (LEAST_SPEED * sizes).square())
+        sizes = torch.tensor([x.size for x in self.error_models])
+        return replace(self, square_speed=square_speed + (SPEED_FLOOR * sizes).square())
 
     def with_outlier_factors(self, corrections: Tensor) -> ProcessPrior:
         """Return the process with the outlier factors of corrections (n, C, d)."""
@@ -171,12 +179,12 @@ class ProcessPrior:
         return replace(self, factors=outlier_factors(errors, K, self.error_models, self.factors))
 
     def map_estimate(self) -> tuple[Tensor, ProcessPrior]:
-        """Return the MAP estimate (n, C, d), and the process with its outlier factors."""
+        """Return the MAP corrections (n, C, d), and the process with their outlier factors."""
         process, D = self, self._difference.double()
         corrections = torch.zeros(len(self.times), *self.steps.shape[1:])
-        for k in range(ROUNDS):
+        for k in range(MAP_ROUNDS):
             # No step counts as a jump at first, however large: otherwise nothing would move.
-            H, W = process._curvature(corrections, jumps=k >= ROUNDS // 2)
+            H, W = process._curvature(corrections, jumps=k >= MAP_ROUNDS // 2)
             pull = torch.einsum("pk,cp,pcd->ckd", D, W, self.steps.double())
             corrections = (
                 torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
@@ -193,7 +201,7 @@ class ProcessPrior:
             own: the same in the axes of ``steps``.
         """
         e = corrections.transpose(0, 1)
-        moved = step_cost(self._changed(own), self.square_speed)
+        moved = step_cost(self._changes_under(own), self.square_speed)
         return (e * (precision @ e)).sum() / 2 + moved.sum()
 
     def variance_of_mean(self, bias: bool) -> Tensor:
@@ -202,9 +210,9 @@ class ProcessPrior:
 
     @cached_property
     def _variances_of_mean(self) -> tuple[Tensor, Tensor]:
-        """With and without its bias (C,); every step asks for them."""
+        """With and without the bias, each (C,); cached, because every step uses them."""
         K = self._error_covariance().mean((1, 2))
-        without = torch.tensor([noise.constant**2 for noise in self.error_models])
+        without = torch.tensor([x.constant**2 for x in self.error_models])
         return K.float(), (K - without).float()
 
     def precision(self) -> FrameMatrices:
@@ -215,15 +223,15 @@ class ProcessPrior:
         """Return ``H⁻¹`` (C, n, n) float64 of one coordinate, at corrections (n, C, d)."""
         return torch.cholesky_inverse(torch.linalg.cholesky(self._curvature(corrections)[0]))
 
-    def spread(self, corrections: Tensor) -> FrameMatrices:
-        """Return ``M`` (C, n, n), eq. 3, at corrections (n, C, d)."""
+    def preconditioner(self, corrections: Tensor) -> FrameMatrices:
+        """Return ``M`` (C, n, n) of eq. 3 at corrections (n, C, d)."""
         values, vectors = torch.linalg.eigh(self._curvature(corrections)[0])
         gain = sqrt((1 / values / (1 / values).mean(1, keepdim=True)).clamp(max=1))
         return FrameMatrices.of(((vectors * gain[:, None]) @ vectors.mT).float())
 
     def _curvature(self, corrections: Tensor, jumps: bool = True) -> tuple[Tensor, Tensor]:
         """Return ``H`` (C, n, n) and the diagonal of ``W`` (C, n - 1 or n - 2), float64."""
-        D, changes = self._difference, self._changed(corrections)
+        D, changes = self._difference, self._changes_under(corrections)
         W = step_stiffness(changes if jumps else 0 * changes, self.square_speed).double().T
         D = D.double()
         return self._precision() + D.T @ (W[..., None] * D), W
@@ -236,7 +244,7 @@ class ProcessPrior:
         """Return ``K`` (C, n, n), float64."""
         return covariance(self.error_models, self.times, self.factors, self.growth)
 
-    def _changed(self, corrections: Tensor) -> Tensor:
+    def _changes_under(self, corrections: Tensor) -> Tensor:
         """Return ``Δ`` (n - 1 or n - 2, C, d) under corrections (n, C, d)."""
         n, C, d = corrections.shape
         return self.steps + (self._difference @ corrections.flatten(1)).view(-1, C, d)

@@ -1,17 +1,17 @@
 """A measured height sets the body's size, and its distance follows.
 
 One camera cannot separate a person's size from their distance. A measured height decides the size.
-The rest height of a body, from head to soles, is that of its two vertices ``a`` and ``b`` highest
-and lowest in the mean person, and linear in the shape:
+The rest height of a body is the height of vertex ``a`` above vertex ``b``, which are the highest
+and the lowest vertex of the mean person. It is linear in the shape:
 
 1. ``h(β) = h_0 + g · β``,    ``g = (S_a - S_b)_y``.
-2. The shape of height ``H`` nearest to stage 1's, in standard deviations, is
-   ``β + g (H - h(β)) / |g|²``.
-3. The image stays as it was if every frame's pelvis moves along its line of sight by the factor
-   ``h(β') / h(β)``, which is right for an estimator that derives distance from size. Depth is
-   scaled with body size and not fitted, because hair and shoes bias the silhouette: 4 m away they
-   are 2 % of the outline, which is 8 cm of distance.
-4. An optimisation that changes the shape holds the height with ``(h(β) - H)²``.
+2. Among the shapes of height ``H``, ``β' = β + g (H - h(β)) / |g|²`` is nearest to ``β``, in
+   standard deviations.
+3. The image stays the same if the pelvis of every frame moves along its line of sight by the factor
+   ``h(β') / h(β)``. This is right for an estimator that derives distance from size. Depth is scaled
+   with body size and not fitted, because hair and shoes bias the silhouette: 4 m away they are 2 %
+   of the outline, which is 8 cm of distance.
+4. An optimisation that changes the shape keeps the height by the penalty ``(h(β) - H)²``.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 
+# Heights that are accepted. Chosen: every standing person, children included.
 PERSON_HEIGHTS = Within(0.4, 2.6, unit="metres")
 
 
@@ -36,11 +37,11 @@ class Stature:
     """The rest height of a body as a function of its shape (1)."""
 
     mean: float  # h_0, metres
-    slope: Tensor  # g (B,), metres for one standard deviation
+    slope: Tensor  # g (B,), metres per standard deviation of each beta
 
     @staticmethod
     def of(body: BodyModel) -> Stature:
-        """Measure a body."""
+        """Measure the height of a body model."""
         y = body.v_template[:, 1]
         ends = [int(y.argmax()), int(y.argmin())]
         at_ends = lambda shape: body.rest(shape).vertices[ends, 1].double()
@@ -59,7 +60,7 @@ class Stature:
         return (self.height(shape) - height).square()
 
     def nearest(self, shape: Shape, height: float) -> Shape:
-        """Return eq. 2: the shape with that height nearest to another shape."""
+        """Return eq. 2: among the shapes of this height, the nearest to the given shape."""
         slope = torch.zeros_like(shape.betas)
         slope[: len(self.slope)] = self.slope[: len(slope)]
         missing = height - self.height(shape)
@@ -69,9 +70,9 @@ class Stature:
 def with_height(
     body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera], height: float
 ) -> tuple[Pose, Shape]:
-    """Return T poses and a shape of a known height, in metres, at the same place in the images.
+    """Give a person a known height without a change in the images; return T poses and the shape.
 
-    Rotations stay as they are, distances follow eq. 3.
+    Rotations stay, distances follow eq. 3.
     """
     stature = Stature.of(body)
     taller = stature.nearest(shape, height)

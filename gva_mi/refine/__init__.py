@@ -4,7 +4,24 @@
 :class:`SequenceOptions` refines all frames together, :class:`SingleFrameOptions` minimises Eq. 8 as
 printed, frame by frame.
 
-Both minimise evidence + prior, and each side has one interface:
+========================  ============================================================
+``refine``                videos in, refined poses out; clips as jobs: start here
+``observed_video``        the evidence of a video, gathered before its refinement
+``sequence``              the method for all frames together
+``single_frame``          the method of Eq. 8 as printed
+``optimize``              minimises evidence + prior
+``corrections``           the unknowns: corrections of stage 1, and their prior energy
+``vector_adam``           the optimiser, and the learning rates of joints
+``image_evidence``        masks and normals: the data term of Eq. 8
+``close_ups``             the same of hands and feet, at the video's own resolution
+``landmark_evidence``     landmarks
+``frame_losses``          losses of frames, shared among processes
+``displacement``          the clothes
+``clips``                 cuts a long video into clips, and joins the results
+``one_lens``              for estimators that assume another lens in each frame
+========================  ============================================================
+
+Evidence and prior have one interface each:
 
 * **Evidence** compares poses with what was observed. It implements
   :class:`gva_mi.refine.optimize.Evidence`: ``loss(frames, pose)`` for the poses, and ``energy()``
@@ -15,12 +32,11 @@ Both minimise evidence + prior, and each side has one interface:
 * **Prior terms** say how probable poses are without any image, in nats (:mod:`gva_mi.prior`):
   ``energy(rotations, transl, times)``. Stage 1 and inertia are a Gaussian process over the
   corrections instead.
-
-``corrections.py`` holds the unknowns, and ``optimize.py`` optimises them.
 """
 
+from gva_mi.refine.observed_video import RefineOptions
 from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.refine.single_frame import SingleFrameOptions
 
-__all__ = ["SequenceOptions", "SingleFrameOptions", "refine"]
+__all__ = ["RefineOptions", "SequenceOptions", "SingleFrameOptions", "refine"]

@@ -3,13 +3,14 @@
 The clothes' displacement must be the same in all clips, and a clip that shows the person from one
 side alone could not find it. So a long video is refined in two rounds:
 
-1. *Skim*: short runs of frames, spread over the whole video, are refined together. Only what all
-   frames share is kept. Frames come in runs because the prior between neighbours needs neighbours.
+1. *Skim*: short runs of frames, spread over the whole video, are refined together. Only the
+   unknowns that all frames share are kept. Frames come in runs because the motion prior needs
+   neighbours.
 2. *Clips*: the shared unknowns stay fixed. Every clip then depends on its own frames alone, and
    clips can be refined at the same time on any number of machines, with the same result.
 
-Near its ends a clip lacks the neighbours that would correct it, so both solutions are blended where
-two clips overlap, each weight falling linearly toward the clip's own end:
+Near its ends a clip lacks the neighbours that would correct it. So both solutions are blended where
+two clips overlap; each weight falls linearly toward the clip's own end:
 
     R_k = R_k^a exp(w_k log(R_k^a⁻¹ R_k^b)),    t_k = (1 - w_k) t_k^a + w_k t_k^b,
     w_k = (k - start_b + 1) / (overlap + 1)
@@ -27,7 +28,7 @@ from torch import Tensor
 from gva_mi.body.pose import Pose
 from gva_mi.prior.stage1_poses import turns_between
 
-RUNS = 8  # runs of a skim: a person who turns once is seen from eight sides
+SKIM_RUNS = 8  # runs of frames in a skim; chosen: eight sides of a person who turns once
 
 
 def cut(frames: int, longest: int, overlap: int) -> list[range]:
@@ -42,15 +43,15 @@ def cut(frames: int, longest: int, overlap: int) -> list[range]:
 
 def skim(frames: int, count: int) -> list[int]:
     """Return about ``count`` of the frames, in runs spread evenly over all of them."""
-    length = max(1, count // RUNS)
-    if frames <= count or frames <= length * RUNS:
+    length = max(1, count // SKIM_RUNS)
+    if frames <= count or frames <= length * SKIM_RUNS:
         return list(range(frames))
-    starts = [(frames - length) * i // (RUNS - 1) for i in range(RUNS)]
+    starts = [(frames - length) * i // (SKIM_RUNS - 1) for i in range(SKIM_RUNS)]
     return sorted({k for start in starts for k in range(start, start + length)})
 
 
 def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
-    """Return the poses of all frames from those of the clips that :func:`cut` made."""
+    """Join the poses of the clips that :func:`cut` made; return the poses of all frames."""
     whole = poses[0]
     for clip, other in zip(clips[1:], poses[1:], strict=True):
         ours, theirs = whole[clip.start :], other[: len(whole) - clip.start]

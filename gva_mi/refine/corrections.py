@@ -3,9 +3,9 @@
 1. ``R_k,i = R_k,i^stage1 exp(δ_k,i)``,    ``t_k = t_k^stage1 + τ_k``
 2. ``A_k,i δ_k,i = δ⁰_k,i + Σ_l M_i,kl u_l,i``,    ``τ`` in the same way
 
-``A_k,i`` rotates a vector to the camera's axes, by stage 1. In these axes each coordinate has its
-own step size: images show how a limb swings across the line of sight, and where a person stands
-sideways, much better than a tilt toward the camera, and depth. With one step size for all,
+``A_k,i`` rotates a vector from a joint's axes to the camera's axes, by stage 1. In the camera's
+axes each coordinate has its own step size. Images show rotations about the line of sight and
+positions across it much better than tilts toward the camera and depth. With one step size for all,
 coordinates that images show weakly would hardly move.
 
 The preconditioner ``M`` and the energy of the corrections come from the prior of this video
@@ -30,62 +30,68 @@ from gva_mi.prior.error_model import Stage1ErrorModel
 from gva_mi.prior.frame_matrices import FrameMatrices
 from gva_mi.prior.ground import Ground, Soles
 from gva_mi.prior.inference import (
-    JOINTS,
+    CORRECTED_JOINTS,
     PELVIS,
     PosePrior,
     PriorTerm,
     prior_from_corrections,
     prior_from_stage1,
 )
-from gva_mi.prior.stage1_poses import Stage1, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
 
 
 class Corrections:
-    """``δ`` and ``τ`` of some frames, under a prior.
+    """The corrections ``δ`` and ``τ`` of n frames, under a prior.
 
     ``turns`` (n, J, 3, 1) and ``moves`` (n, 3, 1) are leaves, ``u`` of eq. 2.
-    :class:`gva_mi.refine.optimize.VectorAdam` takes the last axis for a vector, so each coordinate
-    has its own step size. ``start`` is ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the camera's axes.
+    :class:`gva_mi.refine.vector_adam.VectorAdam` takes the last axis for a vector, so each
+    coordinate has its own step size. ``start`` is ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3), in the
+    camera's axes.
     """
 
     def __init__(
-        self, stage1: Stage1, anatomy: Anatomy, prior: PosePrior, turns0: Tensor, moves0: Tensor
+        self,
+        stage1: Stage1Poses,
+        anatomy: Anatomy,
+        prior: PosePrior,
+        turns0: Tensor,
+        moves0: Tensor,
     ) -> None:
         """Start from corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) in the camera's axes."""
         self._stage1, self._anatomy, self.prior = stage1, anatomy, prior
         self.start = turns0, moves0
         n, joints = turns0.shape[:2]
-        own = stage1.in_joints(turns0)
-        spread = torch.zeros(joints, n, n)  # the face stays
-        spread[PELVIS] = prior.pelvis.spread(own[:, PELVIS]).M
-        spread[JOINTS] = prior.joints.spread(own[:, JOINTS]).M
-        self._spread = FrameMatrices.of(spread)
-        self._spread_moves = prior.place.spread(moves0[..., None])
+        own = stage1.to_joint_axes(turns0)
+        M = torch.zeros(joints, n, n)  # the face stays
+        M[PELVIS] = prior.pelvis.preconditioner(own[:, PELVIS]).M
+        M[CORRECTED_JOINTS] = prior.joints.preconditioner(own[:, CORRECTED_JOINTS]).M
+        self._preconditioner = FrameMatrices.of(M)
+        self._preconditioner_of_moves = prior.place.preconditioner(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
         self.turns = torch.zeros(n, joints, 3, 1).requires_grad_()
         self.moves = torch.zeros(n, 3, 1).requires_grad_()
 
     @staticmethod
     def map_estimate(
-        stage1: Stage1, anatomy: Anatomy, known: Mapping[str, Stage1ErrorModel] | None = None
+        stage1: Stage1Poses, anatomy: Anatomy, known: Mapping[str, Stage1ErrorModel] | None = None
     ) -> Corrections:
-        """Start from the MAP estimate, without any image; ``known`` is of the estimator."""
+        """Start from the MAP estimate without any image; ``known`` errors are not inferred."""
         prior = prior_from_stage1(stage1, known)
         given = stage1.pose.rotations
         own = torch.zeros(given.shape)
         own[:, PELVIS], pelvis = prior.pelvis.map_estimate()
-        own[:, JOINTS], joints = prior.joints.map_estimate()
+        own[:, CORRECTED_JOINTS], joints = prior.joints.map_estimate()
         moves, place = prior.place.map_estimate()
         prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
-        covariance[JOINTS] = joints.covariance(own[:, JOINTS])
+        covariance[CORRECTED_JOINTS] = joints.covariance(own[:, CORRECTED_JOINTS])
         estimate = turns_between(-given, own)
         wanted = anatomy.conditioned(estimate, covariance, stage1.times)
         own = turns_between(given, wanted)
-        return Corrections(stage1, anatomy, prior, stage1.in_camera(own), moves[..., 0])
+        return Corrections(stage1, anatomy, prior, stage1.to_camera_axes(own), moves[..., 0])
 
     def zeroed(self) -> Corrections:
-        """Return the same prior with zero corrections: stage 1 as it is."""
+        """Return zero corrections under the same prior: the unchanged stage 1."""
         turns0, moves0 = (torch.zeros_like(x) for x in self.start)
         return Corrections(self._stage1, self._anatomy, self.prior, turns0, moves0)
 
@@ -103,14 +109,14 @@ class Corrections:
         same if all pelvises are a centimetre nearer.
         """
         turns, moves = self.found()
-        mean = self._stage1.in_joints(turns).mean(0).expand_as(turns)
+        mean = self._stage1.to_joint_axes(turns).mean(0).expand_as(turns)
         turns0, moves0 = self.start
         constant = constant_shifts(moves, self._stage1.R_joint_camera[:, 0])
-        self.start = turns0 - self._stage1.in_camera(mean), moves0 - constant
+        self.start = turns0 - self._stage1.to_camera_axes(mean), moves0 - constant
 
     @torch.no_grad()
     def with_updated_prior(self, turns: Tensor, moves: Tensor) -> Corrections:
-        """Return corrections that were :meth:`found`, with the prior inferred from them."""
+        """Return corrections that start where these are, with the prior inferred from them."""
         prior = prior_from_corrections(self.prior, self._stage1, turns, moves)
         return Corrections(self._stage1, self._anatomy, prior, turns, moves)
 
@@ -126,25 +132,29 @@ class Corrections:
         return self._stage1.corrected(which, *self._at(which))
 
     def energy(self, distance_shown: bool = False) -> Tensor:
-        """Return the corrections' prior energy in nats, a mean over the frames.
+        """Return the prior energy of the corrections in nats, a mean over the frames.
 
-        ``distance_shown``: whether the evidence shows how far away the person stands.
+        ``distance_shown``: whether the evidence shows how far away the person is.
         """
         turns, moves = self._at(range(len(self.moves)))
-        own, prior, stage1 = self._stage1.in_joints(turns), self.prior, self._stage1
+        own, prior, stage1 = self._stage1.to_joint_axes(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
         places = moves[..., None]
         nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], own[:, PELVIS])
-        nats = nats + prior.joints.energy(of_joints, turns[:, JOINTS], own[:, JOINTS])
+        nats = nats + prior.joints.energy(
+            of_joints, turns[:, CORRECTED_JOINTS], own[:, CORRECTED_JOINTS]
+        )
         nats = nats + prior.place.energy(of_place, places, places)
         rotations = compose(stage1.pose.rotations, own)
         motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times
         terms: list[PriorTerm] = [self._anatomy]
         for term in terms if prior.ground is None else [*terms, prior.ground]:
             nats = nats + term.energy(*motion)
-        held = self._held(turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0))
+        whole = self._whole_person_energy(
+            turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0)
+        )
         tilt = prior.tilt.energy(*motion) if prior.tilt else self.constant_turn_energy()
-        return nats / len(moves) + held + tilt
+        return nats / len(moves) + whole + tilt
 
     def constant_turn_energy(self) -> Tensor:
         """Return the energy of turns that all frames share, in the camera's axes, nats.
@@ -154,31 +164,31 @@ class Corrections:
         images determine such a tilt no better than one, so the errors' size is a prior in every
         frame. Its weight is how far the person turns: 1 for a full turn, 0 for none.
         """
-        mean = self._at(range(len(self.moves)))[0][:, JOINTS].mean(0)
+        mean = self._at(range(len(self.moves)))[0][:, CORRECTED_JOINTS].mean(0)
         variance = self.prior.joints.variance_of_mean(bias=True)
-        return self._stage1.turned * (mean.square().sum(-1) / variance).sum() / 2
+        return self._stage1.turn_amount * (mean.square().sum(-1) / variance).sum() / 2
 
-    def _held(self, turn: Tensor, shift: Tensor | None) -> Tensor:
-        """Return the energy, in each frame, of a turn (3,) and shift (3,) of the whole person.
+    def _whole_person_energy(self, turn: Tensor, shift: Tensor | None) -> Tensor:
+        """Return the energy, in each frame, of a mean turn (3,) and shift (3,) of the whole person.
 
         Many images determine them no better than one: a larger person farther away looks the same
         in all of them, and trousers that widen toward their hems look like feet nearer than the
-        head. So the mean over stage 1's frames is a prior in every frame. Other joints are treated
-        by :meth:`constant_turn_energy`, or by the camera-locked tilt. The bias of a position counts
-        if it is known, and not guessed.
+        head. So the mean over the frames of stage 1 is a prior in every frame. For other joints
+        see :meth:`constant_turn_energy`, or the camera-locked tilt. The bias of the position counts
+        only if it is known.
         """
         pelvis, place = self.prior.pelvis, self.prior.place
         nats = (turn.square() / pelvis.variance_of_mean(bias=True)).sum() / 2
         if shift is not None:
-            variance = place.variance_of_mean(bias=self.prior.noise["depth"].known)
+            variance = place.variance_of_mean(bias=self.prior.error_models["depth"].known)
             nats = nats + (shift.square() / variance).sum() / 2
         return nats
 
     def _at(self, which: Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Return eq. 2 for r of the frames: turns (r, J, 3), shifts (r, 3), camera's axes."""
-        which = list(which)
-        turns = self._spread.product(self.turns[..., 0].transpose(0, 1), which).transpose(0, 1)
-        moves = self._spread_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
+        """Return eq. 2 for r frames in the camera's axes: turns (r, J, 3), shifts (r, 3)."""
+        which, u = list(which), self.turns[..., 0].transpose(0, 1)
+        turns = self._preconditioner.product(u, which).transpose(0, 1)
+        moves = self._preconditioner_of_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
 

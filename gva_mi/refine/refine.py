@@ -12,9 +12,9 @@ with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
   only.
 
 Frames of all splits are refined in the same way, from their own masks and normals; frames without
-normals from their silhouettes alone. A job is a clip of a video (:mod:`gva_mi.refine.clips`). Jobs
-are solved one after the other, and processes share the frames of each step
-(:mod:`gva_mi.refine.frame_losses`): any number finds the same poses.
+normals from their silhouettes alone. A job refines one clip of a video
+(:mod:`gva_mi.refine.clips`). Jobs run one after the other, and processes share the frames of each
+step (:mod:`gva_mi.refine.frame_losses`): any number finds the same poses.
 """
 
 from __future__ import annotations
@@ -32,13 +32,8 @@ from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_thread
 from gva_mi.core.tasks import Done, run
 from gva_mi.refine.clips import cut, join, skim
-from gva_mi.refine.observed_video import (
-    ObservedVideo,
-    RefineOptions,
-    as_filmed,
-    before_one_lens,
-    simplified_body,
-)
+from gva_mi.refine.observed_video import ObservedVideo, RefineOptions, simplified_body
+from gva_mi.refine.one_lens import before_one_lens, moved_between_lenses
 from gva_mi.refine.optimize import worse_frames
 from gva_mi.refine.sequence import (
     ObservedClip,
@@ -51,23 +46,24 @@ from gva_mi.refine.single_frame import FRAMES_A_JOB, refine_single_frames
 from gva_mi.splat import Camera
 from gva_mi.subject.video import Video
 
-# Nats by which a frame must speak against its refined pose, where stage 1 was made from the same
-# landmarks: it agrees with them by more than the true pose does, and its neighbours know better.
-CONTRADICTION = 4.0
+# A frame keeps its stage-1 pose if its loss grew by more than this, in nats, and the errors of
+# stage 1 are known. Chosen above 0: our stage 1 was solved from the same landmarks, so it agrees
+# with them better than the true pose does.
+KEPT_LOSS_MARGIN = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refined(Solution):
     """Solution of all frames after stage 2, and figures of the refinement."""
 
-    losses_stage1: Tensor  # (T,) of the evidence at stage 1; NaN where there is none
-    losses: Tensor  # (T,) the data term at the poses found, rejected ones included
+    losses_stage1: Tensor  # (T,) of the evidence at the stage-1 poses; NaN without evidence
+    losses: Tensor  # (T,) of the evidence at the poses found, rejected ones included
     kept: dict[int, str]  # frames that keep their stage-1 pose, and why
-    without_normals: list[int]  # frames that were fitted to their silhouette alone
+    without_normals: list[int]  # frames that were fitted to their silhouettes alone
     seconds_per_frame: float  # summed over all workers
     cameras: list[Camera] | None = None  # that the poses are for, if not the video's
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
-    # Pairs of limbs that stage 1 had swapped, and in which frames.
+    # "legs" or "arms" that stage 1 had swapped, and in which frames.
     swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
 
 
@@ -104,10 +100,10 @@ def refine_all(
     A long video takes two rounds: the first finds what its clips share, the second their poses.
 
     Args:
-        videos: under their stage-1 poses.
+        videos: with stage-1 poses.
         body: the body that all poses move.
         options: as of :func:`refine`.
-        progress: called as ``progress(done, total, **figures)`` with the steps of all of them.
+        progress: called as ``progress(done, total, **figures)`` with the steps of all videos.
         workers: processes that share the frames of a step, this one included. Eq. 8 frame by
             frame always runs in this process.
 
@@ -117,19 +113,20 @@ def refine_all(
     simplified = cache(partial(simplified_body, body))  # shared by the videos
     placed = [before_one_lens(video, body) for video in videos]
     observed = [ObservedVideo.of(video, simplified, options) for video in placed]
-    first = {k: job for k, video in enumerate(observed) if (job := _skim_job(video))}
-    steps = sum(job.steps for job in first.values())
+    skims = {k: job for k, video in enumerate(observed) if (job := _skim_job(video))}
+    steps = sum(job.steps for job in skims.values())
     total = steps + sum(_steps(x, len(x.evidence.part(c))) for x in observed for c in _clips(x))
     report = part_of_progress(progress, 0, steps, total)
-    known = dict(zip(first, _solved(list(first.values()), workers, report), strict=True))
-    jobs = [_clip_jobs(video, known.get(k)) for k, video in enumerate(observed)]
+    skimmed = dict(zip(skims, _solved(list(skims.values()), workers, report), strict=True))
+    jobs = [_clip_jobs(video, skimmed.get(k)) for k, video in enumerate(observed)]
     report = part_of_progress(progress, steps, total - steps, total)
     found = _solved([job for own in jobs for job in own], workers, report)
     for k, (video, before, own) in enumerate(zip(videos, placed, jobs, strict=True)):
-        refined = _joined(observed[k], known.get(k), [next(found) for _ in own])
+        refined = _joined(observed[k], skimmed.get(k), [next(found) for _ in own])
         if before is not video:
             person = refined.pose, refined.shape, body
-            refined = replace(refined, pose=as_filmed(*person, before.cameras, video.cameras))
+            pose = moved_between_lenses(*person, before.cameras, video.cameras)
+            refined = replace(refined, pose=pose)
         yield refined
 
 
@@ -140,9 +137,10 @@ class _ClipJob:
     clip: ObservedClip
     options: RefineOptions
     steps: int
-    processes: int = 1  # that share the frames of a step
+    processes: int = 1  # that share the frames of a step, this one included
 
     def solve(self, progress: Progress | None = None) -> Solution:
+        """Refine the clip; without evidence it stays as it is."""
         clip, options = self.clip, self.options
         unchanged = Solution(clip.pose, clip.shape, torch.zeros_like(clip.body.v_template))
         if not clip.evidence:
@@ -159,6 +157,7 @@ class _ClipJob:
 def _solved(
     jobs: Sequence[_ClipJob], workers: int, progress: Progress | None
 ) -> Iterator[Done[Solution]]:
+    """Solve jobs one after the other; ``workers`` processes share the frames of a step."""
     return run([replace(job, processes=workers) for job in jobs], None, progress)
 
 
@@ -171,13 +170,13 @@ def _clips(video: ObservedVideo) -> list[range]:
 
 
 def _steps(video: ObservedVideo, frames: int) -> int:
-    """Return the steps that so many frames take, for progress."""
+    """Return the number of steps that ``frames`` frames take, for progress."""
     in_sequence = isinstance(video.options, SequenceOptions)
     return frames * video.options.passes * (repeats(frames) if in_sequence else 1)
 
 
 def _skim_job(video: ObservedVideo) -> _ClipJob | None:
-    """Return the job that precedes the clips; None if there is none."""
+    """Return the first round of a long video; None if there is none."""
     options, seen = video.options, sorted(video.evidence)
     if not isinstance(options, SequenceOptions) or len(_clips(video)) == 1 or not seen:
         return None
@@ -185,26 +184,27 @@ def _skim_job(video: ObservedVideo) -> _ClipJob | None:
     return _ClipJob(video.clip(frames, 0, video.pose), options, _steps(video, len(frames)))
 
 
-def _clip_jobs(video: ObservedVideo, known: Done[Solution] | None) -> list[_ClipJob]:
+def _clip_jobs(video: ObservedVideo, skimmed: Done[Solution] | None) -> list[_ClipJob]:
     """Return the jobs of the clips, once the first round is done."""
-    shared, jobs = None if known is None else known.result, []
+    first_round, jobs = None if skimmed is None else skimmed.result, []
     for frames in _clips(video):
-        clip = video.clip(frames, frames.start, video.pose[frames.start : frames.stop], shared)
+        pose = video.pose[frames.start : frames.stop]
+        clip = video.clip(frames, frames.start, pose, first_round)
         jobs.append(_ClipJob(clip, video.options, _steps(video, len(clip.evidence))))
     return jobs
 
 
 def _joined(
-    video: ObservedVideo, known: Done[Solution] | None, found: Sequence[Done[Solution]]
+    video: ObservedVideo, skimmed: Done[Solution] | None, found: Sequence[Done[Solution]]
 ) -> Refined:
     """Join the clips, and keep stage 1 in frames whose loss did not fall."""
-    begin, shared = time.perf_counter(), (known or found[0]).result
+    begin, shared = time.perf_counter(), (skimmed or found[0]).result
     pose = join(_clips(video), [done.result.pose for done in found])
     losses_stage1, losses = (video.losses(p, shared) for p in (video.pose, pose))
-    margin = 0.0 if video.errors is None else CONTRADICTION * video.options.prior_weight
+    margin = 0.0 if video.known_errors is None else KEPT_LOSS_MARGIN * video.options.prior_weight
     kept = video.kept | worse_frames(video.evidence, losses_stage1, losses, margin=margin)
     taken = [k for k in (*video.evidence, *video.held_out) if k not in kept]
-    solved = [*found, *([known] if known else [])]
+    solved = [*found, *([skimmed] if skimmed else [])]
     work = video.seconds + sum(done.seconds for done in solved) + time.perf_counter() - begin
     pose = video.pose.with_frames(taken, pose[taken])
     shared = replace(shared, pose=pose, offsets=video.coarse.spread(shared.offsets))

@@ -3,28 +3,19 @@
 The poses of all frames, and the displacement ``D`` and shape ``β`` that all frames share, are
 optimised (:mod:`gva_mi.refine.optimize`) on
 
-    L = mean_k( d_k + Σ_parts λc d_k,part )    d: Eq. 8's data term of the posed body
-                                               with shape β, displaced by D; again for hands and
-                                               feet (gva_mi.refine.evidence)
+    L = mean_k( d_k + Σ_parts λc d_k,part )    d: data term of Eq. 8 of the posed body with shape β,
+                                               displaced by D (gva_mi.refine.image_evidence); again
+                                               for hands and feet (gva_mi.refine.close_ups)
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.refine.corrections)
-        + λl L_landmarks                       gva_mi.observe.rig
-        + E(D)
+        + λl L_landmarks                       gva_mi.refine.landmark_evidence
+        + E(D)                                 gva_mi.refine.displacement
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       if the height H is known: gva_mi.prior.stature
 
 One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
 cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
 limb tilts toward the camera, but its neighbours see the limb from another side.
-
-Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
-limbs, size and depth would change to make up for the cloth. The displacement ``D`` (V, 3) costs
-
-    E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
-
-with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
-the mean square of the edges. It keeps ``D`` smooth, small, and outward, because cloth lies on the
-body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
 """
 
 from __future__ import annotations
@@ -40,19 +31,15 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
-from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
-from gva_mi.observe.rig import SeenLandmarks
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats, Soles
 from gva_mi.prior.stature import PERSON_HEIGHTS, Stature
-from gva_mi.refine.evidence import (
-    FinePicture,
-    MaskAndNormals,
-    hand_vertices,
-    mean_of_losses,
-)
-from gva_mi.refine.frame_losses import FrameLosses, shared_losses
+from gva_mi.refine.close_ups import FinePicture
+from gva_mi.refine.displacement import Displacement
+from gva_mi.refine.frame_losses import FrameLosses, mean_of_losses, shared_losses
+from gva_mi.refine.image_evidence import MaskAndNormals
+from gva_mi.refine.landmark_evidence import SeenLandmarks
 from gva_mi.refine.optimize import (
     DescentOptions,
     Faces,
@@ -62,22 +49,21 @@ from gva_mi.refine.optimize import (
     PersonSize,
     PriorWeight,
     descend,
-    lever_arms,
 )
+from gva_mi.refine.vector_adam import lever_arms
 
-STEPS_A_PASS = 16  # smallest number
-FINGERS = GROUPS["fingers"]
-CLOSE_FEET = 0.1  # λc of each foot; shoes differ from the body
-LANDMARK_WEIGHT = 0.015  # λl: of one nat
-HOLD_HEIGHT = 1e3  # λh, for one square metre
-HOLD_BETAS = 0.01  # λβ, for one squared standard deviation
-# First steps of what all frames share.
+# Least number of steps in a pass: a clip of few frames visits each of them several times. Chosen:
+# with fewer steps poses do not converge.
+STEPS_A_PASS = 16
+FINGER_JOINTS = GROUPS["fingers"]
+FOOT_WEIGHT = 0.1  # λc of each foot; chosen small: shoes differ from the body
+LANDMARK_WEIGHT = 0.015  # λl, for one nat; chosen
+HEIGHT_WEIGHT = 1e3  # λh, for one square metre; chosen
+BETAS_WEIGHT = 0.01  # λβ, for one squared standard deviation; chosen
+# First steps of the unknowns that all frames share; chosen.
 CLOTH_STEP = 0.003  # metres
 BETAS_STEP = 0.05  # standard deviations
 LANDMARK_STEP = 0.001  # metres, of the landmarks' offsets
-# a, for one (1/m)²; b and c, for one square metre: cloth may stand off the body by decimetres, and
-# hardly enters it.
-SMOOTH, SMALL, OUTWARD = 1.6e-4, 10.0, 400.0
 
 
 @options_of("refine")
@@ -85,7 +71,7 @@ class SequenceOptions(DescentOptions):
     """Options of the refinement of all frames together.
 
     The losses that the weights multiply are divided by the person's area in pixels
-    (:mod:`gva_mi.refine.evidence`).
+    (:mod:`gva_mi.refine.image_evidence`).
     """
 
     passes: Passes = 24  # how often every frame is visited, more often if there are very few
@@ -116,30 +102,42 @@ class SequenceOptions(DescentOptions):
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of a refinement."""
+    """Poses after stage 2, and the unknowns that all frames share."""
 
     pose: Pose  # T frames
     shape: Shape
     offsets: Tensor  # (V, 3) displacement of the rest surface, metres
-    # Stage 1's errors, if inferred.
-    noise: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
+    # Of stage 1, known or inferred; empty without a prior.
+    error_models: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
     contact: ContactStats | None = None  # how the feet touch the ground, if inferred
-    landmark_offsets: Tensor | None = None  # (P, 3) metres, of gva_mi.observe.rig
+    landmark_offsets: Tensor | None = None  # (P, 3) ``o`` of gva_mi.observe.rig, metres
 
 
 @dataclass(frozen=True)
 class ObservedClip:
-    """Frames to be refined together, with all that was observed of them."""
+    """Frames that are refined together, with all that was observed of them.
 
-    evidence: Mapping[int, MaskAndNormals]  # by number within ``pose``; perhaps still on disk
+    Attributes:
+        evidence: masks and normals, by index into ``pose``; perhaps still on disk.
+        body: that is compared.
+        pose: T frames of stage 1; frames without evidence keep it.
+        shape: of the person, by stage 1.
+        first_round: solution whose shared unknowns are kept; None: they are found here.
+        fine: pictures for close-ups, by index.
+        filled_in: frames without evidence whose poses follow from the prior.
+        landmarks: of all T frames.
+        known_errors: of the estimator, by group of joints; None: inferred.
+    """
+
+    evidence: Mapping[int, MaskAndNormals]
     body: BodyModel
-    pose: Pose  # stage 1; frames without evidence keep it
+    pose: Pose
     shape: Shape
-    known: Solution | None = None  # of the first round: the shared unknowns are taken from it
-    fine: Mapping[int, FinePicture] = field(default_factory=dict)  # for close-ups, by number
-    following: Sequence[int] = ()  # frames without evidence that the motion prior fills in
-    landmarks: SeenLandmarks | None = None  # of all frames of ``pose``
-    errors: Mapping[str, Stage1ErrorModel] | None = None  # of the estimator; None: inferred
+    first_round: Solution | None = None
+    fine: Mapping[int, FinePicture] = field(default_factory=dict)
+    filled_in: Sequence[int] = ()
+    landmarks: SeenLandmarks | None = None
+    known_errors: Mapping[str, Stage1ErrorModel] | None = None
 
 
 def refine_sequence(
@@ -148,9 +146,13 @@ def refine_sequence(
     progress: Progress | None = None,
     processes: int = 1,
 ) -> Solution:
-    """Refine the frames that have evidence; the others keep their pose, and affect no frame.
+    """Refine the frames of a clip that have evidence; others keep their pose, and affect no frame.
 
-    ``processes``, this one included, share the frames of a step; any number finds the same bits.
+    Args:
+        clip: the frames and what was observed of them.
+        options: weights, passes, learning rates and the seed.
+        progress: called after every step.
+        processes: that share the frames of a step, this one included; the bits do not depend on it.
     """
     person = ClothedPerson(clip, options)
     # With few frames a step takes fewer of them, and with very few they are visited more often:
@@ -165,25 +167,36 @@ def refine_sequence(
     processes, count = min(processes, options.batch), frames * options.passes
     with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
         found = descend(
-            person, clip.pose, person.arms, options, progress, clip.following, errors=clip.errors
+            person,
+            clip.pose,
+            person.arms,
+            options,
+            progress,
+            filled_in=clip.filled_in,
+            known_errors=clip.known_errors,
         )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     ground = found.prior.ground
-    contact = None if ground is None else ground.contact
-    points = None if clip.landmarks is None else person.landmark_offsets.detach()
-    return Solution(found.pose, shape, offsets, found.prior.noise, contact, points)
+    return Solution(
+        pose=found.pose,
+        shape=shape,
+        offsets=offsets,
+        error_models=found.prior.error_models,
+        contact=None if ground is None else ground.contact,
+        landmark_offsets=None if clip.landmarks is None else person.landmark_offsets.detach(),
+    )
 
 
 def repeats(frames: int) -> int:
-    """Return how many times a pass visits each of so many frames."""
+    """Return how many times a pass visits each frame of a clip."""
     return max(1, -(-STEPS_A_PASS // max(1, frames)))
 
 
 class ClothedPerson:
-    """The refinement's :class:`gva_mi.refine.optimize.Evidence`: a clothed person in all frames.
+    """The :class:`gva_mi.refine.optimize.Evidence` of a clip: a clothed person in all frames.
 
-    The body with shape ``β``, displaced by ``D``, is compared with masks and normals. ``D`` and
-    ``β`` are the shared leaves, unless the clip knows them from a first round.
+    The body with shape ``β``, displaced by ``D``, is compared with masks, normals and landmarks.
+    ``D`` and ``β`` are the shared leaves, unless the clip has them from a first round.
     """
 
     # With a known height, depth is scaled with body size and not fitted, because hair and shoes
@@ -193,7 +206,7 @@ class ClothedPerson:
     def __init__(self, clip: ObservedClip, options: SequenceOptions) -> None:
         rest = clip.body.rest(clip.shape)
         self._clip, self._options = clip, options
-        weights = {"hand": options.close_hands, "foot": CLOSE_FEET}
+        weights = {"hand": options.close_hands, "foot": FOOT_WEIGHT}
         self.frame_losses = FrameLosses(
             clip.body, clip.evidence, clip.fine, options.silhouette, weights
         )
@@ -201,14 +214,17 @@ class ClothedPerson:
         self._stature = Stature.of(clip.body)
         self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
         self._betas = clip.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
-        if clip.known is None:
+        if clip.first_round is None:
             self.shared = [(self._cloth.raw, CLOTH_STEP), (self._betas, BETAS_STEP)]
             if clip.landmarks is not None:
                 self.landmark_offsets = torch.zeros_like(clip.landmarks.rig.rest).requires_grad_()
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
-            self.landmark_offsets = clip.known.landmark_offsets
-            self._cloth.raw, self._betas = clip.known.offsets, clip.known.shape.betas[:, None]
+            self.landmark_offsets = clip.first_round.landmark_offsets
+            self._cloth.raw, self._betas = (
+                clip.first_round.offsets,
+                clip.first_round.shape.betas[:, None],
+            )
             self.shared = []
         self.anatomy = Anatomy.of(rest.joints)
         self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
@@ -232,17 +248,17 @@ class ClothedPerson:
 
     @property
     def surface_known(self) -> bool:
-        """Whether the clothes are known, from a first round."""
-        return self._clip.known is not None
+        """Whether the clothes are known from a first round."""
+        return self._clip.first_round is not None
 
     @property
     def unseen(self) -> Sequence[int]:
-        """The fingers, until close-ups are used: before, mask errors would bend them."""
+        """The fingers until close-ups are used: errors of masks would bend them before."""
         close = self._close and self._clip.fine and self._options.close_hands > 0
-        return () if close else FINGERS
+        return () if close else FINGER_JOINTS
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
-        """Return the data term in these poses, a mean over their frames."""
+        """Return the data term and the landmarks' loss, a mean over the frames."""
         posed = self._clip.body(pose, self.shape, self.offsets)
         losses = lambda bodies: self.frame_losses(frames, bodies, self._close)
         loss = mean_of_losses(posed.vertices, losses)
@@ -252,47 +268,17 @@ class ClothedPerson:
         return loss + LANDMARK_WEIGHT * landmarks.losses(frames, *person).mean()
 
     def enable_details(self) -> None:
-        """Start to use close-ups, which need nearly right poses."""
+        """Start to use close-ups, which need nearly correct poses."""
         self._close = True
 
     def energy(self) -> Tensor:
         """Return the terms of clothes, shape and height."""
         moved = (self.shape.betas - self._clip.shape.betas).square().sum()
-        energy = HOLD_BETAS * moved + self._cloth.energy(self.offsets)
+        energy = BETAS_WEIGHT * moved + self._cloth.energy(self.offsets)
         if self._options.height is not None:
             off = self._stature.energy(self.shape, self._options.height)
-            energy = energy + HOLD_HEIGHT * off
+            energy = energy + HEIGHT_WEIGHT * off
         if self._clip.landmarks is not None:
             off = self._clip.landmarks.energy(self.landmark_offsets) / len(self.frames)
             energy = energy + LANDMARK_WEIGHT * off
         return energy
-
-
-class Displacement:
-    """The displacement ``D`` of the rest surface (SMPL-X + D), and its energy.
-
-    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
-    hands.
-    """
-
-    def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
-        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
-        exact = vertex_normals(vertices.detach().double(), faces)
-        self._normals = exact.to(vertices.dtype)
-        ends = vertices[faces], vertices[faces.roll(1, dims=1)]
-        self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
-        self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
-        self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
-        self.raw = torch.zeros_like(vertices).requires_grad_()
-
-    @property
-    def offsets(self) -> Tensor:
-        """``D`` (V, 3), metres."""
-        return self.raw * self._free
-
-    def energy(self, offsets: Tensor) -> Tensor:
-        """Return ``E(D)``."""
-        bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
-        inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
-        total = SMOOTH * bent + SMALL * offsets.square().sum() + OUTWARD * inward
-        return total / len(offsets)

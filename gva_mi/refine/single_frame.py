@@ -2,9 +2,9 @@
 
     L_pose = |N - N_pred| + λ1 |S - S_pred| + λ2 Σ_i ω_i |θ_i - θ_i^stage1|²
 
-Eq. 8 prints no norm for the regulariser, which could then fall without bound; it is taken squared.
-Its weights fall with the depth in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``: the farther out
-a joint, the less accurate is its stage-1 rotation. The translation stays at stage 1, because Eq. 8
+Eq. 8 prints no norm for the regulariser, which could then fall without bound; here it is squared.
+Its weights fall with the depth in the kinematic tree, ``ω_i = 1 / (1 + depth_i)``, because the
+stage-1 rotations of outer joints are less accurate. The translation stays at stage 1, because Eq. 8
 optimises ``θ`` alone.
 """
 
@@ -21,11 +21,12 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, Turn, Weight, Within, options_of
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.refine.evidence import MaskAndNormals
-from gva_mi.refine.optimize import Faces, PersonSize, VectorAdam, lever_arms, turn_rates
+from gva_mi.refine.image_evidence import MaskAndNormals
+from gva_mi.refine.optimize import Faces, PersonSize
+from gva_mi.refine.vector_adam import VectorAdam, lever_arms, turn_rates
 
-DECAY = 0.1  # final learning rates, relative to the initial ones
-FRAMES_A_JOB = 16  # each is refined on its own, but a job for each would be too small
+DECAY = 0.1  # final learning rates, relative to the initial ones; chosen
+FRAMES_A_JOB = 16  # frames are independent; chosen so that jobs are not too small
 
 
 @options_of("refine")
@@ -51,7 +52,7 @@ def refine_single_frames(
     options: SingleFrameOptions,
     progress: Progress | None = None,
 ) -> Pose:
-    """Minimise Eq. 8 in every frame that has evidence; the others keep their pose."""
+    """Minimise Eq. 8 in every frame that has evidence; other frames keep their pose."""
     total = options.passes * len(evidence)
     scene, rest = MeshScene(body.faces, body.v_template), body.rest(shape)
     rates = turn_rates(
@@ -77,7 +78,7 @@ def refine_single_frames(
 
 
 def joint_weights(parents: Sequence[int]) -> Tensor:
-    """``ω`` (J,): 1 for the root, 1/2 for its children, and so on."""
+    """Return ``ω`` (J,): 1 for the root, 1/2 for its children, and so on."""
     depth: list[int] = []
     for parent in parents:
         depth.append(0 if parent < 0 else depth[parent] + 1)

@@ -1,20 +1,21 @@
-"""How far arms reach toward the camera: the evidence of all frames together, not of each alone.
+"""Infer how far arms reach toward the camera from all frames together.
 
-A bone's picture hardly tells its depth. Near the picture's plane its length hardly changes, and it
-never tells the sign. So the most likely pose of a frame is often far from the mean of all poses
-that the frame leaves possible. But an arm at rest in the axes of a body that turns round is seen
-from all sides. With the direction ``s_t`` of a bone in the axes of the chest, whose rotation is
-``R_t``, a frame says
+A single picture hardly shows the depth of a bone. If the bone is nearly parallel to the picture's
+plane, its length in the picture hardly changes with depth, and the sign is never visible. So the
+most likely pose of one frame is often far from the mean of all poses that the frame leaves
+possible. But an arm that rests, in the axes of a body that turns round, is seen from all sides.
+With the direction ``s_t`` of a bone in the axes of the chest, whose rotation is ``R_t``, a frame
+says
 
 1. ``E_t(s) = t_2((π(x + L R_t s) - π(x) - d) / σ) + t_1((gain L (R_t s)_z - m) / σ_z)``
 
-where ``x`` is the joint at which the bone starts, ``L`` the bone's length, ``d`` its picture and
-``m`` the depth that the network gives it. ``t_d``, ``gain``, ``σ_z`` and the number of frames that
-count as one are those of :mod:`gva_mi.stage1.evidence`. The posterior of
-:class:`DirectionModel` gives a mean and a variance of the bone's depth in every
-frame. In the evidence they take the place of the network's depth.
+where ``x`` is the joint at which the bone starts, ``L`` the bone's length, ``d`` the bone in the
+picture and ``m`` the depth that the network gives it. ``t_d``, ``gain``, ``σ_z`` and the number of
+frames that count as one are defined in :mod:`gva_mi.stage1.evidence`. :class:`DirectionModel` gives
+the posterior mean and variance of the bone's depth in every frame. In the evidence they replace the
+network's depth.
 
-Legs keep the network's depth: with this one, feet stood worse on rendered videos.
+Legs keep the network's depth: with inferred depths, feet stood worse on rendered videos.
 """
 
 from __future__ import annotations
@@ -29,46 +30,47 @@ from torch.nn.functional import pad
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.core.cpu import sqrt
-from gva_mi.prior.error_model import FREEDOM
-from gva_mi.stage1.evidence import LEAST_DEPTH, LandmarkEvidence, PosedPoints
-from gva_mi.stage1.normal_equations import Stage1State
+from gva_mi.prior.error_model import STUDENT_DOF
+from gva_mi.stage1.evidence import NEAREST_DEPTH, LandmarkEvidence
+from gva_mi.stage1.posed_points import PosedPoints
+from gva_mi.stage1.unknowns import Stage1State
 
 CHEST = JOINTS.index("spine3")
 ARMS = (("shoulder", "elbow"), ("elbow", "wrist"))
-DIRECTIONS = 1000  # N: six degrees apart
-SPEEDS = (0.5, 5.0)  # v_r of rest and of motion, rad/s
-LASTING = (2.0, 0.7)  # seconds that a rest lasts, and a motion
+DIRECTION_COUNT = 1000  # N; chosen: six degrees apart
+MODE_SPEEDS = (0.5, 5.0)  # v_r of rest and of motion, rad/s; chosen
+MODE_SECONDS = (2.0, 0.7)  # mean duration of a rest and of a motion; chosen
 
 
 def with_arm_depths(
     evidence: LandmarkEvidence, names: Sequence[str], state: Stage1State, dt: float
 ) -> LandmarkEvidence:
-    """Return the evidence with the arms' depths from all frames.
+    """Replace the depths of arms in the evidence by depths inferred from all frames.
 
     Args:
         evidence: of T frames.
         names: its P landmarks.
-        state: a first solution: the chest's rotations, the joints' places and the bones' lengths
-            are taken from it. Its offsets are those of the P landmarks.
+        state: a first solution, which gives the chest's rotations, the joints' places and the
+            bones' lengths; its offsets are of the P landmarks.
         dt: seconds between frames.
     """
     offsets = pad(state.offsets, (0, 0, 0, len(evidence.points.rest) - len(names)))
     posed = PosedPoints.of(evidence.points, state.rotations, state.place, state.betas, offsets)
     model = DirectionModel.of(dt)
-    gain, deep = evidence.gain.clone(), evidence.deep.clone()
-    precision = evidence.deep_precision.clone()
+    gain, depths = evidence.gain.clone(), evidence.depths.clone()
+    precision = evidence.depth_precision.clone()
     for bone, ends in _bones(evidence, names):
         directions = torch.einsum("tij,nj->tni", posed.A[:, CHEST], model.directions)
         energy, z, beyond = _energy(evidence, bone, ends, posed, state, directions)
         p = model.posterior(energy[None])[0]
         mean = (p * z).sum(1)
-        gain[bone], deep[:, bone] = 1, mean + beyond
+        gain[bone], depths[:, bone] = 1, mean + beyond
         precision[:, bone] = 1 / (p * (z - mean[:, None]).square()).sum(1)
-    return replace(evidence, gain=gain, deep=deep, deep_precision=precision)
+    return replace(evidence, gain=gain, depths=depths, depth_precision=precision)
 
 
 def _bones(evidence: LandmarkEvidence, names: Sequence[str]) -> list[tuple[int, tuple[int, int]]]:
-    """Return the arms' bones among those of the evidence, and the joints at their ends."""
+    """Return the index of each arm bone in the evidence, and the joints at its ends."""
     found, bones = [], evidence.bones.tolist()
     for side in ("left", "right"):
         for bone in ARMS:
@@ -87,50 +89,53 @@ def _energy(
     state: Stage1State,
     directions: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return eq. 1 of a bone and the depth along it, (T, N), for directions (T, N, 3).
+    """Evaluate eq. 1 of a bone for directions (T, N, 3) in the camera's axes.
 
-    Landmarks sit beside the joints. What they show is moved by what lies between; the last value
-    (T,) is how much larger the depth between the landmarks is than that between the joints.
+    Landmarks sit beside the joints, so what they show is corrected by the offset between them.
+
+    Returns:
+        The energy (T, N) in nats, the depth (T, N) along the bone between its joints, and the
+        excess (T,) of the depth between its landmarks, metres.
     """
     i, j = evidence.bones[bone].tolist()
     x, end = (posed.places[:, joint] for joint in ends)
     f = torch.stack([evidence.K[0, 0], evidence.K[1, 1]]) * state.focal.exp()
-    project = lambda X: f * X[..., :2] / X[..., 2:].clamp_min(LEAST_DEPTH)
+    project = lambda X: f * X[..., :2] / X[..., 2:].clamp_min(NEAREST_DEPTH)
     beside = project(posed.X[:, j]) - project(posed.X[:, i]) - project(end) + project(x)
     beyond = posed.X[:, j, 2] - posed.X[:, i, 2] - end[:, 2] + x[:, 2]
     gain, L = evidence.gain[bone], (end - x).norm(dim=1)
     d = evidence.pixels[:, j] - evidence.pixels[:, i] - beside
-    m = evidence.deep[:, bone] - gain * beyond
+    m = evidence.depths[:, bone] - gain * beyond
 
     along = L[:, None, None] * directions
     z = along[..., 2]
     aside = project(x[:, None] + along) - (project(x) + d)[:, None]
     square = aside.square().sum(2), (gain * z - m[:, None]).square()
     a, b = evidence.precision[:, [i, j]].unbind(1)
-    precision = a * b / (a + b), evidence.deep_precision[:, bone]
+    precision = a * b / (a + b), evidence.depth_precision[:, bone]
     energy = _t(square[0], precision[0], 2) + _t(square[1], precision[1], 1)
     return energy / evidence.correlated[:, None], z, beyond
 
 
 def _t(square: Tensor, precision: Tensor, d: int) -> Tensor:
-    """Return ``t_d`` of squared errors (T, N) with precision (T,); zero in frames without any."""
+    """Return ``t_d`` of squared errors (T, N) with precision (T,); 0 in frames of precision 0."""
     known = (precision > 0)[:, None]
     square = torch.where(known, square * precision[:, None], 0)
-    return (FREEDOM + d) / 2 * torch.log1p(square / FREEDOM)
+    return (STUDENT_DOF + d) / 2 * torch.log1p(square / STUDENT_DOF)
 
 
 @dataclass(frozen=True)
 class DirectionModel:
     """A hidden Markov model of a limb's directions over a video, summed exactly.
 
-    A limb's direction ``s_t`` at frame ``t`` is one of ``N`` unit vectors all over the sphere, and
-    the limb either rests or moves. With the mode ``r``, ``dt`` seconds between frames and ``w`` the
-    larger of ``v_r dt`` and the vectors' spacing,
+    The direction ``s_t`` of a limb in frame ``t`` is one of ``N`` unit vectors on the sphere, and
+    the limb either rests or moves. With the mode ``r``, ``dt`` seconds between frames, and ``w``
+    the larger one of ``v_r dt`` and the spacing of the vectors,
 
     1. ``p(s_t | s_t-1, r) = (1 - q) [s_t = s_t-1] + q K_w(s_t, s_t-1)``,    ``q = (v_r dt / w)²``
     2. ``K_w(s, s') ∝ exp(-|s - s'|² / 2 w²)``
 
-    so that a step has the variance ``(v_r dt)²`` along each axis, however small it is beside the
+    So a step has the variance ``(v_r dt)²`` along each axis, even if that is much smaller than the
     spacing. The forward-backward algorithm (Rabiner, *A Tutorial on Hidden Markov Models*, 1989)
     sums over all sequences of directions and modes.
 
@@ -146,14 +151,14 @@ class DirectionModel:
 
     @staticmethod
     def of(dt: float) -> DirectionModel:
-        """Spread directions evenly, along a spiral from pole to pole."""
-        k = torch.arange(DIRECTIONS, dtype=torch.float64) + 0.5
-        z, turn = 1 - 2 * k / DIRECTIONS, math.pi * (1 + 5**0.5) * k
+        """Make the model, with directions spread evenly along a spiral from pole to pole."""
+        k = torch.arange(DIRECTION_COUNT, dtype=torch.float64) + 0.5
+        z, turn = 1 - 2 * k / DIRECTION_COUNT, math.pi * (1 + 5**0.5) * k
         across = sqrt(1 - z.square())
         s = torch.stack([across * turn.cos(), across * turn.sin(), z], 1)
-        spacing = math.sqrt(4 * math.pi / DIRECTIONS)
-        steps = torch.stack([_steps(s, v * dt, spacing) for v in SPEEDS])
-        stop, start = (1 - math.exp(-dt / lasting) for lasting in reversed(LASTING))
+        spacing = math.sqrt(4 * math.pi / DIRECTION_COUNT)
+        steps = torch.stack([_steps(s, v * dt, spacing) for v in MODE_SPEEDS])
+        stop, start = (1 - math.exp(-dt / seconds) for seconds in reversed(MODE_SECONDS))
         modes = torch.tensor([[1 - start, start], [stop, 1 - stop]], dtype=torch.float64)
         return DirectionModel(s, steps, modes)
 
@@ -161,7 +166,7 @@ class DirectionModel:
         """Return the probability of each direction in each frame, (B, T, N).
 
         Args:
-            energy: (B, T, N) of B limbs, nats: minus the logarithm of what each frame alone says.
+            energy: (B, T, N) of B limbs, nats: minus the log-likelihood of each frame alone.
         """
         limbs, frames, count = energy.shape
         likely = torch.exp(energy.amin(2, keepdim=True) - energy)[:, :, None]
@@ -182,7 +187,7 @@ class DirectionModel:
 
 
 def _steps(s: Tensor, step: float, spacing: float) -> Tensor:
-    """Return eq. 1 (N, N) of a mode that moves so many radians a frame."""
+    """Return eq. 1 (N, N) of a mode that moves ``step`` radians a frame."""
     w = max(step, spacing)
     K = torch.exp((s @ s.T - 1) / w**2)  # |s - s'|² = 2 - 2 s · s'
     K = K / K.sum(1, keepdim=True)

@@ -1,6 +1,6 @@
-"""Normal equations of a video: frames that neighbours couple, and unknowns that all frames share.
+"""Normal equations of a video: neighbouring frames are coupled, some unknowns are shared by all.
 
-Of F unknowns a frame and S shared ones, a Gauss-Newton step solves
+With F unknowns per frame and S shared unknowns, a Gauss-Newton step solves
 
 1. ``[ H_ff  H_fs ] [x]   [g_f]``
    ``[ H_sf  H_ss ] [y] = [g_s]``
@@ -15,121 +15,13 @@ The shared unknowns follow from the Schur complement ``H_ss - H_sf H_ff⁻¹ H_f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from gva_mi.body.so3 import compose
-
-FRAMES_AT_ONCE = 32  # frames whose derivatives are in memory at once
-UNDETERMINED = 1e-6  # added to the diagonal
-
-
-@dataclass(frozen=True)
-class Stage1State:
-    """Poses of T frames, and what all frames share; float64.
-
-    Attributes:
-        rotations: (T, 55, 3) axis-angle; the root's relative to the camera's axes.
-        place: (T, 3) of the root joint, metres.
-        betas: (B,).
-        focal: the logarithm of a factor on the camera's focal length, ().
-        up: (2,) the world's upward direction is that of ``(up_0, -1, up_1)``.
-        floor: () height of the camera above the floor, metres.
-        offsets: (P, 3) constant offsets of the landmarks, metres.
-        angle_offsets: (Q,) constant offsets of the angles that anatomy holds at zero, radians.
-    """
-
-    rotations: Tensor
-    place: Tensor
-    betas: Tensor
-    focal: Tensor
-    up: Tensor
-    floor: Tensor
-    offsets: Tensor
-    angle_offsets: Tensor
-
-    def upward(self) -> tuple[Tensor, Tensor]:
-        """Return the unit vector upward (3,), and its derivative (3, 2) by ``up``."""
-        n = torch.stack([self.up[0], -torch.ones_like(self.up[0]), self.up[1]])
-        length, unit = n.norm(), n / n.norm()
-        across = torch.eye(3, dtype=n.dtype) - unit[:, None] * unit
-        return unit, across[:, [0, 2]] / length
-
-
-@dataclass(frozen=True)
-class Free:
-    """The unknowns of one problem, as columns: those of a frame, then those that frames share.
-
-    Shared columns are counted from the first of them on.
-
-    Attributes:
-        joints: that may turn; with the root (first) the person may also travel.
-        betas: number of them.
-        camera: whether focal length, upward direction and floor are unknown.
-        offsets: landmarks whose offsets are unknown.
-        angle_offsets: angles whose offsets are unknown.
-    """
-
-    joints: Sequence[int]
-    betas: int = 0
-    camera: bool = False
-    offsets: Sequence[int] = ()
-    angle_offsets: Sequence[int] = ()
-
-    @property
-    def travels(self) -> bool:
-        return 0 in self.joints
-
-    @property
-    def per_frame(self) -> int:
-        """F, columns of a frame: place, if the person travels, then joints."""
-        return 3 * (len(self.joints) + self.travels)
-
-    @property
-    def shared(self) -> int:
-        """S."""
-        return self.betas + 4 * self.camera + 3 * len(self.offsets) + len(self.angle_offsets)
-
-    @property
-    def first_of_camera(self) -> int:
-        """Shared column of the focal length; those of up and the floor follow."""
-        return self.betas
-
-    @property
-    def first_of_offsets(self) -> int:
-        return self.first_of_camera + 4 * self.camera
-
-    @property
-    def first_of_angle_offsets(self) -> int:
-        return self.first_of_offsets + 3 * len(self.offsets)
-
-    def moved(self, state: Stage1State, step: Tensor, shared: Tensor) -> Stage1State:
-        """Apply a step (T, F) and (S,)."""
-        turns = step.unflatten(1, (-1, 3))
-        place, rotations = state.place, state.rotations.clone()
-        if self.travels:
-            place, turns = place + turns[:, 0], turns[:, 1:]
-            rotations[:, 0] = compose(rotations[:, 0], turns[:, 0])
-            rotations[:, list(self.joints[1:])] += turns[:, 1:]
-        else:
-            rotations[:, list(self.joints)] += turns
-        camera, angle_offsets = self.first_of_camera, self.first_of_angle_offsets
-        betas, moved, held = state.betas.clone(), state.offsets.clone(), state.angle_offsets.clone()
-        betas[: self.betas] += shared[: self.betas]
-        moved[list(self.offsets)] += shared[self.first_of_offsets : angle_offsets].view(-1, 3)
-        held[list(self.angle_offsets)] += shared[angle_offsets:]
-        found = replace(
-            state, rotations=rotations, place=place, betas=betas, offsets=moved, angle_offsets=held
-        )
-        if not self.camera:
-            return found
-        focal, up, floor = shared[camera], shared[camera + 1 : camera + 3], shared[camera + 3]
-        return replace(
-            found, focal=state.focal + focal, up=state.up + up, floor=state.floor + floor
-        )
+FRAMES_AT_ONCE = 32  # frames whose derivatives are in memory at once; chosen to limit memory
+DIAGONAL_FLOOR = 1e-6  # added to the diagonal, for unknowns that nothing determines; chosen
 
 
 @dataclass
@@ -138,8 +30,8 @@ class NormalEquations:
 
     Attributes:
         frames: (T, F, F) diagonal blocks of ``H_ff``.
-        next, second: (T, F) diagonals of the blocks that couple frame ``t`` with ``t + 1``, and
-            with ``t + 2``; zero where there is none.
+        next, second: (T, F) diagonals of the blocks that couple frame ``t`` with ``t + 1`` and with
+            ``t + 2``; zero if that frame does not exist.
         mixed: (T, F, S) ``H_fs``.
         shared: (S, S) ``H_ss``.
         pull, shared_pull: (T, F) and (S,), the negative gradient.
@@ -154,12 +46,12 @@ class NormalEquations:
     shared_pull: Tensor
 
     @staticmethod
-    def zero(frames: int, free: int, shared: int) -> NormalEquations:
+    def zero(frames: int, F: int, shared: int) -> NormalEquations:
         """Start an empty sum."""
         z = lambda *shape: torch.zeros(*shape, dtype=torch.float64)
         return NormalEquations(
-            z(frames, free, free), z(frames, free), z(frames, free), z(frames, free, shared),
-            z(shared, shared), z(frames, free), z(shared),
+            z(frames, F, F), z(frames, F), z(frames, F), z(frames, F, shared),
+            z(shared, shared), z(frames, F), z(shared),
         )  # fmt: skip
 
     def add(
@@ -168,9 +60,11 @@ class NormalEquations:
         """Add weighted squares ``Σ w r² / 2`` of n frames.
 
         Args:
-            some: the frames.
-            r, weights: (n, N).
-            by_frame, by_shared: (n, N, F) and (n, N, S), derivatives of r.
+            some: the n frames.
+            r: (n, N) residuals.
+            weights: (n, N) ``w``.
+            by_frame: (n, N, F) derivatives of r by the unknowns of the frame.
+            by_shared: (n, N, S) derivatives of r by the shared unknowns.
         """
         weighted = weights[..., None] * by_frame
         self.frames[some] += weighted.mT @ by_frame
@@ -185,7 +79,7 @@ class NormalEquations:
     def add_steps(
         self, steps: Tensor, weight: float | Tensor, columns: slice = slice(None)
     ) -> None:
-        """Add weighted squares of the steps (T - 1, n) from frame to frame of n columns."""
+        """Add weighted squares of steps (T - 1, n) from frame to frame, of n columns."""
         diagonal = self.frames.diagonal(dim1=1, dim2=2)[:, columns]
         diagonal[1:] += weight
         diagonal[:-1] += weight
@@ -194,17 +88,17 @@ class NormalEquations:
         self.pull[:-1, columns] += weight * steps
 
     def solve(self, damping: float) -> tuple[Tensor, Tensor]:
-        """Return the step (T, F) and (S,), with the diagonal ``1 + damping`` times as large."""
-        count, free = self.pull.shape
+        """Solve eq. 1, its diagonal times ``1 + damping``, for the step (T, F) and (S,)."""
+        count, F = self.pull.shape
         more = 1 + damping
         frames = self.frames.clone()
-        # What nothing determines, such as the place of a single frame without pictures, stays.
-        frames.diagonal(dim1=1, dim2=2).mul_(more).add_(UNDETERMINED)
+        # An unknown that nothing determines stays, such as the place of a frame without landmarks.
+        frames.diagonal(dim1=1, dim2=2).mul_(more).add_(DIAGONAL_FLOOR)
         known = torch.cat([self.mixed, self.pull[..., None]], -1)
         factors = _Factors.of(*_in_pairs(frames, self.next, self.second))
         padded = torch.nn.functional.pad(known, (0, 0, 0, 0, 0, count % 2))
-        solved = factors.solve(padded.reshape(-1, 2 * free, known.shape[-1]))
-        solved = solved.reshape(-1, free, known.shape[-1])[:count]
+        solved = factors.solve(padded.reshape(-1, 2 * F, known.shape[-1]))
+        solved = solved.reshape(-1, F, known.shape[-1])[:count]
         by_shared, alone = solved[..., :-1], solved[..., -1]
         if not len(self.shared_pull):
             return alone, self.shared_pull
@@ -218,10 +112,10 @@ class NormalEquations:
 
 @dataclass(frozen=True)
 class _Factors:
-    """Eq. 2: N lower factors (b, b), and N - 1 of ``W``."""
+    """Cholesky factors of a block-tridiagonal matrix (eq. 2)."""
 
-    lower: list[Tensor]
-    across: list[Tensor]
+    lower: list[Tensor]  # N of ``L`` (b, b)
+    across: list[Tensor]  # N - 1 of ``W`` (b, b)
 
     @staticmethod
     def of(diagonal: Tensor, below: Tensor) -> _Factors:
@@ -235,7 +129,7 @@ class _Factors:
         return _Factors(lower, across)
 
     def solve(self, known: Tensor) -> Tensor:
-        """Solve for (N, b, k)."""
+        """Solve for k right-hand sides (N, b, k)."""
         solve = torch.linalg.solve_triangular
         found = list(known)
         for i, L in enumerate(self.lower):
@@ -249,19 +143,19 @@ class _Factors:
 
 
 def _in_pairs(frames: Tensor, following: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
-    """Return diagonal blocks (N, 2F, 2F) of pairs of frames, and those below (N - 1, 2F, 2F)."""
-    count, free = following.shape
-    if count % 2:  # a frame that nothing couples
-        one = torch.eye(free, dtype=frames.dtype)
+    """Return diagonal blocks (N, 2F, 2F) of pairs of frames, and blocks below (N - 1, 2F, 2F)."""
+    count, F = following.shape
+    if count % 2:  # add a frame without coupling
+        one = torch.eye(F, dtype=frames.dtype)
         frames = torch.cat([frames, one[None]])
         following, second = (torch.cat([x, 0 * x[:1]]) for x in (following, second))
     pairs = len(frames) // 2
-    diagonal = frames.new_zeros(pairs, 2 * free, 2 * free)
-    first, other = slice(None, free), slice(free, None)
+    diagonal = frames.new_zeros(pairs, 2 * F, 2 * F)
+    first, other = slice(None, F), slice(F, None)
     diagonal[:, first, first], diagonal[:, other, other] = frames[::2], frames[1::2]
     diagonal[:, other, first] = torch.diag_embed(following[::2])
     diagonal[:, first, other] = diagonal[:, other, first]
-    below = frames.new_zeros(max(pairs - 1, 0), 2 * free, 2 * free)
+    below = frames.new_zeros(max(pairs - 1, 0), 2 * F, 2 * F)
     below[:, first, first] = torch.diag_embed(second[:-2:2])
     below[:, other, other] = torch.diag_embed(second[1:-2:2])
     below[:, first, other] = torch.diag_embed(following[1:-1:2])

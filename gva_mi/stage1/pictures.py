@@ -1,8 +1,8 @@
-"""The pictures of a video, or of a folder, at an even rate: what networks watch.
+"""The pictures of a video, or of a folder, at an even rate, as input of the networks.
 
 * A video whose rate varies, as phones' do, is sampled at even times: the nearest picture of each.
-* A video of an even rate keeps every picture, or every n-th one where fewer are wanted.
-* A folder's pictures come in the order of the last numbers in their names, at a given rate.
+* A video of an even rate keeps every picture, or every n-th one if fewer are wanted.
+* A folder's pictures are ordered by the last number in their names; their rate is given.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from gva_mi.subject.lens import recorded_35mm
 from gva_mi.subject.pictures import opened, read_image
 from gva_mi.subject.video_file import VideoFile
 
-MOST = 30.0  # pictures a second, unless more are asked for; and the rate of a folder
+# Pictures a second: the most that are used, unless more are asked for, and the rate of a folder;
+# chosen: what phones record.
+DEFAULT_FPS = 30.0
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,10 @@ class EvenPictures:
 
     pictures: Sequence[np.ndarray]  # T of (H, W, 3) 8-bit sRGB, upright, read one by one
     fps: float  # pictures a second
-    focal35: float | None  # recorded focal length, mm of 35 mm film
+    focal35: float | None  # recorded focal length, mm of 35 mm film; None: not recorded
     notes: tuple[str, ...]  # what was done to the video, sentences for its user
     numbers: tuple[int, ...]  # T: which of the video's pictures each is
-    scale: float  # pixels of these pictures in one of the video's
+    scale: float  # pixels of these pictures per pixel of the video, at most 1
 
 
 def even_pictures(
@@ -45,9 +47,10 @@ def even_pictures(
 
     Args:
         path: the video or the folder.
-        fps: pictures a second, of which an even video comes as near as every n-th picture does;
-            None: :data:`MOST`, or fewer if there are fewer. Of a folder, its rate.
-        side: pixels, at most, of the shorter side of the pictures; None: as they are.
+        fps: wanted pictures a second; a video of an even rate gives the nearest rate that every
+            n-th picture has. None: :data:`DEFAULT_FPS`, or fewer if there are fewer. For a folder,
+            the rate of its pictures.
+        side: largest shorter side of the pictures, pixels; None: as they are.
         start: seconds; earlier pictures are left out.
         end: seconds; later pictures are left out; None: the end of the video.
     """
@@ -57,9 +60,9 @@ def even_pictures(
     files, notes = files_of(path), []
     if files is not None:
         source, sizes = files, [_upright_size(file) for file in files]
-        times = np.arange(len(files)) / (fps or MOST)
+        times = np.arange(len(files)) / (fps or DEFAULT_FPS)
         if fps is None:
-            notes.append(f"a folder records no times: taken as {MOST:g} pictures a second")
+            notes.append(f"a folder records no times: taken as {DEFAULT_FPS:g} pictures a second")
     else:
         source = VideoFile(path)
         sizes, times = source.sizes, source.times
@@ -68,19 +71,22 @@ def even_pictures(
         if (note := uneven_pixels(path)) is not None:
             notes.append(note)
         if times is None:
-            times = np.arange(len(source)) / (fps or MOST)
-            notes.append(f"the video records no times: taken as {fps or MOST:g} pictures a second")
+            times = np.arange(len(source)) / (fps or DEFAULT_FPS)
+            notes.append(
+                f"the video records no times: taken as {fps or DEFAULT_FPS:g} pictures a second"
+            )
     if len(set(sizes)) > 1:
         first, other = sizes[0], next(size for size in sizes if size != sizes[0])
         raise InputError(
             f"{path}: its pictures have several sizes, {first[0]}x{first[1]} and "
             f"{other[0]}x{other[1]}; expected one size"
         )
-    chosen, rate, more = _evenly(times, fps or MOST, start, end)
+    chosen, rate, more = _evenly(times, fps or DEFAULT_FPS, start, end)
     if not len(chosen):
         last = times[-1] if len(times) else 0.0
+        until = "its end" if end is None else f"{end:g} s"
         raise InputError(
-            f"{path}: lasts {last:.3g} s, and has no picture from {start:g} to {end} s"
+            f"{path}: lasts {last:.3g} s, and has no picture from {start:g} s to {until}"
         )
     pictures = _Chosen(source, chosen, side)
     scale = min(1.0, side / min(sizes[0])) if side else 1.0
@@ -99,17 +105,17 @@ def _evenly(
     end = np.inf if end is None else end
     within = np.flatnonzero((times >= start - 1e-6) & (times <= end + 1e-6))
     if len(within) < 2:
-        return within, min(fps, MOST), []
+        return within, min(fps, DEFAULT_FPS), []
     times = times[within]
     steps = np.diff(times)
     usual = float(np.median(steps))
     if usual <= 0:
-        return within, min(fps, MOST), []
-    own = (len(times) - 1) / float(times[-1] - times[0])
+        return within, min(fps, DEFAULT_FPS), []
+    rate_of_video = (len(times) - 1) / float(times[-1] - times[0])
     if (varies := varying(steps, 0.001)) is None:
-        every = max(1, round(own / fps))
-        notes = [f"of {own:.3g} pictures a second one in {every} is used"] * (every > 1)
-        return within[::every], own / every, notes
+        every = max(1, round(rate_of_video / fps))
+        notes = [f"of {rate_of_video:.3g} pictures a second one in {every} is used"] * (every > 1)
+        return within[::every], rate_of_video / every, notes
     rate = min(fps, 1 / usual)
     wanted = np.arange(times[0], times[-1] + 0.5 / rate, 1 / rate)
     middle = (times[1:] + times[:-1]) / 2
@@ -118,7 +124,7 @@ def _evenly(
 
 
 def _upright_size(path: Path) -> tuple[int, int]:
-    """Return the size (W, H) of a picture as its metadata turn it, without decoding it."""
+    """Return the size (W, H) of a picture after its metadata's rotation, without decoding it."""
     with opened(path) as image:
         on_its_side = image.getexif().get(0x0112, 1) >= 5
         return image.size[::-1] if on_its_side else image.size

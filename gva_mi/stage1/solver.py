@@ -1,14 +1,13 @@
-"""Stage 1 of a video: poses, shape and camera from a network's landmarks.
+"""Solve stage 1: poses, shape and camera of a video from a network's landmarks.
 
-:func:`solve_stage1` minimises ``evidence + prior``, in nats, over all frames together. Evidence is
-:mod:`gva_mi.stage1.evidence`; the prior is :mod:`gva_mi.stage1.body_prior` and
-:mod:`gva_mi.stage1.body_prior`. Errors have heavy tails: each is a square whose weight follows
-the error (iteratively reweighted least squares).
+:func:`solve_stage1` minimises ``evidence + prior``, in nats, over all frames together. The evidence
+is :mod:`gva_mi.stage1.evidence`, the prior :mod:`gva_mi.stage1.body_prior`. Errors have heavy
+tails: each is a square whose weight follows the error (iteratively reweighted least squares).
 
 Body and palms are solved first, then the fingers of each hand. Frames without landmarks, and hands
 that were not found, follow from their neighbours and the prior.
 
-Landmarks do not show how stout a person is: betas stay near the mean except for lengths.
+Landmarks do not show how stout a person is. So betas stay near the mean except for lengths.
 """
 
 from __future__ import annotations
@@ -27,15 +26,20 @@ from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.observe.landmark_noise import PERSON, LandmarkNoise, correlated_frames, person_sizes
+from gva_mi.observe.landmark_noise import (
+    REFERENCE_HEIGHT,
+    LandmarkNoise,
+    correlated_frames,
+    person_sizes,
+)
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.stature import Stature
 from gva_mi.splat import Camera
 from gva_mi.stage1.arm_depths import with_arm_depths
 from gva_mi.stage1.body_prior import (
-    FOCAL,
-    HEIGHT,
+    AVERAGE_HEIGHT,
+    UNKNOWN_FOCAL_SIGMA,
     BodyPrior,
     SharedPrior,
     Smoothness,
@@ -43,24 +47,25 @@ from gva_mi.stage1.body_prior import (
     relaxed_pose,
 )
 from gva_mi.stage1.evidence import LandmarkEvidence, landmark_evidence
-from gva_mi.stage1.normal_equations import FRAMES_AT_ONCE, Free, NormalEquations, Stage1State
-from gva_mi.stage1.upright import Vertical
+from gva_mi.stage1.normal_equations import FRAMES_AT_ONCE, NormalEquations
+from gva_mi.stage1.unknowns import Stage1State, Unknowns
+from gva_mi.stage1.vertical_lines import Vertical
 from gva_mi.subject.landmarks import Landmarks
 from gva_mi.subject.lens import centred, in_pixels
 
-LENS = 26.0  # mm of 35 mm film, of an unknown camera: main cameras of phones have 24 to 28
-FOCAL_KNOWN = 1e-4  # of its logarithm
-START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # steps, at most
-_PALM = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
-_FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
-_BODY = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE]
-LEAST_GAIN = 1e-4  # of the energy; a smaller gain ends the steps
-DAMPING, LEAST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
-AFTER_SUCCESS, AFTER_FAILURE = (
-    0.2,
-    6.0,
-)  # factors on the damping after a step that succeeds, and one that fails
-_MEDIAN_FRAMES = 5  # frames to each side, of a median
+# Focal length of an unknown camera, mm of 35 mm film: main cameras of phones have 24 to 28.
+PHONE_FOCAL_35MM = 26.0
+KNOWN_FOCAL_SIGMA = 1e-4  # of the logarithm of a known focal length; chosen: it hardly moves
+START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # Levenberg-Marquardt steps, at most; chosen
+SMALLEST_GAIN = 1e-4  # relative decrease of the energy that ends the steps; chosen
+# Levenberg-Marquardt damping, relative to the diagonal: first, and range; chosen.
+FIRST_DAMPING, SMALLEST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
+# Factors on the damping after a step that lowers the energy, and after one that does not; chosen.
+DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = 0.2, 6.0
+MEDIAN_FRAMES = 5  # frames to each side, of the median of distances; chosen
+_PALM_POINTS = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
+_FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
+_BODY_JOINTS = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE_JOINTS]
 
 
 @dataclass(frozen=True)
@@ -78,11 +83,11 @@ class KnownOfVideo:
     """What is known of a video beforehand; None: unknown.
 
     Attributes:
-        height: of the person, metres; without it that of an average one, so size and distance are
-            uncertain by 5 %. It is not found: depths that networks take for smaller than they are
-            would shrink the person.
-        focal: focal length, pixels; without it a prior around the main cameras of phones.
-        lines: the direction up by lines of the room, for that focal length or for :data:`LENS`.
+        height: of the person, metres. None: an average height, so size and distance are uncertain
+            by 5 %. It is not fitted: networks underestimate depths, which would shrink the person.
+        focal: focal length, pixels. None: fitted, with a prior around the main cameras of phones.
+        lines: the direction up by lines of the room, for this focal length or for
+            :data:`PHONE_FOCAL_35MM`.
         camera_height: of the lens above the floor, metres.
     """
 
@@ -92,8 +97,8 @@ class KnownOfVideo:
     camera_height: float | None = None
 
     def K(self, size: tuple[int, int]) -> np.ndarray:
-        """Return the camera to start from, for pictures of a width and height, pixels."""
-        return centred(self.focal or in_pixels(LENS, size), size)
+        """Return the first guess of the camera (3, 3), for pictures of ``size`` (width, height)."""
+        return centred(self.focal or in_pixels(PHONE_FOCAL_35MM, size), size)
 
 
 def solve_stage1(
@@ -108,10 +113,10 @@ def solve_stage1(
 
     Args:
         landmarks: T frames.
-        body: SMPL-X's or the built-in one.
+        body: SMPL-X or the built-in body.
         size: width and height of the pictures, pixels.
         fps: frames a second.
-        known: beforehand.
+        known: what is known beforehand.
         progress: called as ``progress(done, total)``.
 
     Raises:
@@ -119,31 +124,31 @@ def solve_stage1(
     """
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        recording = _Observed(landmarks, body, size, fps, known)
-        state = recording.first()
-        state = recording.body_problem(state, starting=True).minimised(state, START_STEPS)
+        video = _VideoToSolve(landmarks, body, size, fps, known)
+        state = video.initial_state()
+        state = video.body_problem(state, starting=True).minimised(state, START_STEPS)
         report(1, 4)
-        problem = recording.body_problem(state)
+        problem = video.body_problem(state)
         state = problem.minimised(state, BODY_STEPS)
-        state = recording.with_arm_depths(problem, state).minimised(state, BODY_STEPS)
+        state = video.with_arm_depths(problem, state).minimised(state, BODY_STEPS)
         report(2, 4)
         for k, side in enumerate(HANDS):
-            state = recording.hand_problem(state, side).minimised(state, HAND_STEPS)
+            state = video.hand_problem(state, side).minimised(state, HAND_STEPS)
             report(3 + k, 4)
-        return recording.result(state)
+        return video.result(state)
 
 
 @dataclass(frozen=True)
 class Stage1Problem:
-    """Terms over the same unknowns.
+    """One problem of stage 1: some unknowns, and the terms of their energy.
 
     Attributes:
-        free: the unknowns.
-        which: of the video's landmarks, those that are compared.
+        unknowns: that are moved.
+        which: indices of the video's landmarks that are compared.
         evidence, prior, shared_prior, smoothness: the terms.
     """
 
-    free: Free
+    unknowns: Unknowns
     which: Sequence[int]
     evidence: LandmarkEvidence
     prior: BodyPrior
@@ -151,22 +156,26 @@ class Stage1Problem:
     smoothness: Smoothness
 
     def minimised(self, state: Stage1State, steps: int) -> Stage1State:
-        """Take at most some steps."""
+        """Minimise the energy from a state; take ``steps`` at most."""
         which, offsets = list(self.which), state.offsets
         state = replace(state, offsets=offsets[which])
-        damping, energy = DAMPING, float(self.energy(state))
+        damping, energy = FIRST_DAMPING, float(self.energy(state))
         for _ in range(steps):
             equations, before = self.equations(state), energy
             while damping < LARGEST_DAMPING:
-                trial = self.free.moved(state, *equations.solve(damping))
+                trial = self.unknowns.moved(state, *equations.solve(damping))
                 found = float(self.energy(trial))
                 if found < energy:
                     break
-                damping *= AFTER_FAILURE
+                damping *= DAMPING_AFTER_FAILURE
             else:
                 break
-            state, energy, damping = trial, found, max(damping * AFTER_SUCCESS, LEAST_DAMPING)
-            if before - energy < LEAST_GAIN * abs(before):
+            state, energy, damping = (
+                trial,
+                found,
+                max(damping * DAMPING_AFTER_SUCCESS, SMALLEST_DAMPING),
+            )
+            if before - energy < SMALLEST_GAIN * abs(before):
                 break
         whole = offsets.clone()
         whole[which] = state.offsets
@@ -180,8 +189,8 @@ class Stage1Problem:
 
     def equations(self, state: Stage1State) -> NormalEquations:
         """Return the normal equations around a state."""
-        count, F = len(state.place), self.free.per_frame
-        equations = NormalEquations.zero(count, F, self.free.shared)
+        count, F = len(state.place), self.unknowns.per_frame
+        equations = NormalEquations.zero(count, F, self.unknowns.shared)
         for start in range(0, count, FRAMES_AT_ONCE):
             some = slice(start, start + FRAMES_AT_ONCE)
             part = replace(state, rotations=state.rotations[some], place=state.place[some])
@@ -197,8 +206,8 @@ class Stage1Problem:
         return equations
 
 
-class _Observed:
-    """A video to solve."""
+class _VideoToSolve:
+    """The data of a video, from which its problems are made one after the other."""
 
     def __init__(
         self,
@@ -215,39 +224,45 @@ class _Observed:
         self.landmarks = Landmarks(self.rig.names, **arrays)
         self.anatomy, self.K = Anatomy.of(body.j_template), known.K(size)
 
-    def first(self) -> Stage1State:
-        """Return the first guess: relaxed joints, the body at its place."""
+    def initial_state(self) -> Stage1State:
+        """Return the first guess: relaxed joints, and the body where its hips were seen."""
         shape = self.mean_shape()
         scale = self.rig.scale(self.landmarks, shape.betas)
-        place = first_place(self.landmarks, self.K, scale)  # first, as it refuses a video of nobody
+        place = initial_place(self.landmarks, self.K, scale)  # raises without a person
         rotations = relaxed_pose(self.anatomy).repeat(len(self.landmarks), 1, 1)
-        rotations[:, 0] = so3.to_rotvec(first_root(self.landmarks))
+        rotations[:, 0] = so3.to_rotvec(initial_root(self.landmarks))
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
-        up = zero(2)
-        floor = place[:, 1].median() + 0.5 * (self.known.height or HEIGHT)
-        angle_offsets = zero(len(self.anatomy.freedoms))
-        offsets = zero(len(self.rig.names), 3)
-        shared = shape.betas.double(), zero(), up, floor, offsets, angle_offsets
-        return Stage1State(rotations, place, *shared)
+        return Stage1State(
+            rotations=rotations,
+            place=place,
+            betas=shape.betas.double(),
+            focal=zero(),
+            up=zero(2),
+            floor=place[:, 1].median() + 0.5 * (self.known.height or AVERAGE_HEIGHT),
+            offsets=zero(len(self.rig.names), 3),
+            angle_offsets=zero(len(self.anatomy.spreads)),
+        )
 
     def mean_shape(self) -> Shape:
         """Return the mean person of the given height."""
         mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
-        return Stature.of(self.body).nearest(mean, self.known.height or HEIGHT)
+        return Stature.of(self.body).nearest(mean, self.known.height or AVERAGE_HEIGHT)
 
     def body_problem(self, state: Stage1State, starting: bool = False) -> Stage1Problem:
-        """Return the problem of body and palms; the starting one has no shared unknowns."""
+        """Return the problem of body and palms; the starting problem has no shared unknowns."""
         names = self.rig.names
-        which = [p for p, name in enumerate(names) if "_hand_" not in name or name.endswith(_PALM)]
+        which = [
+            p for p, name in enumerate(names) if "_hand_" not in name or name.endswith(_PALM_POINTS)
+        ]
         if starting:
-            problem = self._problem(Free(_BODY), which, state)
+            problem = self._problem(Unknowns(_BODY_JOINTS), which, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
-        angle_offsets = angles_of(self.anatomy, _BODY)
-        free = Free(_BODY, len(state.betas), True, range(len(which)), angle_offsets)
-        return self._problem(free, which, state)
+        angle_offsets = angles_of(self.anatomy, _BODY_JOINTS)
+        unknowns = Unknowns(_BODY_JOINTS, len(state.betas), True, range(len(which)), angle_offsets)
+        return self._problem(unknowns, which, state)
 
     def with_arm_depths(self, problem: Stage1Problem, state: Stage1State) -> Stage1Problem:
-        """Return the problem with the arms' depths as all frames see them, around a solution."""
+        """Return the problem with depths of arms inferred from all frames, around a solution."""
         which = list(problem.which)
         names = [self.rig.names[p] for p in which]
         state = replace(state, offsets=state.offsets[which])
@@ -257,40 +272,49 @@ class _Observed:
         """Return the problem of one hand's fingers."""
         joints = range(len(JOINTS))[HANDS[side]]
         which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
-        of_fingers = [k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM)]
-        free = Free(joints, 0, False, of_fingers, angles_of(self.anatomy, joints))
-        return self._problem(free, which, state, side)
+        of_fingers = [
+            k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM_POINTS)
+        ]
+        unknowns = Unknowns(joints, 0, False, of_fingers, angles_of(self.anatomy, joints))
+        return self._problem(unknowns, which, state, side)
 
     def _problem(
-        self, free: Free, which: Sequence[int], state: Stage1State, hand: str | None = None
+        self, unknowns: Unknowns, which: Sequence[int], state: Stage1State, hand: str | None = None
     ) -> Stage1Problem:
         rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
-        noise = LandmarkNoise.of(self.landmarks, rig.names)
         at = self.landmarks.indices(rig.names)
-        pixels = torch.from_numpy(self.landmarks.pixels[:, at])
         scale = self.rig.scale(self.landmarks, state.betas.float())
-        metric = scale * torch.from_numpy(self.landmarks.metric[:, at])
-        correlated, K = correlated_frames(self.landmarks, self.dt, hand), torch.from_numpy(self.K)
-        evidence = landmark_evidence(self.body, rig, free, (pixels, metric, noise), K, correlated)
-        prior = BodyPrior.of(free, self.anatomy, correlated)
-        always = torch.tensor([f.always for f in self.anatomy.freedoms]).double()
+        correlated = correlated_frames(self.landmarks, self.dt, hand)
+        evidence = landmark_evidence(
+            self.body,
+            rig,
+            unknowns,
+            pixels=torch.from_numpy(self.landmarks.pixels[:, at]),
+            metric=scale * torch.from_numpy(self.landmarks.metric[:, at]),
+            noise=LandmarkNoise.of(self.landmarks, rig.names),
+            K=torch.from_numpy(self.K),
+            correlated=correlated,
+        )
+        constant = torch.tensor([spread.constant for spread in self.anatomy.spreads]).double()
         known = self.known
         shared = SharedPrior(
-            free,
-            rig.names,
-            rig.offset_spread,
-            torch.deg2rad(always),
-            self.mean_shape().betas.double(),
-            Stature.of(self.body),
-            known.height or HEIGHT,
-            FOCAL_KNOWN if known.focal else FOCAL,
-            known.lines,
-            known.camera_height,
+            unknowns=unknowns,
+            names=rig.names,
+            offset_spread=rig.offset_spread,
+            angle_sigma=torch.deg2rad(constant),
+            betas=self.mean_shape().betas.double(),
+            stature=Stature.of(self.body),
+            height=known.height or AVERAGE_HEIGHT,
+            focal_sigma=KNOWN_FOCAL_SIGMA if known.focal else UNKNOWN_FOCAL_SIGMA,
+            lines=known.lines,
+            camera_height=known.camera_height,
         )
-        return Stage1Problem(free, which, evidence, prior, shared, Smoothness(free, self.dt))
+        prior = BodyPrior.of(unknowns, self.anatomy, correlated)
+        smoothness = Smoothness(unknowns, self.dt)
+        return Stage1Problem(unknowns, which, evidence, prior, shared, smoothness)
 
     def result(self, state: Stage1State) -> Stage1Solution:
-        """Turn the world upright, with the floor at zero below the person."""
+        """Return the solution in a world with y up and the floor at zero, below the person."""
         up, _ = state.upward()
         x = torch.tensor([1.0, 0, 0], dtype=up.dtype)
         x = torch.nn.functional.normalize(x - (x @ up) * up, dim=0)
@@ -310,8 +334,8 @@ class _Observed:
         return Stage1Solution(pose, shape, camera, tilt=-math.degrees(math.asin(float(up[2]))))
 
 
-def first_root(landmarks: Landmarks) -> Tensor:
-    """Return rotations (T, 3, 3) from the body's axes to the camera's, from the trunk's landmarks.
+def initial_root(landmarks: Landmarks) -> Tensor:
+    """Return rotations (T, 3, 3) from the body's axes to the camera's, by landmarks of the trunk.
 
     Frames without a trunk take the nearest frame's.
     """
@@ -326,16 +350,21 @@ def first_root(landmarks: Landmarks) -> Tensor:
     return R[_nearest(R.flatten(1).isfinite().all(1).numpy())]
 
 
-def first_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
-    """Return where the hips are, (T, 3) metres in the camera's axes.
+def initial_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
+    """Return the places (T, 3) of the hips in the camera's axes, metres.
 
-    The distance is that at which a person has the size seen. ``K`` (3, 3) is the camera, ``scale``
-    the body's size relative to the landmarks' metres. Frames without hips take the nearest frame's.
+    Distance follows from the person's size in the picture. Frames without hips take the nearest
+    frame's.
+
+    Args:
+        landmarks: of T frames.
+        K: (3, 3) the camera, pixels.
+        scale: of the body relative to the landmarks' metres.
     """
     size = person_sizes(landmarks)
-    around = [size[max(0, t - _MEDIAN_FRAMES) : t + _MEDIAN_FRAMES + 1] for t in range(len(size))]
+    around = [size[max(0, t - MEDIAN_FRAMES) : t + MEDIAN_FRAMES + 1] for t in range(len(size))]
     focal = (K[0, 0] + K[1, 1]) / 2
-    z = focal * PERSON * scale / np.array([np.median(some) for some in around])
+    z = focal * REFERENCE_HEIGHT * scale / np.array([np.median(some) for some in around])
     hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
     rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]
     place = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]
@@ -343,6 +372,6 @@ def first_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
 
 
 def _nearest(known: np.ndarray) -> list[int]:
-    """Return of every frame the nearest one that is known."""
+    """Return the nearest known frame of every frame; ``known`` (T,) is bool."""
     some = np.flatnonzero(known)
     return [int(some[np.abs(some - t).argmin()]) for t in range(len(known))]

@@ -1,11 +1,11 @@
 """What a video does not show, or shows badly, and how to film it better.
 
-An avatar knows only what its video shows. These findings compare the video with what a good one
-has: a person seen from all sides, from head to feet, large and in enough light, with both
-hands, alone, before a camera that stands still.
+An avatar knows only what its video shows. These findings compare the video with a good one, which
+shows one person from all sides, from head to feet, large, in enough light and with both hands, and
+whose camera stands still.
 
-The camera's motion from the first picture to another is the shift that makes their backgrounds most
-alike, by phase correlation of the luma ``I`` and ``I'`` without the person:
+The camera's motion from the first picture to another is the shift that aligns their backgrounds
+best, by phase correlation of the luma ``I`` and ``I'`` without the person:
 
     1. s = argmax of  F⁻¹( F(I)* F(I') / |F(I)* F(I')| )
 """
@@ -24,24 +24,26 @@ from gva_mi.subject.problems import Problem, doubt
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
-SECTORS = 36  # directions from which a person may be seen
-VISIBLE = 30  # degrees to either side of the camera that a frame shows well
-FACING = 60  # degrees, within which a side is seen at all
-ENOUGH_SIDES = 0.95  # share of the sectors
-RARELY = 0.3  # share of the frames with a hand, below which its fingers are a guess
-OFTEN = 0.1  # share of the frames in which something is wrong
-FEWEST, SHORTEST = 40, 2.0  # frames, seconds
-SMALL = 250  # pixels of a person's height
-DARK = 0.25  # luma of the brighter parts of a person
-SHOWN = 24  # pictures whose light and background are measured
-WIDE = 240  # pixels, width at which the camera's motion is measured
-MOVES = 0.008  # share of the picture's width
-ALIKE = 0.1  # least peak of eq. 1, which is 1 for equal pictures; of noise it is 0.03
+# All limits are chosen.
+SECTORS = 36  # directions around the person
+WELL_SEEN_DEGREES = 30  # to either side of the camera, which a frame shows well
+SEEN_DEGREES = 60  # to either side of the camera, which a frame shows at all
+SEEN_SHARE = 0.95  # of the sectors that a good video shows
+RARE_HAND_SHARE = 0.3  # of the frames with a hand, below which its fingers are a guess
+FAULTY_SHARE = 0.1  # of the frames with a fault, above which the fault is reported
+SHORT_FRAMES, SHORT_SECONDS = 40, 2.0  # shorter videos are reported
+SMALL_PIXELS = 250  # of a person's height, below which it is reported
+DARK_LUMA = 0.25  # of the brighter parts of a person, below which it is reported
+SAMPLED_PICTURES = 24  # whose light and background are measured
+MOTION_WIDTH = 240  # pixels, width at which the camera's motion is measured
+MOVED_SHARE = 0.008  # of the picture's width, above which the camera moves
+SMALLEST_PEAK = 0.1  # of eq. 1 for the same background; equal pictures give 1, noise 0.03
+# Weights of red, green and blue: Rec. 709.
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _SIDES = {0: "front", 90: "left side", 180: "back", 270: "right side"}  # degrees to the left
 
 
-def check_recording(
+def check_video(
     video: Video,
     body: BodyModel,
     landmarks: Landmarks,
@@ -57,20 +59,20 @@ def check_recording(
         landmarks: that the networks found in its frames.
         fps: frames a second.
         crowded: frames with several people.
-        progress: called after each picture that is looked at.
+        progress: called after each sampled picture.
     """
     there = [k for k in range(len(video)) if k not in video.absent]
     return [
         *_sides(video, body, there),
         *_outlines(video, there),
         *_hands(landmarks),
-        *_pictures(video, spread(there, SHOWN), progress),
+        *_pictures(video, spread(there, SAMPLED_PICTURES), progress),
         *_people_and_length(video, crowded, fps),
     ]
 
 
 def seen_from(video: Video, body: BodyModel, frames: Sequence[int]) -> np.ndarray:
-    """Return from where the camera sees the pelvis, degrees to the person's left of its front."""
+    """Return the direction of the camera (n,), degrees from the person's front to their left."""
     joints = body.rest(video.shape).joints
     pose = video.pose[list(frames)]
     maps = joint_transforms(pose.rotations, joints, body.parents, pose.transl)[:, 0]
@@ -86,11 +88,11 @@ def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Pro
     centres = np.arange(SECTORS) * 360 / SECTORS
     apart = np.abs(centres[:, None] - seen_from(video, body, frames)) % 360
     nearest = np.minimum(apart, 360 - apart).min(1)
-    seen = (nearest <= VISIBLE).mean()
-    if seen >= ENOUGH_SIDES:
+    seen = (nearest <= WELL_SEEN_DEGREES).mean()
+    if seen >= SEEN_SHARE:
         return
-    unseen = [n for angle, n in _SIDES.items() if nearest[angle * SECTORS // 360] > FACING]
-    sides = f"; never its {', '.join(unseen)}" if unseen else ""
+    unseen = [n for angle, n in _SIDES.items() if nearest[angle * SECTORS // 360] > SEEN_DEGREES]
+    sides = f"; never seen: {', '.join(unseen)}" if unseen else ""
     yield doubt(
         "not seen from all sides",
         f"{360 * seen:.0f} of 360 degrees{sides}",
@@ -111,7 +113,7 @@ def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
             if cut:
                 found.append(outline.index)
     for part, cut in edges.items():
-        if len(cut) > OFTEN * len(frames):
+        if len(cut) > FAULTY_SHARE * len(frames):
             yield doubt(
                 f"{part} cut off",
                 f"{len(cut)} of {len(frames)} frames",
@@ -119,12 +121,12 @@ def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
                 "step back until head, feet and stretched arms are in the picture all the time",
                 cut,
             )
-    if np.median(tall) < SMALL:
+    if np.median(tall) < SMALL_PIXELS:
         yield doubt(
             "few pixels",
             f"the person is {np.median(tall):.0f} pixels tall",
             "the camera was far away, or its pictures are small",
-            f"fill the height of the picture; {SMALL} pixels at least, 600 for a sharp face",
+            f"fill the height of the picture; {SMALL_PIXELS} pixels at least, 600 for a sharp face",
         )
 
 
@@ -133,7 +135,7 @@ def _hands(landmarks: Landmarks) -> Iterator[Problem]:
     for side in ("left", "right"):
         (wrist,) = landmarks.indices([f"{side}_hand_wrist"])
         share = float(np.isfinite(landmarks.pixels[:, wrist, 0]).mean())
-        if share < RARELY:
+        if share < RARE_HAND_SHARE:
             seldom = "never seen" if share == 0 else "rarely seen"
             yield doubt(
                 f"{side} hand {seldom}",
@@ -152,7 +154,7 @@ def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) ->
         backgrounds.append(_background(luma, frame.mask))
         if progress:
             progress(done, len(frames))
-    if np.median(light) < DARK:
+    if np.median(light) < DARK_LUMA:
         yield doubt(
             "too dark",
             f"the brighter parts of the person have {np.median(light):.0%} of white",
@@ -160,7 +162,7 @@ def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) ->
             "film by daylight or with all lamps on, not against a window",
         )
     moved = max((_shift(backgrounds[0], other) for other in backgrounds[1:]), default=0.0)
-    if moved > MOVES:
+    if moved > MOVED_SHARE:
         yield doubt(
             "camera moves",
             f"by up to {moved:.1%} of the picture's width",
@@ -179,7 +181,7 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
             "film one person alone; --person chooses another one, counted from the left",
             crowded,
         )
-    if len(video.absent) > OFTEN * len(video):
+    if len(video.absent) > FAULTY_SHARE * len(video):
         yield doubt(
             "person not found",
             f"{len(video.absent)} of {len(video)} frames",
@@ -187,7 +189,7 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
             "stay in the picture; ffmpeg -ss 3 -to 9 -i VIDEO PART cuts a video, seconds",
             video.absent,
         )
-    if len(video) < FEWEST or len(video) / fps < SHORTEST:
+    if len(video) < SHORT_FRAMES or len(video) / fps < SHORT_SECONDS:
         yield doubt(
             "short",
             f"{len(video)} frames, {len(video) / fps:.1f} s",
@@ -197,13 +199,13 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
 
 
 def _background(luma: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the fine structure of a background (h, w), about :data:`WIDE` pixels wide.
+    """Return the fine structure of a background (h, w), about :data:`MOTION_WIDTH` pixels wide.
 
     Slopes of brightness, as on a wall, are left out, and so is what is near the person.
     """
     from scipy.ndimage import gaussian_filter
 
-    times = max(1, luma.shape[1] // WIDE)
+    times = max(1, luma.shape[1] // MOTION_WIDTH)
     luma, near = _shrunk(luma, times), gaussian_filter(_shrunk(mask, times), 4.0) > 0.01
     return np.where(near, 0, luma - gaussian_filter(luma, 2.0))
 
@@ -212,7 +214,7 @@ def _shift(one: np.ndarray, other: np.ndarray) -> float:
     """Return the length of eq. 1, a share of the picture's width; 0 for unlike backgrounds."""
     product = np.fft.rfft2(one).conj() * np.fft.rfft2(other)
     alike = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), one.shape)
-    if alike.max() < ALIKE:
+    if alike.max() < SMALLEST_PEAK:
         return 0.0
     at = np.unravel_index(alike.argmax(), alike.shape)
     way = [min(k, size - k) for k, size in zip(at, alike.shape, strict=True)]

@@ -40,7 +40,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import require_file
 from gva_mi.evaluate.figures import Figure
 from gva_mi.observe.landmark_noise import person_sizes
-from gva_mi.stage1.prepare import RecordingOptions, SolvedMotion, motion_of_video
+from gva_mi.stage1.prepare import PrepareVideoOptions, SolvedMotion, motion_of_video
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
@@ -193,7 +193,7 @@ def multiview(
     folder: Path,
     calibration: Path,
     body: BodyModel,
-    options: RecordingOptions,
+    options: PrepareVideoOptions,
     up: np.ndarray,
     known_lens: bool,
     progress: Progress | None = None,

@@ -27,7 +27,7 @@ from gva_mi.core.options import PictureSide, PythonOnly, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS
 from gva_mi.matting.masks import video_masks
 from gva_mi.splat import Camera
-from gva_mi.stage1.prepare import RecordingOptions, motion_of_video
+from gva_mi.stage1.prepare import PrepareVideoOptions, motion_of_video
 from gva_mi.study.cases import StudyCase, Take
 from gva_mi.subject.fingerprint import VIDEO_KIND, require_same_body
 from gva_mi.subject.folder import PREPARED, SPLITS, SYNTH, TRUTH, SubjectWriter
@@ -134,7 +134,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         seen: dict[int, np.ndarray] = {}
         motion = motion_of_video(
             take / "phone.mp4",
-            RecordingOptions(height=height_of(truth), fps=ALL_FPS),
+            PrepareVideoOptions(height=height_of(truth), fps=ALL_FPS),
             body,
             lens=str(camera.fx) if lens else None,
             on_silhouette=lambda k, silhouette: seen.update({k: in_8_bits(silhouette)}),

@@ -8,7 +8,7 @@ import pytest
 
 from gva_mi.body.pose import mirrored_name
 from gva_mi.networks.watch import WatchedVideo
-from gva_mi.observe.swaps import PARTS, with_backs
+from gva_mi.observe.swaps import LIMB_POINTS, fix_front_back
 from gva_mi.stage1 import prepare
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
@@ -26,7 +26,7 @@ def turning(rounds=1.0):
     rng, turn = np.random.default_rng(0), 2 * np.pi * rounds * np.arange(N) / N
     pixels = np.tile(np.array([300.0, 100.0]), (N, len(NAMES), 1))
     swing = 20 * np.sin(2 * np.pi * np.arange(N) / 25)
-    for part in PARTS:
+    for part in LIMB_POINTS:
         wide, high = PLACES[part]
         for side, sign in (("left", 1), ("right", -1)):
             at = NAMES.index(f"{side}_{part}")
@@ -55,7 +55,7 @@ def exchanged(landmarks, frames):
 @pytest.mark.parametrize("frames", [BACK, range(30, 31), [*range(20, 24), *range(33, 40)]])
 def test_frames_that_take_the_back_for_the_front_are_exchanged_without_their_depths(frames):
     true, frames = turning(), list(frames)
-    found, mistaken = with_backs(exchanged(true, frames), FPS)
+    found, mistaken = fix_front_back(exchanged(true, frames), FPS)
     assert mistaken == frames
     for name in ("pixels", "confidence", "spread"):
         np.testing.assert_array_equal(getattr(found, name), getattr(true, name))
@@ -67,7 +67,7 @@ def test_frames_that_take_the_back_for_the_front_are_exchanged_without_their_dep
 @pytest.mark.parametrize("rounds", [0.0, 0.5, 1.0, 3.0])
 def test_a_person_who_turns_even_quickly_stays_as_seen(rounds):
     true = turning(rounds)
-    found, mistaken = with_backs(true, FPS)
+    found, mistaken = fix_front_back(true, FPS)
     assert mistaken == [] and found is true
 
 
@@ -76,17 +76,17 @@ def test_the_face_tells_where_no_limb_jumps(fps):
     """From one profile on, and in most frames, the network sees a front that has no face."""
     true = turning(0.5)
     hidden = list(range(29, N))
-    found, mistaken = with_backs(exchanged(true, hidden), fps)
+    found, mistaken = fix_front_back(exchanged(true, hidden), fps)
     wrong = set(mistaken) ^ set(hidden)
     assert wrong <= set(range(27, 34)), mistaken  # left and right are nearly in one place there
-    _, mistaken = with_backs(true, fps)
+    _, mistaken = fix_front_back(true, fps)
     assert mistaken == []
 
 
 def test_a_video_that_never_shows_a_face_says_nothing_by_its_absence():
     true = turning(0.0)
     true.pixels[:, [NAMES.index(name) for name in FACE_LANDMARKS]] = np.nan
-    assert with_backs(true, FPS)[1] == []
+    assert fix_front_back(true, FPS)[1] == []
 
 
 def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):
@@ -97,7 +97,7 @@ def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):
     monkeypatch.setattr(prepare, "watch_video", lambda *_: wrong)
     monkeypatch.setattr(prepare, "solve_stage1", lambda found, *_, **__: solved.append(found))
     monkeypatch.setattr(prepare, "with_face", lambda *_: (None, []))
-    motion = prepare.motion_of_video(Path("video.mp4"), prepare.RecordingOptions(), None)
+    motion = prepare.motion_of_video(Path("video.mp4"), prepare.PrepareVideoOptions(), None)
     np.testing.assert_array_equal(solved[0].pixels, true.pixels)
     assert motion.watched.landmarks is solved[0]
     assert motion.notes[0] == "too dark" and "26-36" in motion.notes[1], motion.notes

@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.core.errors import InputError
 from gva_mi.observe.landmark_noise import (
-    LONG,
+    ALONG_LIMB,
     LandmarkNoise,
     correlated_frames,
     person_sizes,
@@ -78,12 +78,12 @@ def test_the_ends_of_a_limb_slide_along_it(standing):
     end_on = replace(standing, pixels=standing.pixels.copy())
     end_on.pixels[1, wrist] = end_on.pixels[1, elbow]
     noise = LandmarkNoise.of(end_on, names)
-    precision = noise.aspect @ noise.aspect  # σ² Σ⁻¹
+    precision = noise.whitening @ noise.whitening  # σ² Σ⁻¹
     limb = torch.from_numpy(standing.pixels[0, elbow] - standing.pixels[0, shoulder]).float()
     u = limb / limb.norm()
     across = u.flip(0) * torch.tensor([1.0, -1.0])
     for point in (shoulder, elbow):
-        assert torch.allclose(precision[0, point] @ u, u / LONG**2)
+        assert torch.allclose(precision[0, point] @ u, u / ALONG_LIMB**2)
         assert torch.allclose(precision[0, point] @ across, across)
     round_ = (precision == torch.eye(2)).all((2, 3))
     assert round_[1, wrist] and not round_[0, wrist]

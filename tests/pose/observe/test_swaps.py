@@ -8,8 +8,15 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
-from gva_mi.observe.swaps import LIMBS, SWAP_NATS, SWAP_RUN_NATS, exchanged, fix_swaps, least_states
-from gva_mi.prior.stage1_poses import Stage1
+from gva_mi.observe.swaps import (
+    LIMBS,
+    SWAP_NATS,
+    SWAP_RUN_NATS,
+    exchanged,
+    fix_swaps,
+    most_probable_states,
+)
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine import SequenceOptions, refine
 from gva_mi.splat import Camera, look_at
 
@@ -52,7 +59,7 @@ def no_evidence(pose):
 
 
 def found(pose, losses=no_evidence):
-    return fix_swaps(Stage1.of(pose, range(len(pose)), CAMERA), losses, prior_weight=0.015)
+    return fix_swaps(Stage1Poses.of(pose, range(len(pose)), CAMERA), losses, prior_weight=0.015)
 
 
 @pytest.mark.parametrize("name", LIMBS)
@@ -81,7 +88,7 @@ def test_the_states_have_the_least_energy_of_all():
             return of_frames + of_steps + SWAP_NATS * sum(states) + SWAP_RUN_NATS * begins
 
         least = min(product((0, 1), repeat=7), key=energy)
-        assert least_states(data, motion).int().tolist() == list(least)
+        assert most_probable_states(data, motion).int().tolist() == list(least)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.05])

@@ -6,8 +6,8 @@ import roma
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.prior.inference import TILTING_JOINTS, TiltPrior
-from gva_mi.prior.stage1_poses import Stage1
+from gva_mi.prior.camera_tilt import TILTING_JOINTS, TiltPrior
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.splat import Camera, look_at
 
 N = 48
@@ -31,14 +31,14 @@ def turning(rounds=1.0):
 def leaning(pose, angle, axis=DEPTH, joint=KNEE):
     """The pose with a joint turned about an axis of the camera, alike in every frame."""
     n = len(pose)
-    stage1 = Stage1.of(pose, range(n), CAMERA)
+    stage1 = Stage1Poses.of(pose, range(n), CAMERA)
     turns = torch.zeros(n, len(JOINTS), 3)
     turns[:, joint] = angle * axis
     return stage1.corrected(range(n), turns, torch.zeros(n, 3))
 
 
 def tilt_of(pose, camera=CAMERA):
-    return TiltPrior.of(Stage1.of(pose, range(len(pose)), camera), pose.rotations)
+    return TiltPrior.of(Stage1Poses.of(pose, range(len(pose)), camera), pose.rotations)
 
 
 def nats(tilt, pose):

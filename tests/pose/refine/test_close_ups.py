@@ -7,16 +7,17 @@ import pytest
 import torch
 
 from gva_mi.body.pose import Shape
-from gva_mi.refine import evidence
-from gva_mi.refine.evidence import (
-    CLEAR,
+from gva_mi.refine import close_ups as close_ups_module
+from gva_mi.refine.close_ups import (
+    HAND_ROBUST_SCALE,
     FinePicture,
-    MaskAndNormals,
+    WeightedView,
     close_up_scale,
     close_ups,
-    frame_loss,
     parts_of,
 )
+from gva_mi.refine.frame_losses import frame_loss
+from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.subject.video import Outline
@@ -83,7 +84,9 @@ def test_a_hand_that_a_videos_mask_misses_hardly_pulls(body, scene, seen, vertic
             slope[off > 0.5, of_video] = torch.autograd.grad(view.loss(image, 1.0), x)[0]
             if of_video:
                 plain = slope[off > 0.5, False]
-                assert torch.allclose(slope[off > 0.5, True], plain / (1 + off / CLEAR), rtol=1e-4)
+                assert torch.allclose(
+                    slope[off > 0.5, True], plain / (1 + off / HAND_ROBUST_SCALE), rtol=1e-4
+                )
     assert slope[True, True].norm() < 0.2 * slope[True, False].norm()
     assert slope[False, True].norm() > 0.3 * slope[False, False].norm()
 
@@ -97,7 +100,7 @@ def test_parts_outside_the_image_have_no_close_up(body, seen, vertices):
 
 def test_a_video_without_more_pixels_has_no_close_ups(body, fine, true_pose, monkeypatch):
     def scale(person, size):
-        monkeypatch.setattr(evidence, "HAND_SIZE", size)
+        monkeypatch.setattr(close_ups_module, "HAND_PIXELS", size)
         return close_up_scale(body, true_pose, SHAPE, [fine] * 3, person)
 
     hand = fine.fx / 3 * parts_of(body)[0].length  # pixels, 3 m in front of the camera
@@ -119,7 +122,7 @@ def test_a_frame_is_compared_only_where_mask_or_body_are(scene, seen, vertices):
     moved = vertices + torch.tensor([0.05, 0.02, 0.0])
     part = person.around(moved)
     assert part.mask.numel() < 0.8 * person.mask.numel()
-    found, gradient = frame_loss(scene, moved, [(1.0, person)], 1.0, True)
+    found, gradient = frame_loss(scene, moved, [WeightedView(1.0, person)], 1.0, True)
     x = moved.clone().requires_grad_()
     loss = person.loss(scene.render(x, person.camera), 1.0)
     assert found == pytest.approx(float(loss.detach()), rel=1e-6)

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gva_mi.mesh.surface import CoarseBody
-from gva_mi.refine.evidence import parts_of
+from gva_mi.refine.close_ups import parts_of
 from gva_mi.refine.sequence import SequenceOptions
 
 FACES = SequenceOptions.faces

@@ -8,9 +8,9 @@ import torch
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Pose
 from gva_mi.prior.anatomy import Anatomy
-from gva_mi.prior.error_model import GROUPS, STAGE1_FPS, stage1_errors
-from gva_mi.prior.inference import TiltPrior
-from gva_mi.prior.stage1_poses import Stage1
+from gva_mi.prior.camera_tilt import TiltPrior
+from gva_mi.prior.error_model import DEFAULT_FPS, GROUPS, stage1_errors
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.corrections import Corrections
 
 ELBOW = JOINTS.index("left_elbow")
@@ -26,7 +26,7 @@ def make(camera, body):
 
     def corrections(pose, frames=None):
         frames = range(len(pose)) if frames is None else frames
-        return Corrections.map_estimate(Stage1.of(pose, frames, camera), anatomy)
+        return Corrections.map_estimate(Stage1Poses.of(pose, frames, camera), anatomy)
 
     return corrections
 
@@ -37,7 +37,7 @@ def with_turns(camera, body):
     anatomy = Anatomy.of(body.j_template)
 
     def corrections(pose, turns, known=None):
-        stage1 = Stage1.of(pose, range(len(pose)), camera)
+        stage1 = Stage1Poses.of(pose, range(len(pose)), camera)
         prior = Corrections.map_estimate(stage1, anatomy, known).prior
         return Corrections(stage1, anatomy, prior, turns, torch.zeros(len(pose), 3))
 
@@ -107,7 +107,7 @@ def test_constant_turns_cost_in_each_frame_if_the_person_turns(with_turns, round
 def test_constant_turns_of_a_known_estimator_are_held_from_first_to_last(with_turns, monkeypatch):
     """They cost ``constant_turn_energy``; an inferred one has the camera-locked tilt instead."""
     pose, turns = turning_round(64, 1.0), same_turn(64, "left_hip")
-    for errors in (None, stage1_errors(STAGE1_FPS)):
+    for errors in (None, stage1_errors(DEFAULT_FPS)):
         held = with_turns(pose, turns, errors)
         with torch.no_grad():
             energy, constant = held.energy(), held.constant_turn_energy()
@@ -130,7 +130,7 @@ def test_the_error_model_is_inferred_from_corrections(make):
     with torch.no_grad():
         corrections.start[0][:, list(GROUPS["elbows"])] = -errors
     updated = corrections.with_updated_prior(*corrections.found())
-    noise = updated.prior.noise
+    noise = updated.prior.error_models
     assert noise["elbows"].slow == pytest.approx(0.2, rel=0.4)
     assert 3 <= noise["elbows"].memory <= 12
     assert noise["knees"].slow < 0.5 * noise["elbows"].slow
@@ -139,7 +139,7 @@ def test_the_error_model_is_inferred_from_corrections(make):
 
 
 def test_the_video_solvers_errors_last_as_many_seconds_at_any_frame_rate():
-    usual, slower = stage1_errors(STAGE1_FPS), stage1_errors(STAGE1_FPS / 2)
+    usual, slower = stage1_errors(DEFAULT_FPS), stage1_errors(DEFAULT_FPS / 2)
     for name, noise in usual.items():
         assert (2 * slower[name].memory, 2 * slower[name].lag) == (noise.memory, noise.lag)
         assert (slower[name].slow, slower[name].bias) == (noise.slow, noise.bias)
@@ -164,7 +164,7 @@ def test_centring_removes_what_another_shape_would_show(make, axes):
     R_camera_body = stage1.R_joint_camera[:, 0].mT
     moves = shift.expand(12, 3) if axes == "camera" else R_camera_body @ shift
     turns0, moves0 = corrections.start
-    corrections.start = turns0 + stage1.in_camera(turns), moves0 + moves
+    corrections.start = turns0 + stage1.to_camera_axes(turns), moves0 + moves
     corrections.centre()
     after = corrections.pose(range(12))
     torch.testing.assert_close(after.transl, before.transl, atol=1e-6, rtol=0)

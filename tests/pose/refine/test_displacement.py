@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.refine import sequence
-from gva_mi.refine.evidence import hand_vertices
-from gva_mi.refine.sequence import Displacement
+from gva_mi.refine import displacement
+from gva_mi.refine.close_ups import hand_vertices
+from gva_mi.refine.displacement import Displacement
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +19,8 @@ def weights(monkeypatch):
     """Set a, b and c."""
 
     def set_them(*values):
-        for name, value in zip(("SMOOTH", "SMALL", "OUTWARD"), values, strict=True):
-            monkeypatch.setattr(sequence, name, value)
+        for name, value in zip(("SMOOTHNESS", "SMALLNESS", "OUTWARDNESS"), values, strict=True):
+            monkeypatch.setattr(displacement, name, value)
 
     return set_them
 

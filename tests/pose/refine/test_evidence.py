@@ -9,7 +9,7 @@ import trimesh
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.mesh.mesh_scene import MeshScene
-from gva_mi.refine.evidence import ALONE, MaskAndNormals, common_scale
+from gva_mi.refine.image_evidence import SILHOUETTE_ALONE, MaskAndNormals, common_scale
 from gva_mi.splat import Camera, look_at
 from gva_mi.subject.crop import NoEvidence, mask_extent, points_extent
 
@@ -77,7 +77,7 @@ def test_without_normals_the_silhouette_weighs_more(cut, frame, points):
     seen, blind = cut(frame, 1, points), cut(replace(frame, normals=None), 1, points)
     moved = shown(seen).roll(3, dims=1)
     alone = float(blind.loss(moved, 2.0))
-    assert alone == pytest.approx(2 * ALONE * float(seen.silhouette_loss(moved)))
+    assert alone == pytest.approx(2 * SILHOUETTE_ALONE * float(seen.silhouette_loss(moved)))
     assert float(seen.silhouette_loss(moved)) < alone
 
 

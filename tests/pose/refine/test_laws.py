@@ -12,7 +12,8 @@ from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.ground import Soles
 from gva_mi.refine import SequenceOptions
-from gva_mi.refine.optimize import descend, lever_arms
+from gva_mi.refine.optimize import descend
+from gva_mi.refine.vector_adam import lever_arms
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.errors.poses import CameraTilt, tilted
 from gva_mi.synthetic.motion.motions import perform, times

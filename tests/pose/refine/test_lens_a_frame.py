@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.refine import SequenceOptions, refine
-from gva_mi.refine.observed_video import as_filmed, before_one_lens
+from gva_mi.refine.one_lens import before_one_lens, moved_between_lenses
 from gva_mi.splat import Camera
 
 SHORT = SequenceOptions(size=48, faces=2000, passes=1, learn=0)
@@ -37,7 +37,7 @@ def test_who_stands_still_does_not_move_before_one_lens(body, true_pose):
         seen = [v.cameras[k].project(body(v.pose[k], v.shape).vertices[0].double().numpy())
                 for v in (video, one)]  # fmt: skip
         assert np.abs(seen[0] - seen[1]).max() < 1
-    back = as_filmed(one.pose, video.shape, body, one.cameras, cameras)
+    back = moved_between_lenses(one.pose, video.shape, body, one.cameras, cameras)
     assert torch.allclose(back.transl, video.pose.transl, atol=1e-4)
     assert torch.allclose(back.rotations, video.pose.rotations, atol=1e-5)
     assert before_one_lens(one, body) is one
@@ -68,7 +68,7 @@ def test_stage_2_finds_what_it_finds_through_one_lens(clip, coarse):
     breathing = kind(**vars(clip), cameras=cameras)
     # In float64 the way there and back changes no bit of float32, which a descent would amplify.
     exact = clip.pose.to(torch.float64)
-    breathing.pose = as_filmed(exact, clip.shape, coarse, clip.cameras, cameras)
+    breathing.pose = moved_between_lenses(exact, clip.shape, coarse, clip.cameras, cameras)
     assert (breathing.pose.transl - clip.pose.transl).norm(dim=1)[::2].min() > 0.3
     wanted = refine(clip, coarse, SHORT)
     refined = refine(breathing, coarse, SHORT)

@@ -87,7 +87,7 @@ def test_a_loss_that_grew_or_is_nan_is_worse():
 def test_held_out_frames_follow_the_motion(camera):
     evidence = Places(camera, frames=(0, 1, 2, 4, 5, 6))
     found = descend(
-        evidence, Pose.rest(7), ARMS, replace(FREE, prior_weight=1e-6), following=[3]
+        evidence, Pose.rest(7), ARMS, replace(FREE, prior_weight=1e-6), filled_in=[3]
     ).pose
     assert 3 not in sum(evidence.visited, [])
     torch.testing.assert_close(found.transl[3], PLACE, atol=4e-2, rtol=0)

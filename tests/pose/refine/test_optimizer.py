@@ -4,8 +4,8 @@ import roma
 import torch
 
 from gva_mi.body.pose import JAW_AND_EYES, JOINTS, PARENTS, Shape
-from gva_mi.refine.optimize import VectorAdam, lever_arms, turn_rates
 from gva_mi.refine.single_frame import joint_weights
+from gva_mi.refine.vector_adam import VectorAdam, lever_arms, turn_rates
 
 
 def descend(start, target, scales, steps=300):

@@ -60,7 +60,7 @@ def test_single_frames_are_independent(clip, coarse):
 @pytest.mark.slow
 def test_processes_that_share_frames_find_the_same_bits(clip, coarse, monkeypatch):
     """However soon the helper is ready; with close-ups, from the first inference on."""
-    monkeypatch.setattr(frame_losses, "ENOUGH_LOSSES", 1)
+    monkeypatch.setattr(frame_losses, "SHARED_LOSSES", 1)
     monkeypatch.setattr("gva_mi.refine.sequence.STEPS_A_PASS", 1)
     options, calls = replace(CLIPS, part=120, passes=40, batch=3), []
     (one,) = refine_all([clip], coarse, options)

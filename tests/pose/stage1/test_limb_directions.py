@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 import torch
 
-from gva_mi.stage1.arm_depths import SPEEDS, DirectionModel
+from gva_mi.stage1.arm_depths import MODE_SPEEDS, DirectionModel
 
 FRAMES, DIRECTIONS = 4, 3
 
@@ -37,7 +37,7 @@ def test_the_posterior_is_the_sum_over_all_sequences():
 def test_a_step_has_the_variance_of_its_speed_at_any_frame_rate(fps):
     model = DirectionModel.of(1 / fps)
     square = (model.directions[:, None] - model.directions).square().sum(2)
-    for steps, speed in zip(model.steps, SPEEDS, strict=True):
+    for steps, speed in zip(model.steps, MODE_SPEEDS, strict=True):
         assert torch.allclose(steps.sum(1), torch.ones(len(steps), dtype=steps.dtype))
         variance = float((steps * square).sum(1).mean() / 2)
         assert variance == pytest.approx((speed / fps) ** 2, rel=0.06)

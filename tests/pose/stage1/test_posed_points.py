@@ -4,7 +4,7 @@ import torch
 
 from gva_mi.body.so3 import compose
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.stage1.evidence import PointSet, PosedPoints
+from gva_mi.stage1.posed_points import PointSet, PosedPoints
 
 STEP = 1e-6
 JOINTS = [0, 3, 16, 18, 20, 37]

@@ -16,7 +16,7 @@ from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.stature import Stature
 from gva_mi.splat import Camera, look_at
 from gva_mi.stage1.solver import KnownOfVideo, solve_stage1
-from gva_mi.stage1.upright import Vertical
+from gva_mi.stage1.vertical_lines import Vertical
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
 LIMBS = slice(1, 22)  # joints of the body without the root

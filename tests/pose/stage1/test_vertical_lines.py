@@ -6,8 +6,9 @@ import torch
 
 from gva_mi.prior.stature import Stature
 from gva_mi.stage1.body_prior import SharedPrior
-from gva_mi.stage1.normal_equations import Free, NormalEquations, Stage1State
-from gva_mi.stage1.upright import Vertical, vertical_of
+from gva_mi.stage1.normal_equations import NormalEquations
+from gva_mi.stage1.unknowns import Stage1State, Unknowns
+from gva_mi.stage1.vertical_lines import Vertical, find_vertical
 from gva_mi.subject.landmarks import Landmarks
 
 SIZE, FOCAL = 320, 300.0
@@ -51,7 +52,7 @@ def person(points=np.nan):
 
 @pytest.mark.parametrize(("pitch", "roll"), [(0, 0), (12, 0), (-5, 3), (25, -4), (0, 19)])
 def test_the_direction_up_is_found_among_leaning_bars(pitch, roll, rng):
-    found = vertical_of([room(up_of(pitch, roll), rng)], person(), K)
+    found = find_vertical([room(up_of(pitch, roll), rng)], person(), K)
     assert (np.abs(found.up - up_of(pitch, roll)) < 2 * found.spread).all()
     assert (found.spread < 0.025).all()  # of which 0.006 is the least
 
@@ -59,8 +60,8 @@ def test_the_direction_up_is_found_among_leaning_bars(pitch, roll, rng):
 def test_a_picture_without_upright_lines_shows_nothing(rng):
     noise = rng.integers(0, 255, (SIZE, SIZE, 3)).astype(np.uint8)
     flat = np.full((SIZE, SIZE, 3), 128, np.uint8)
-    assert vertical_of([noise], person(), K) is None
-    assert vertical_of([flat], person(), K) is None
+    assert find_vertical([noise], person(), K) is None
+    assert find_vertical([flat], person(), K) is None
 
 
 def test_lines_lower_than_the_feet_do_not_count(rng):
@@ -68,25 +69,25 @@ def test_lines_lower_than_the_feet_do_not_count(rng):
     true, of_floor = up_of(10, 0), up_of(-20, 5)
     picture = room(true, rng, bars=60)
     picture[170:] = room(of_floor, rng, bars=200)[170:]
-    found = vertical_of([picture], person([[[158, 90], [162, 170]]]), K)
+    found = find_vertical([picture], person([[[158, 90], [162, 170]]]), K)
     assert (np.abs(found.up - true) < 2 * found.spread).all()
-    all_count = vertical_of([picture], person([[[158, 240], [162, 319]]]), K)
+    all_count = find_vertical([picture], person([[[158, 240], [162, 319]]]), K)
     assert (np.abs(all_count.up - of_floor) < 2 * all_count.spread).all()
 
 
 def test_lines_of_an_unknown_lens_tie_the_direction_up_to_it(built_in_body):
     """The pull of the prior is the slope of its energy."""
     z = lambda *shape: torch.zeros(shape, dtype=torch.float64)
-    free = Free([0], 4, True)
+    unknowns = Unknowns([0], 4, True)
     lines = Vertical(np.array([0.02, -0.3]), np.array([0.01, 0.02]))
     stature = Stature.of(built_in_body)
-    prior = SharedPrior(free, (), z(0), z(0), z(4), stature, 1.7, 0.15, lines, None)
+    prior = SharedPrior(unknowns, (), z(0), z(0), z(4), stature, 1.7, 0.15, lines, None)
     start = Stage1State(z(1, 55, 3), z(1, 3), z(4) + 0.1, z() + 0.2, z(2) - 0.1, z(), z(0, 3), z(0))
-    equations = NormalEquations.zero(1, free.per_frame, free.shared)
+    equations = NormalEquations.zero(1, unknowns.per_frame, unknowns.shared)
     prior.add(start, equations)
 
     def energy(step):
-        return prior.energy(free.moved(start, z(1, free.per_frame), step))
+        return prior.energy(unknowns.moved(start, z(1, unknowns.per_frame), step))
 
-    slope = torch.autograd.functional.jacobian(energy, z(free.shared))
+    slope = torch.autograd.functional.jacobian(energy, z(unknowns.shared))
     torch.testing.assert_close(-equations.shared_pull, slope)

@@ -7,7 +7,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.splat import Camera, look_at
-from gva_mi.stage1.video_check import check_recording
+from gva_mi.stage1.video_check import check_video
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.landmarks import Landmarks, hand_names
 from gva_mi.subject.pictures import write_image
@@ -49,7 +49,7 @@ def recording(tmp_path, body):
         zero = np.zeros(pixels.shape[:2])
         landmarks = Landmarks(names, pixels, zero, zero, np.zeros((*zero.shape, 3)))
         about = {"fps": 15.0} | how
-        found = check_recording(load_video(tmp_path), body, landmarks, **about)
+        found = check_video(load_video(tmp_path), body, landmarks, **about)
         assert all(problem.remedy and problem.cause for problem in found)
         return {problem.what: problem.figure for problem in found}
 
@@ -60,13 +60,13 @@ FAULTS = {  # of one video: what it is called, and what its figure says
     "never turned, too near, dark, in a crowd": (
         {"turn": 0.0, "person": np.s_[60:320, 120:200], "change": lambda image, k: image / 8,
          "crowded": (3, 4)},
-        {"not seen from all sides": "its left side, back, right side",
+        {"not seen from all sides": "never seen: left side, back, right side",
          "feet or legs cut off": "40 of 40 frames", "too dark": "of white",
          "several people": "2 of 40 frames"},
     ),
     "half turned, far away, short": (
         {"turn": 0.5, "person": np.s_[20:120, 120:160], "fps": 30.0},
-        {"not seen from all sides": "240 of 360 degrees; never its left side",
+        {"not seen from all sides": "240 of 360 degrees; never seen: left side",
          "few pixels": "100 pixels tall", "short": "40 frames, 1.3 s"},
     ),
     "from a hand, without a hand": (

@@ -5,14 +5,15 @@ import torch
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.stage1.evidence import PosedPoints, landmark_points
-from gva_mi.stage1.upright import AXES, MASSES, Leaning
+from gva_mi.stage1.evidence import landmark_points
+from gva_mi.stage1.leaning import AXIS_FACTORS, MASS_SHARES, Leaning
+from gva_mi.stage1.posed_points import PosedPoints
 from gva_mi.subject.landmarks import BODY_LANDMARKS
 
 
 def axes_of(body, betas, turns):
     """Return trunk, balance and feet (3, 3), metres, of a body with some joints turned."""
-    return AXES @ joints_of(body, betas, turns)
+    return AXIS_FACTORS @ joints_of(body, betas, turns)
 
 
 def joints_of(body, betas, turns):
@@ -24,7 +25,7 @@ def joints_of(body, betas, turns):
     offsets = torch.zeros(len(points.rest), 3, dtype=torch.float64)
     place = torch.zeros(1, 3, dtype=torch.float64)
     posed = PosedPoints.of(points, rotations, place, betas.double(), offsets)
-    return posed.X[0, -len(MASSES) :]
+    return posed.X[0, -len(MASS_SHARES) :]
 
 
 def both(joint, angle):
@@ -32,8 +33,8 @@ def both(joint, angle):
 
 
 def test_the_masses_are_those_of_one_body():
-    assert sum(MASSES.values()) == pytest.approx(1)
-    assert torch.allclose(AXES.sum(1), torch.zeros(3, dtype=AXES.dtype), atol=1e-12)
+    assert sum(MASS_SHARES.values()) == pytest.approx(1)
+    assert torch.allclose(AXIS_FACTORS.sum(1), torch.zeros(3, dtype=AXIS_FACTORS.dtype), atol=1e-12)
 
 
 def test_the_axes_of_any_shape_are_upright_at_rest(built_in_body):
@@ -59,7 +60,7 @@ def test_the_mass_may_be_above_either_foot(built_in_body, lean):
     turns = {"left_hip": (0, 0, 0.9), "pelvis": (0, 0, lean)}
     X = joints_of(built_in_body, torch.zeros(10), turns)
     leaning = Leaning.of(X[None], torch.tensor([0.0, 1, 0]).double(), 0.05)
-    middle = AXES[1] @ X
+    middle = AXIS_FACTORS[1] @ X
     assert abs(middle[0] / middle.norm()) > 0.1
-    assert leaning.off[0, 1].norm() < 0.02
+    assert leaning.lean[0, 1].norm() < 0.02
     assert -0.5 < float(leaning.share) < 0

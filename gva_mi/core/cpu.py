@@ -2,8 +2,8 @@
 
 OpenBLAS (numpy, scipy), MKL, oneDNN, numpy's and torch's own kernels choose their code by the CPU,
 and each choice rounds in another order. These settings, made before the libraries are imported,
-choose the code that all CPUs with AVX2 have. MKL takes its AVX2 code on Intel's CPUs alone; the
-branch that it has for all makers is called COMPATIBLE. No setting reaches torch's ``sqrt``,
+choose the code that all CPUs with AVX2 can run. MKL uses its AVX2 code only on Intel's CPUs; its
+branch for all makers is called COMPATIBLE. No setting reaches torch's ``sqrt``,
 ``acos``, ``asin`` and ``atan``: this package has :func:`sqrt` and uses none of the others. Dr.Jit
 compiles for the CPU's own vectors and gives the same bits for any vector width, except for
 ``rsqrt``, which every CPU estimates in its own way. Therefore no kernel of this package uses it.

@@ -4,6 +4,8 @@ import subprocess
 import sys
 
 PROGRAM = """
+import sys
+
 import gva_mi_plugins
 import mitsuba as mi
 import numpy as np
@@ -20,14 +22,17 @@ def picture():
     return np.array(mi.render(mi.load_dict(scene), spp=1))
 
 
-images = []
+images, modules = [], set()
 for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb"):
     mi.set_variant(variant)
     gva_mi_plugins.register()
     gva_mi_plugins.register()
     images.append(picture())
+    modules.add(sys.modules["gva_mi_plugins.mesh_normals.integrator"])
 assert images[0][..., 3].max() == 1
 assert all(np.array_equal(images[0], image) for image in images[1:])
+assert len(modules) == 1, "a program may hold a plugin's module"
+mi.load_dict({"type": "gaussian_splat"})  # for llvm_ad_rgb again
 mi.set_variant("scalar_rgb")
 try:
     gva_mi_plugins.register()

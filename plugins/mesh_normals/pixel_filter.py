@@ -276,7 +276,10 @@ def _total(mass: np.ndarray, count: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of a view on a grid of its own; ``gva_mi.mesh.mesh_scene.tile_of`` makes one."""
+    """A part of a view on a grid of its own.
+
+    ``Tile(6, 6, 2, 8, 8)`` has 8 x 8 pixels, half as wide as the view's, from (6, 6) on.
+    """
 
     left: float  # of its upper left corner, pixels of the view
     top: float

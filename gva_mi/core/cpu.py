@@ -1,4 +1,4 @@
-"""Use of the CPU: the same bits on every x86 CPU with AVX2, and threads that wait without spinning.
+"""Use of the CPU: the same bits on every x86 CPU with AVX2, and cores shared by torch and Dr.Jit.
 
 OpenBLAS (numpy, scipy), MKL, oneDNN, numpy's and torch's own kernels choose their code by the CPU,
 and each choice rounds in another order. These settings, made before the libraries are imported,

@@ -146,11 +146,20 @@ def avatar(
     refining, fitting = effort.refining(options.height), effort.fitting()
     refined, findings = subject / REFINED_POSES, subject / FINDINGS
 
-    def fit_again(begun: bool) -> None:
+    def prepare_anew(begun: bool) -> None:
+        prepare(
+            recording, subject, options, own_masks, person=person, lens=lens, body=body,
+            overwrite=True,
+        )  # fmt: skip
+
+    def refine_anew(begun: bool) -> None:
+        refine(subject, refining, workers=usual_workers(), body=body, overwrite=True)
+
+    def fit_or_resume(begun: bool) -> None:
         begun = begun and (run / run_folder.OPTIONS).exists()
         fit(subject, run, fitting, poses=refined, body=body, resume=begun, overwrite=not begun)
 
-    def evaluate_it(begun: bool) -> None:
+    def evaluate_anew(begun: bool) -> None:
         tested = bool(load_video(subject).splits.test)
         evaluate(run, subject, title=title, poses=refined, body=body, fit_poses=tested)
 
@@ -159,31 +168,28 @@ def avatar(
         with bar("report") as progress:
             write_avatar_report(out, run, trained, model, title, progress)
 
-    given = [asdict(options), asdict(own_masks), person, lens]
-    known = {"person": person, "lens": lens, "body": body, "overwrite": True}
-    sources = [recording, *filter(None, [body, *vars(own_masks).values()])]
+    # Files that each step reads and writes: a step is run again if what it reads has changed.
+    body_files = [] if body is None else [body]
+    inputs = [recording, *body_files, *filter(None, vars(own_masks).values())]
     parts = (FRAMES, MASKS, CAMERAS, LANDMARKS, POSES, PREPARED)
-    prepared = [*filter(None, [body]), *(subject / name for name in parts)]
+    prepared = [*body_files, *(subject / name for name in parts)]
+    before_fit = [*prepared, subject / SPLITS, refined]
     fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
     measured, page = [run / run_folder.METRICS, run / run_folder.REPORT], out / run_folder.REPORT
-    before_fit = [*prepared, subject / SPLITS, refined]
+    prepare_options = [asdict(options), asdict(own_masks), person, lens]
     steps = [
-        Step("prepare", "refine", given, sources, [subject / PREPARED],
-             lambda begun: prepare(recording, subject, options, own_masks, **known)),
+        Step("prepare", "refine", prepare_options, inputs, [subject / PREPARED], prepare_anew),
         Step("check", "refine", None, prepared, [findings], lambda begun: _check(subject, body)),
-        Step("refine", "refine", refining, prepared, [refined],
-             lambda begun: refine(subject, refining, workers=usual_workers(), body=body,
-                                  overwrite=True)),
+        Step("refine", "refine", refining, prepared, [refined], refine_anew),
         Step("split", "refine", effort.test_frames, [subject / PREPARED], [subject / SPLITS],
              lambda begun: _split(subject, effort.test_frames)),
-        Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_again),
-        Step("evaluate", "avatar", None, [*before_fit, *fitted], measured, evaluate_it),
+        Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_or_resume),
+        Step("evaluate", "avatar", None, [*before_fit, *fitted], measured, evaluate_anew),
         Step("report", "avatar", None, [*before_fit, *fitted, findings, *measured], [page], report),
     ]  # fmt: skip
+    source = stamp(files_of(recording) or [recording])
     with folder_lock(out, "gva-mi avatar"):
-        StepFolder(out, VIDEO_MARKER, stamp(files_of(recording) or [recording]), overwrite).follow(
-            steps
-        )
+        StepFolder(out, VIDEO_MARKER, source, overwrite).follow(steps)
     say(f"avatar: {run / run_folder.AVATAR}")
     say(f"report: {page}")
 

@@ -79,7 +79,7 @@ def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor
 
 
 def absolute_error(color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float) -> Tensor:
-    """Return eq. 4, a scalar.
+    """Return the error of a render on a new background (eq. 4), a scalar.
 
     Args:
         color: (H, W, 3) of a render of this part on black, C.
@@ -142,7 +142,7 @@ def _compare(
 def _composite(
     pixels: list[UInt32], color: list[Float], place: list[Array], lane: UInt32
 ) -> tuple[Lane, Lane, Float]:
-    """Evaluate eq. 1 and 2 in some pixels of a part: target, background and mask."""
+    """Evaluate eq. 1 and 2 at pixels of a part: target, background and mask."""
     pixel, inside = _in_box(place, lane)
     *P, S = _bytes(dr.gather(UInt32, pixels[0], pixel, inside))
     *B, U = _bytes(dr.gather(UInt32, pixels[1], pixel, inside))
@@ -161,7 +161,7 @@ def _arrays(cutout: Cutout, part: Box) -> tuple[list[UInt32], list[Float], list[
 
 
 def _in_box(place: list[Array], lane: UInt32) -> tuple[UInt32, Array]:
-    """Return the pixel of a cutout at some pixels of a part, and whether there is one."""
+    """Return which pixels of a cutout lie at pixels of a part, and whether any does."""
     # Floats are divided in packets, integers one by one.
     per_row, columns, left, top, width, height = place
     row = Int32(dr.floor((Float64(lane) + 0.5) * per_row))

@@ -194,7 +194,10 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
 
 
 def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
-    """Return max(0, (s - n · d) / (s + 1))² (N,) of normals (N, 3) at places (N, 3), metres."""
+    """Return how squarely a camera sees normals (N, 3) at places (N, 3), metres.
+
+    This is max(0, (s - n · d) / (s + 1))² of eq. 2, (N,).
+    """
     T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
     ahead = places + T[:3, :3].T @ T[:3, 3]
     away = (normalize(normals, dim=1) * normalize(ahead, dim=1)).sum(1)
@@ -203,7 +206,7 @@ def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
 
 @dataclass(frozen=True)
 class Places:
-    """Where N Gaussians are on the body at rest, x to its left, y up and z ahead.
+    """Places of N Gaussians on the body at rest, x to its left, y up and z ahead.
 
     Attributes:
         points: (N, 3) from the pelvis, metres.
@@ -232,9 +235,9 @@ class Places:
 
 
 def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return h (N, K) and b (N,) of eq. 3, of w (N,) and f (N, K).
+    """Guess colours h (N, K), with weights b (N,) of eq. 3, from w (N,) and f (N, K).
 
-    A guess counts less if frames hardly show what it is of.
+    A guess counts less if frames hardly show the Gaussians that it is taken from.
     """
     h, b, faint = f.copy(), np.zeros(len(w)), COMPLETION_SMOOTHNESS * w.mean()
     height, ahead = places.points[:, 1], places.normals[:, 2]
@@ -266,7 +269,7 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def neighbours(places: Places) -> csr_array:
-    """Return a (N, N) of eq. 3, symmetric."""
+    """Return the weights a (N, N) of eq. 3 between Gaussians, a symmetric matrix."""
     points, normals = places.points, places.normals
     front_and_back = _front_and_back(points, normals, places.limbs)
     return _around(points, normals) + _mirrored(points, normals) + front_and_back
@@ -317,7 +320,7 @@ def _alike(normals: np.ndarray, others: np.ndarray) -> np.ndarray:
 
 
 def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
-    """Return the mean of a matrix (N, N), of values (N, K) in some columns, and its transpose."""
+    """Return (A + Aᵀ) / 2 of a sparse matrix A (N, N) with values (N, K) in given columns."""
     from scipy.sparse import csr_array
 
     N, K = columns.shape
@@ -369,12 +372,12 @@ class Lambert(nn.Module):
 
 
 def _color(sh: Lane) -> Lane:
-    """Return a, in the unit of sh."""
+    """Return the mean colour a of eq. 4, in the unit of sh."""
     return [dr.maximum(x + 0.5 / C0, 0) for x in sh[:3]]
 
 
 def _forward(sh: Lane, normal: Lane, strength: Lane) -> list[Lane]:
-    """Evaluate eq. 4; sh is f_0 and δ."""
+    """Evaluate eq. 4 for sh, which holds f_0 and δ."""
     law = [strength[0] * n * a for n in normal for a in _color(sh)]
     return [sh[:3] + [d + x for d, x in zip(sh[3:], law, strict=True)]]
 

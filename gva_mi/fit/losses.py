@@ -1,4 +1,4 @@
-"""The loss of an avatar's fit: Eq. 9 of the paper, and two optional terms of other codes.
+"""The loss of an avatar's fit: Eq. 9 of the paper, and two optional terms.
 
     L_render = |C - I| + λ3 |VGG(C) - VGG(I)| + λ4 |MLP(θ)|                                    (9)
 
@@ -47,8 +47,8 @@ class LossOptions:
 
     perceptual: PythonOnly[Weight] = 0.1  # λ3, of the features' difference
     residual: PythonOnly[Weight] = 0.5  # λ4, per metre, of the pose-conditioned residual
-    alpha: Weight = 0.0  # λ_alpha, of the render's alpha against the mask; other codes use 0.1
-    ssim: PythonOnly[Weight] = 0.0  # λ_ssim, of 1 - SSIM; other codes use 0.01 to 0.2
+    alpha: Weight = 0.0  # λ_alpha, of the render's alpha against the mask; other programs use 0.1
+    ssim: PythonOnly[Weight] = 0.0  # λ_ssim, of 1 - SSIM; other programs use 0.01 to 0.2
 
 
 @dataclass(frozen=True)

@@ -315,8 +315,10 @@ def _evidence(
     arms: Tensor,
     options: PhotometricOptions,
 ) -> PictureEvidence:
-    """Return the evidence of a clip. Its faces start as given or at the smoother MAP estimate,
-    whichever fits the pictures better."""
+    """Return the evidence of a clip.
+
+    Its faces start as given or at the smoother MAP estimate, whichever fits the pictures better.
+    """
     frames = sorted(seen)
     stage1 = Stage1Poses.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
@@ -348,7 +350,7 @@ def write_tracking(
     offsets: Tensor | None,
     sources: dict[str, Path],
 ) -> None:
-    """Write both files atomically: the record is only there with its own poses.
+    """Write both files atomically: a record never stands beside other poses.
 
     ``offsets`` (V, 3) displace the rest surface that goes with the poses, metres; ``sources`` are
     the files used: ``start``, the initial poses, and ``avatar``.

@@ -1,4 +1,4 @@
-"""The poses and faces of a fit: as they were given, or trained along with the avatar.
+"""Poses and faces of a fit: given, or trained along with the avatar.
 
 Masks and normals leave errors in poses, and errors blur the avatar, which becomes the mean of
 frames that do not quite agree. So the gradient of each step (Eq. 9) also updates the corrections of

@@ -117,7 +117,7 @@ class LandmarkNoise:
     Attributes:
         pixels: (T, P) ``σ``, pixels; infinite without a landmark.
         whitening: (T, P, 2, 2) ``σ Σ^-1/2``, symmetric: makes errors equally wide in all
-        directions.
+            directions.
         bones: (K, 2) from and to, indices of the P landmarks.
         gain: (K,) of eq. 3.
         bias: (K,) of eq. 3, metres.

@@ -38,8 +38,7 @@ from gva_mi.subject.video import Outline
 HAND_PIXELS = 44  # length of a hand in close-ups, if the video has as many; chosen
 BORDER_SHARE = 0.5  # of a part's length, added on each side (2); chosen
 SMALLEST_SIDE = 8  # pixels of a close-up; a smaller one is at the edge of the image; chosen
-# Least ratio of the scales of close-ups and of the person's image; below, they show no more;
-# chosen.
+# Least ratio of the scales of close-ups and of the person's image. Chosen: below, they add nothing.
 SMALLEST_GAIN = 1.25
 STORED_UNIT = 127  # length of a stored normal, of int8
 HAND_ROBUST_SCALE = 0.1  # c of eq. 4 for hands in masks of videos, share of a hand's area; chosen
@@ -65,12 +64,10 @@ class FinePicture:
     def of(outline: Outline, scale: float, points: Tensor, of_video: bool = False) -> FinePicture:
         """Crop a frame as :meth:`MaskAndNormals.of` does, and store it in 8 bits."""
         fine = MaskAndNormals.of(outline, scale, points)
-        normals = (
-            None if fine.normals is None else (STORED_UNIT * fine.normals).round().to(torch.int8)
-        )
-        return FinePicture(
-            fine.camera, (255 * fine.mask).round().to(torch.uint8), normals, of_video
-        )
+        mask, normals = (255 * fine.mask).round().to(torch.uint8), None
+        if fine.normals is not None:
+            normals = (STORED_UNIT * fine.normals).round().to(torch.int8)
+        return FinePicture(fine.camera, mask, normals, of_video)
 
     def cut(self, box: Box, area: float, robust_scale: float | None = None) -> MaskAndNormals:
         """Return the evidence in a box; its losses are divided by ``area``, pixels."""

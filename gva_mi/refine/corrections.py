@@ -141,9 +141,8 @@ class Corrections:
         of_pelvis, of_joints, of_place = self._precisions
         places = moves[..., None]
         nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], own[:, PELVIS])
-        nats = nats + prior.joints.energy(
-            of_joints, turns[:, CORRECTED_JOINTS], own[:, CORRECTED_JOINTS]
-        )
+        joints = CORRECTED_JOINTS
+        nats = nats + prior.joints.energy(of_joints, turns[:, joints], own[:, joints])
         nats = nats + prior.place.energy(of_place, places, places)
         rotations = compose(stage1.pose.rotations, own)
         motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times

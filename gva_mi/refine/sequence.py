@@ -220,12 +220,9 @@ class ClothedPerson:
                 self.landmark_offsets = torch.zeros_like(clip.landmarks.rig.rest).requires_grad_()
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
-            self.landmark_offsets = clip.first_round.landmark_offsets
-            self._cloth.raw, self._betas = (
-                clip.first_round.offsets,
-                clip.first_round.shape.betas[:, None],
-            )
-            self.shared = []
+            known = clip.first_round
+            self.landmark_offsets, self._cloth.raw = known.landmark_offsets, known.offsets
+            self._betas, self.shared = known.shape.betas[:, None], []
         self.anatomy = Anatomy.of(rest.joints)
         self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
         self.frames = sorted(clip.evidence)

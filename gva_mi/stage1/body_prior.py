@@ -32,8 +32,8 @@ from gva_mi.stage1.unknowns import Stage1State, Unknowns
 from gva_mi.stage1.vertical_lines import Vertical
 
 # Standard deviations about the relaxed pose, radians, of all axes or of x, y and z of the T-pose;
-# None: 1 radian, of joints that this prior leaves out. Chosen: wrists hardly twist,
-# which forearms do; hips bend more than they spread or turn.
+# None: 1 radian, of joints that this prior leaves out. Chosen: wrists hardly twist, which forearms
+# do; hips bend more than they spread or turn.
 WRIST_SIGMA, HIP_SIGMA = (0.15, 0.4, 0.4), (0.7, 0.3, 0.3)
 POSE_SIGMA = {
     "pelvis": None, "spine1": 0.2, "spine2": 0.2, "spine3": 0.2, "neck": 0.3, "head": 0.3,
@@ -45,9 +45,7 @@ RELAXED_ARM = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent; chosen
 RELAXED_FINGER = {1: 0.25, 2: 0.4, 3: 0.27}  # bend of a finger's joints, radians; chosen
 BETA_SIGMA = 0.35  # of betas; chosen below 1: landmarks know lengths, not girths
 AVERAGE_HEIGHT = 1.70  # metres, of a person of unknown height; chosen
-HEIGHT_SIGMA = (
-    0.005  # metres, of the fitted height about the given or average one; chosen: it stays
-)
+HEIGHT_SIGMA = 0.005  # metres, of the fitted height about the given or average one; chosen
 # Metres, of the camera's height above the floor: about a given height, and about 0 without; chosen.
 KNOWN_CAMERA_HEIGHT_SIGMA, UNKNOWN_CAMERA_HEIGHT_SIGMA = 0.02, 10.0
 ASYMMETRY = 0.3  # standard deviation of the difference of left and right offsets, relative; chosen

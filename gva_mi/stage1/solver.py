@@ -170,11 +170,8 @@ class Stage1Problem:
                 damping *= DAMPING_AFTER_FAILURE
             else:
                 break
-            state, energy, damping = (
-                trial,
-                found,
-                max(damping * DAMPING_AFTER_SUCCESS, SMALLEST_DAMPING),
-            )
+            state, energy = trial, found
+            damping = max(damping * DAMPING_AFTER_SUCCESS, SMALLEST_DAMPING)
             if before - energy < SMALLEST_GAIN * abs(before):
                 break
         whole = offsets.clone()

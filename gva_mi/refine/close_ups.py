@@ -41,7 +41,8 @@ SMALLEST_SIDE = 8  # pixels of a close-up; a smaller one is at the edge of the i
 # Least ratio of the scales of close-ups and of the person's image. Chosen: below, they add nothing.
 SMALLEST_GAIN = 1.25
 STORED_UNIT = 127  # length of a stored normal, of int8
-HAND_ROBUST_SCALE = 0.1  # c of eq. 4 for hands in masks of videos, share of a hand's area; chosen
+# c of eq. 4 of image_evidence, for hands in masks of videos, share of the area; chosen.
+HAND_ROBUST_SCALE = 0.1
 
 
 class WeightedView(NamedTuple):

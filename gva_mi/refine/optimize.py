@@ -108,7 +108,7 @@ class DescentOptions:
 
     passes: Passes  # how often every frame is visited
     learn: Learn  # passes after which the prior is inferred from corrections
-    prior_weight: PriorWeight  # weight of the prior, in units of L_k per prior_weight
+    prior_weight: PriorWeight  # weight of the prior, units of L_k per nat
     step: Metres  # metres that a joint moves the skin beyond it, in a first step
     translation_lr: Metres  # metres in a first step
     part: PartFrames  # frames fitted together; a longer video is cut into clips

@@ -174,12 +174,12 @@ def write_avatar_report(
         progress: called after each rendered picture.
     """
     avatar, record = run_folder.load_avatar(run), Stage1Record.load(video.folder)
-    recordings = Section("The avatar moves", list(_videos(out, avatar, video, progress)), columns=3)
+    moving = Section("The avatar moves", list(_videos(out, avatar, video, progress)), columns=3)
     tall = "height was not given: sizes and distances are uncertain by 5 %."
     if record.height is not None:
         tall = f"height is given as {record.height:.2f} m."
     subtitle = f"{record.frames} frames at {record.fps:.3g} a second. The person's {tall}"
-    first, settings = [recordings, _findings(video, record)], {"video": vars(record)}
+    first, settings = [moving, _findings(video, record)], {"video": vars(record)}
     page = out / run_folder.REPORT
     write_report(page, run, avatar, video, title, body, subtitle, first, settings)
 

@@ -254,8 +254,8 @@ def numbered(source: Path) -> Numbered:
     """Open the pictures of a folder by the numbers in their names, or of a video in their order."""
     files = files_of(source)
     if files is None:
-        recording = VideoFile(source)
-        return {k: partial(recording.__getitem__, k) for k in range(len(recording))}
+        video = VideoFile(source)
+        return {k: partial(video.__getitem__, k) for k in range(len(video))}
     try:
         return {number_in(path): partial(read_image, path, 4) for path in files}
     except ValueError as error:

@@ -215,22 +215,20 @@ def multiview(
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected videos that are named after cameras")
     cameras = read_calibration(calibration)
-    recordings = [_video_of(folder, camera) for camera in cameras]
+    videos = [_video_of(folder, camera) for camera in cameras]
     motions: list[SolvedMotion] = []
-    for k, (recording, camera) in enumerate(zip(recordings, cameras, strict=True)):
+    for k, (video, camera) in enumerate(zip(videos, cameras, strict=True)):
         scale = min(1.0, options.side / min(camera.size))
         lens = str(scale * camera.K[0, 0]) if known_lens else None
-        part = part_of_progress(progress, k, 1, len(recordings))
-        motions.append(motion_of_video(recording, options, body, lens=lens, progress=part))
+        part = part_of_progress(progress, k, 1, len(videos))
+        motions.append(motion_of_video(video, options, body, lens=lens, progress=part))
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(
-                f"{recording}: its pictures have other times than {recordings[0]}; "
+                f"{video}: its pictures have other times than {videos[0]}; "
                 "expected videos that start together and have one rate and length"
             )
     rays, seen, tau = (np.stack(x) for x in zip(*map(_seen, cameras, motions), strict=True))
-    X = triangulate(
-        cameras, rays.reshape(len(recordings), -1, 2), seen.reshape(len(recordings), -1), tau
-    )
+    X = triangulate(cameras, rays.reshape(len(videos), -1, 2), seen.reshape(len(videos), -1), tau)
     X = X.reshape(*rays.shape[1:3], 3)
     figures = []
     for camera, motion in zip(cameras, motions, strict=True):
@@ -241,13 +239,13 @@ def multiview(
 def _video_of(folder: Path, camera: CalibratedCamera) -> Path:
     """Return the video of a camera: the file in a folder that is named after it."""
     named = sorted(path for path in folder.iterdir() if path.stem == camera.name)
-    recordings = [path for path in named if path.suffix != ".toml"]
-    if len(recordings) != 1:
+    videos = [path for path in named if path.suffix != ".toml"]
+    if len(videos) != 1:
         raise InputError(
             f"{folder}: expected one video of the camera {camera.name}, of that name, "
-            f"found {len(recordings)}"
+            f"found {len(videos)}"
         )
-    return recordings[0]
+    return videos[0]
 
 
 class SeenRays(NamedTuple):

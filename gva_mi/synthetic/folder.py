@@ -1,6 +1,6 @@
 """A subject's folder: the video that a real pipeline would have, and its ground truth.
 
-:func:`make_subject` writes one, :func:`degrade` copies its recording with other errors, and
+:func:`make_subject` writes one, :func:`degrade` copies one with other errors, and
 :func:`remake_subject` makes its person again.
 
 Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
@@ -118,10 +118,10 @@ def make_subject(
                     progress(next(done), total)
                 yield result
 
-        recording = _Recording(staging, body, render)
-        recording.write_video(folder)
-        recording.write_novel_poses(folder / TRUTH / "novel_pose")
-        seen = recording.write_novel_views(folder / TRUTH / "novel_view", views)
+        contents = _SubjectContents(staging, body, render)
+        contents.write_video(folder)
+        contents.write_novel_poses(folder / TRUTH / "novel_pose")
+        seen = contents.write_novel_views(folder / TRUTH / "novel_view", views)
         splits = Splits.every(options.frames).to_json()
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         SubjectWriter(folder).splits(splits)
@@ -130,7 +130,7 @@ def make_subject(
 
 
 def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyModel) -> None:
-    """Write a recording with other errors, so that each person is rendered once.
+    """Copy a subject with other errors, so that each person is rendered once.
 
     The folder appears when it is complete. It equals what :func:`make_subject` makes with this
     error model and ``error_seed``; earlier errors have no effect. Only ``bursts`` degrades normals
@@ -193,7 +193,7 @@ def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
 
 
 @dataclass(frozen=True)
-class _Recording:
+class _SubjectContents:
     staging: Staging
     fitted: BodyModel  # of the estimated poses
     render: Render

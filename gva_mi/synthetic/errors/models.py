@@ -36,7 +36,7 @@ NO_ERRORS, BURSTS = "none", "bursts"  # these degrade rendered pictures, others 
 
 @dataclass(frozen=True)
 class ErrorParameters:
-    """The errors of one recording."""
+    """The errors of one video's estimates."""
 
     pose: PoseErrors = PoseErrors()
     mask: MaskErrors = MaskErrors()
@@ -44,7 +44,7 @@ class ErrorParameters:
 
 
 def draw_errors(error_model: str, seed: int) -> ErrorParameters | None:
-    """Draw the errors of a recording from one of ERROR_MODELS; None: it has none."""
+    """Draw the errors of a video's estimates from one of ERROR_MODELS; None for NO_ERRORS."""
     if error_model == NO_ERRORS:
         return None
     return ERROR_MODELS[error_model](

@@ -1,7 +1,7 @@
-"""The estimates of a pipeline for a recording: poses, camera, masks and normals with errors.
+"""The estimates of a pipeline for a video: poses, camera, masks and normals with errors.
 
-They depend on the ground truth and the options alone, so a recording can be degraded again (see
-``subject_folder.degrade``): masks and normals, from the 8-bit files of the ground truth.
+They depend on the ground truth and the options alone, so a video can be degraded again
+(:func:`gva_mi.synthetic.degrade`): masks and normals, from the 8-bit files of the ground truth.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class PictureErrors:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """A pipeline that estimates poses, masks and normals of a recording."""
+    """A pipeline that estimates poses, masks and normals of a video."""
 
     options: SynthOptions  # error model and seed
     body: BodyModel  # of the estimated poses

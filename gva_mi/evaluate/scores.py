@@ -57,7 +57,8 @@ from gva_mi.fit.perceptual import (
 )
 from gva_mi.subject.backdrop import alone
 from gva_mi.subject.crop import Box, block_means, bounds
-from gva_mi.subject.footage import files_of, masks, number_in
+from gva_mi.subject.footage import files_of, masks
+from gva_mi.subject.numbering import number_in
 from gva_mi.subject.pictures import in_8_bits, read_image
 from gva_mi.subject.video import Video
 from gva_mi.subject.video_file import VideoFile

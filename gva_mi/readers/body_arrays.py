@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -166,6 +166,12 @@ def plain_name(name: object) -> str:
 def is_numbers(x: Any) -> bool:  # noqa: ANN401
     """Whether a value of a file is an array of more than one number."""
     return isinstance(x, np.ndarray) and x.size > 1 and x.dtype.kind in "biuf"
+
+
+def listed_names(names: Sequence[str]) -> str:
+    """Return the first of some names, and how many more there are."""
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return ", ".join(names[:12]) + more
 
 
 def holds_pose(found: Any) -> bool:  # noqa: ANN401

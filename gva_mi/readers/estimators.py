@@ -35,7 +35,13 @@ from typing import Any
 import numpy as np
 
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.readers.body_arrays import NOT_BODY_NAMES, holds_pose, is_numbers, unnested
+from gva_mi.readers.body_arrays import (
+    NOT_BODY_NAMES,
+    holds_pose,
+    is_numbers,
+    listed_names,
+    unnested,
+)
 from gva_mi.readers.estimator_layouts import (
     People,
     VideoInfo,
@@ -61,7 +67,6 @@ from gva_mi.readers.source_files import (
     first_of,
     has_one,
     holds,
-    listed_names,
     read_source,
 )
 from gva_mi.readers.track import Track, make_track

@@ -27,15 +27,14 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.readers.body_arrays import plain_name, unnested
 from gva_mi.readers.bvh import read_bvh
-from gva_mi.readers.estimator_layouts import VideoInfo, lens_by_name
-from gva_mi.readers.estimators import KINDS, WORLDS, Estimator, kind_of
-from gva_mi.readers.joints import HUMANML3D_FPS, joints_in, joints_track
+from gva_mi.readers.estimators import KINDS, WORLDS, Estimator, VideoInfo, kind_of
+from gva_mi.readers.joint_motions import HUMANML3D_FPS, joints_in, joints_track
 from gva_mi.readers.people import choose
 from gva_mi.readers.retarget import bvh_track
 from gva_mi.readers.source_files import read_source
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track, interpolate, make_track, median_betas, through_lens
-from gva_mi.readers.world import LEAN_NOTE_DEGREES, UP_AXES, Axis, Upward, upright
+from gva_mi.readers.up_axis import LEAN_NOTE_DEGREES, UP_AXES, Axis, Upward, upright
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.lens import is_one_lens, usual_lens
 
@@ -177,7 +176,7 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
             "AIST++'s .pkl, or the folder of ROMP, BEV or SMPLer-X" + hint
         )
     found = unnested(found)
-    K = lens_by_name(where, found, _ANY_VIDEO)
+    K = KINDS["parameters"].lens(where, found, _ANY_VIDEO)
     K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
     track = _before_one_lens(make_track(where, "0", None, found, K, body))
     own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own

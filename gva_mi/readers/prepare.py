@@ -35,13 +35,12 @@ from gva_mi.readers.datasets import (
     read_dataset,
     write_views,
 )
-from gva_mi.readers.estimator_layouts import VideoInfo
-from gva_mi.readers.estimators import KINDS, read_estimator
+from gva_mi.readers.estimators import KINDS, VideoInfo, read_estimator
 from gva_mi.readers.own_masks import MaskOptions, write_masks, write_normals
 from gva_mi.readers.people import choose, joints_in_masks, prompts_of
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track, every_frame, filmed_with, median_betas
-from gva_mi.readers.world import Upward, upright
+from gva_mi.readers.up_axis import Upward, upright
 from gva_mi.splat import Camera
 from gva_mi.subject import footage
 from gva_mi.subject.fingerprint import fingerprint
@@ -49,6 +48,7 @@ from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, SubjectWriter, frame_
 from gva_mi.subject.lens import asked_for, recorded, undistort
 from gva_mi.subject.masks import read_mask, require_person
 from gva_mi.subject.normals import Convention
+from gva_mi.subject.numbering import first_number
 from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.silhouettes import COMPARED_FRAMES, doubt_of
 from gva_mi.subject.splits import spread
@@ -202,7 +202,7 @@ def _numbered(kind: str, capture: Capture) -> tuple[Capture, list[str]]:
     names = footage.files_of(capture.frames)
     frames = np.concatenate([track.frames for track in capture.tracks])
     count = footage.count_of(capture.frames)
-    first = footage.first_number(frames, count, KINDS[kind].first_number, names)
+    first = first_number(frames, count, KINDS[kind].first_number, names)
     moved = [replace(track, frames=track.frames - first) for track in capture.tracks]
     return replace(capture, tracks=moved), [f"frames are numbered from {first}"] if first else []
 

@@ -30,7 +30,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.readers.bvh import FINGER_WORDS, BvhClip, Humanoid, find_humanoid
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track
-from gva_mi.readers.world import unit
+from gva_mi.readers.up_axis import unit
 
 # All chosen.
 _STRAIGHT_FACTOR = 1.5  # a frame is a reference pose up to this times the smallest deviation

@@ -6,7 +6,7 @@ at what was found, so that a reader can recognise its program. Nothing in a file
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.pickles import read_objects
-from gva_mi.readers.body_arrays import one_object
+from gva_mi.readers.body_arrays import listed_names, one_object
 
 _SUFFIXES = (".pkl", ".pickle", ".npz", ".npy", ".pt")  # of files that read_objects opens
 
@@ -72,9 +72,3 @@ def contents(found: Any) -> str:  # noqa: ANN401
         return listed_names([f"{name!s:.40}" for name in found]) or "nothing"
     shape = f" {found.shape}" if isinstance(found, np.ndarray) else ""
     return f"one {type(found).__name__}{shape} without names"
-
-
-def listed_names(names: Sequence[str]) -> str:
-    """Return the first of some names, and how many more there are."""
-    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-    return ", ".join(names[:12]) + more

@@ -20,8 +20,7 @@ from gva_mi.body.rotations import composed, nearest_rotations, shortest, to_rotv
 from gva_mi.body.so3 import compose
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError
-from gva_mi.readers.body_arrays import NOT_BODY_NAMES, find_body
-from gva_mi.readers.source_files import listed_names
+from gva_mi.readers.body_arrays import NOT_BODY_NAMES, find_body, listed_names
 from gva_mi.readers.target_body import MEAN_PELVIS, TargetBody
 from gva_mi.subject.footage import Pictures
 from gva_mi.subject.lens import (

@@ -16,7 +16,8 @@ One file format each:
 ==================  ================================================================
 ``pictures``        8-bit pictures on disk, also as masks
 ``video_file``      video files: any picture as sRGB; writing mp4
-``footage``         pictures, masks and frame numbers from files, folders or arrays
+``footage``         pictures and masks that a user names: files, folders or arrays
+``numbering``       frame numbers, from file names
 ``masks``           masks as segmentation programs write them
 ``normals``         normal maps as networks write them
 ``cameras``         ``cameras.npz``

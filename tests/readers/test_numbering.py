@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.subject.footage import first_number, frames_named
+from gva_mi.subject.numbering import first_number, frames_named
 
 RECORDING, NAMED = None, [f"shot_{k}.png" for k in range(8, 14)]  # six pictures
 CASES = {

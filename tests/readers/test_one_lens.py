@@ -4,8 +4,7 @@ import numpy as np
 from samples.data_sets import SMPLX
 from samples.estimates import without_hands
 
-from gva_mi.readers.estimator_layouts import VideoInfo
-from gva_mi.readers.estimators import read_estimator
+from gva_mi.readers.estimators import VideoInfo, read_estimator
 from gva_mi.readers.motions import MotionOptions, read_motion
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track, every_frame

@@ -9,8 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from gva_mi.networks.normals import NormalNetwork, NormalsSpec
-from gva_mi.readers.estimator_layouts import VideoInfo
-from gva_mi.readers.estimators import read_estimator
+from gva_mi.readers.estimators import VideoInfo, read_estimator
 from gva_mi.readers.prepare import PrepareOptions, prepare_folder
 from gva_mi.readers.target_body import TargetBody
 from samples import data_sets as filmed

@@ -42,7 +42,7 @@ from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_r
 from gva_mi.core.errors import InputError
 from gva_mi.readers.retarget import Places, leg_length, on_body
 from gva_mi.readers.track import Track
-from gva_mi.readers.world import unit
+from gva_mi.readers.up_axis import unit
 
 HUMANML3D_FPS = 20.0
 HUMANML3D_FEATURES = 263  # numbers a frame

@@ -121,7 +121,10 @@ def video_masks(
 
 
 def _extent(probability: np.ndarray) -> np.ndarray:
-    """Return left, top, right, bottom (4,) of a probability (H, W) 8-bit; zeros without anybody."""
+    """Return left, top, right, bottom (4,) of the person; zeros if there is none.
+
+    ``probability`` is (H, W) 8-bit.
+    """
     inside = probability > 255 * PERSON_PROBABILITY
     if inside.sum() < SMALLEST_PERSON:
         return np.zeros(4)

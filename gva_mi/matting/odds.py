@@ -1,4 +1,4 @@
-"""Evidence of each pixel: log odds of the person against the background.
+"""Log odds of each pixel, person against background, from a network and from colours.
 
 A network's probability P, the densities of colours and the plate B decide together:
 
@@ -71,7 +71,7 @@ class ColorsByHeight:
     def density(self, image: np.ndarray, height: np.ndarray) -> np.ndarray:
         """Return the density (h, w) of a picture's colours, relative to a uniform one.
 
-        Arguments are those of :meth:`add`.
+        For the arguments see :meth:`add`.
         """
         if self._density is None:
             self._density = self._estimate()

@@ -64,7 +64,7 @@ class MaskGuess:
     logits: torch.Tensor  # (h, w) of the crop, above zero inside
 
     def seen_in(self, crop: CropBox) -> torch.Tensor:
-        """Resample the logits (h, w) to another crop; beyond this one all is outside."""
+        """Resample the logits (h, w) to another crop; outside this one the mask is empty."""
         size = self.logits.shape[0]
         centres = (np.arange(size) + 0.5) / size * crop.width
         x, y = centres + crop.left - self.crop.left, centres + crop.top - self.crop.top
@@ -87,7 +87,7 @@ class SegmentAnything:
 
     @staticmethod
     def load(path: Path) -> SegmentAnything:
-        """Load a checkpoint, a folder as the module's docstring says."""
+        """Load a checkpoint: a folder in the format of the module's docstring."""
         if not path.is_dir():
             what = "is a file" if path.exists() else "no such checkpoint of Segment Anything"
             raise InputError(f"{path}: {what}; expected {EXPECTED_WEIGHTS}")
@@ -155,7 +155,7 @@ class SegmentAnything:
 
 
 def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:
-    """Score how well a guess (h, w) agrees with a prompt, in [−1, 2]."""
+    """Score how well a proposal (h, w) agrees with a prompt, in [−1, 2]."""
     side = inside.shape[0]
     place = np.floor(crop.to_network(prompt.points, (side, side))).astype(int).clip(0, side - 1)
     hits, own = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1

@@ -1,4 +1,4 @@
-"""One person's landmarks and silhouette in every picture of a video, by MediaPipe's networks."""
+"""Find one person's landmarks and silhouette in every picture of a video, by MediaPipe."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LANDMARK_NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"), *F
 
 @dataclass(frozen=True)
 class WatchedVideo:
-    """What the networks see in T pictures of a video."""
+    """What the networks find in T pictures of a video."""
 
     landmarks: Landmarks  # NaN where the person, a hand or the face is not found
     notes: Sequence[str]  # sentences on what went wrong
@@ -77,7 +77,7 @@ def watch_video(
 def _row(
     body: SeenBody | None, hands: dict[str, SeenPart], face: SeenPart | None
 ) -> tuple[np.ndarray, ...]:
-    """Return pixels, confidence, spread and metric of one picture, as :class:`Landmarks` has."""
+    """Return one picture's row of each array of :class:`Landmarks`."""
     pixels, metric = (
         np.full((len(LANDMARK_NAMES), 2), np.nan),
         np.full((len(LANDMARK_NAMES), 3), np.nan),
@@ -96,7 +96,7 @@ def _row(
 
 
 def _notes(tracker: PersonTracker, landmarks: Landmarks) -> list[str]:
-    """Say in which pictures something went wrong."""
+    """Return sentences about pictures in which the networks failed."""
     notes = []
     if tracker.crowded:
         notes.append(f"frames with several people: {listed(tracker.crowded)}")

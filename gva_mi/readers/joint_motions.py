@@ -15,16 +15,15 @@ numbers, 22 velocities, and four contacts of feet. With the turns added up to α
 
     root = Σ R_y(−2 α) step,    joint = R_y(−2 α) place + root.
 
-The rotations are not SMPL's: HumanML3D makes them of places, so they hold no twist, and are not
-used.
+The features' rotations are not used: HumanML3D derives them from positions, so they hold no twist.
 
-Each limb of the body points as the source's does, and the chest lies where it does. What turns
-about a bone is seen elsewhere or not at all:
+Each limb of the body points as the source's does, and the chest has the same position. The rotation
+about a bone (twist) follows from other joints, or is unknown:
 
-1. pelvis and chest: by the directions to three joints that are fixed to them;
-2. upper arms: an elbow bends about one axis, so the plane of upper arm and forearm shows it;
-3. thighs: by the knee likewise, and a little by the direction of the foot;
-4. head, hands, feet: not seen. They follow the bone before them.
+1. pelvis and chest: from the directions to three joints that are fixed to them;
+2. upper arms: an elbow bends about one axis, so the plane of upper arm and forearm shows the twist;
+3. thighs: from the knee in the same way, and a little from the direction of the foot;
+4. head, hands, feet: unknown. They follow the bone before them.
 
 The straighter a limb, the less its plane says, so (2) and (3) are averaged over a quarter of a
 second, weighted by the sine of the bend, with the shortest rotation from the parent as a prior.
@@ -138,7 +137,7 @@ def _is_person(places: np.ndarray) -> bool:
 
 
 def joints_track(places: np.ndarray, fps: float, body: np.ndarray) -> Track:
-    """Return the track of a body whose joints lie as ``places``; frames of NaN are left out.
+    """Return the track of a body that takes the pose of joint positions; NaN frames are left out.
 
     Args:
         places: (T, 22, 3) of SMPL-X's first joints, in any unit.

@@ -93,7 +93,7 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
 def motion_of_poses(
     where: str, pose: Pose, shape: Shape, fps: float, body: TargetBody, options: MotionOptions
 ) -> Motion:
-    """Resample poses of ``fps`` frames a second, and put them where :func:`read_motion` does."""
+    """Resample poses of ``fps`` frames a second, as :func:`read_motion` does with a file."""
     body = replace(body, of_source=True)
     named = {name: x.double().numpy() for name, x in pose.to_smplx().items()}
     named["betas"] = shape.betas.double().numpy()
@@ -105,7 +105,7 @@ def _resampled(
     where: str, track: Track, rate: float, own_up: str | None, body: TargetBody,
     options: MotionOptions,
 ) -> Motion:  # fmt: skip
-    """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its form's own axis."""
+    """Turn a track upright, fill its gaps, and resample it; ``own_up`` is its format's up axis."""
     rotations, others, known = _timeline(where, track.with_flat_hands(body.mean_hands))
     notes = list(track.notes)
     if not known.all():
@@ -148,7 +148,7 @@ def _resampled(
 
 
 def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:
-    """Read one person's track, frames per second, and the form's own up axis."""
+    """Read one person's track, its frames per second, and the format's up axis."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
         clip = read_bvh(path)
@@ -205,7 +205,7 @@ def _from_mosh(found: Any) -> Any:  # noqa: ANN401
 
 
 def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return an array without names as poses, where its shape says that it holds them."""
+    """Return an array without names as poses, if its shape is a pose's."""
     shape = rows.shape[1:]
     if shape not in _POSE_ROW_SHAPES and not (shape[1:] == (3, 3) and shape[0] in (22, 24, 52, 55)):
         raise InputError(
@@ -216,9 +216,9 @@ def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
-    """Return a motion's frames per second: the ``given`` ones, or what its arrays say.
+    """Return a motion's frames per second: ``given``, or the number in its arrays.
 
-    120.00004 becomes 120.
+    A nearly whole number is rounded: 120.00004 becomes 120.
     """
     if given is not None:
         return given
@@ -259,12 +259,12 @@ def _estimated(
 
 
 def _before_one_lens(track: Track, *notes: str) -> Track:
-    """Return a track with notes, before one usual lens if it has another in each frame."""
+    """Return a track with notes, moved to one usual lens if each frame has another one."""
     if not is_one_lens(track.K):
         K = usual_lens(track.K)
         track = through_lens(track, K)
         lens = f"{K[0, 0]:.0f} pixels"
-        notes += (f"seen through another lens in each frame; placed before one of {lens}",)
+        notes += (f"each frame has another lens; all were moved to one of {lens}",)
     return replace(track, notes=(*notes, *track.notes))
 
 

@@ -124,7 +124,7 @@ def joints_in_masks(
 def pixels_by_frame(
     track: Track, joints: np.ndarray, count: int = BODY.stop
 ) -> dict[int, np.ndarray]:
-    """Return where a track's first joints, by default root and body, are seen in each frame.
+    """Project a track's first ``count`` joints, by default root and body, in each frame.
 
     Pixels (count, 2) are not finite behind the camera. ``joints`` are (55, 3) of a body at rest,
     metres.
@@ -139,7 +139,7 @@ def pixels_by_frame(
 
 
 def stacked(where: object, rows: Iterable[Row]) -> list[SeenPerson]:
-    """Stack single frames to people; an array of one frame may have a leading axis of 1."""
+    """Stack rows to people; an array of one frame may have a leading axis of 1."""
     people: dict[str, list[tuple[int, Arrays]]] = {}
     for row in rows:
         people.setdefault(row.person, []).append((row.frame, row.arrays))
@@ -161,9 +161,10 @@ def _of_frame(value: Any) -> np.ndarray:  # noqa: ANN401
 
 
 def followed(where: object, rows: Iterable[Row], place: str) -> list[SeenPerson]:
-    """Track people without ids: each continues as the nearest, by ``place``, in the next frame.
+    """Stack rows without names to people: each continues as the nearest in the next frame.
 
-    People with a lens of their own, K, are compared before one.
+    ``place`` is the file's name of the translation. If each row has a lens K of its own, positions
+    are compared as one usual lens sees them.
     """
     by_frame: dict[int, list[Arrays]] = {}
     for row in rows:
@@ -186,7 +187,7 @@ def followed(where: object, rows: Iterable[Row], place: str) -> list[SeenPerson]
 def follow(places: Sequence[Sequence[np.ndarray]]) -> list[list[str]]:
     """Track people without ids: each continues the nearest person of earlier frames.
 
-    ``places`` are those of each frame's people, (3,) metres each. Names begin with "0".
+    ``places`` are the positions (3,), metres, of the people in each frame. Names count from "0".
     """
     last: list[np.ndarray] = []  # where each person was seen last
     names = []
@@ -224,9 +225,9 @@ def prompts_of(
 def prompt_at(
     pixels: np.ndarray, others: Sequence[np.ndarray], size: tuple[int, int]
 ) -> Prompt | None:
-    """Return a prompt by the joints (55, 2) of the person and of others; picture size (W, H).
+    """Return a prompt from the joints (55, 2), pixels, of the person and of others.
 
-    None if the person is outside the picture.
+    ``size`` is the picture's (W, H). None if the person is outside the picture.
     """
     with np.errstate(invalid="ignore"):  # behind the camera
         top = pixels[_HEAD] + HEAD_TOP * (pixels[_HEAD] - pixels[_NECK])

@@ -254,7 +254,7 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
 
 
 def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
-    """Return poses and shape of a body in the world, its pelvis at the source's, and notes."""
+    """Return poses in the world, with the pelvis where the source's is, shape, and notes."""
     betas, notes = median_betas(track.betas)
     notes = [*track.notes, *notes]
     count, own = len(track.rotations), body.keeps_betas(track.form)
@@ -292,7 +292,7 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
 def _doubts(
     out: Path, track: Track, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
 ) -> list[str]:
-    """Return why the person, in the frames of ``track``, may not be where the masks are."""
+    """Return a warning if the person, in the frames of ``track``, may not lie in the masks."""
     some = {k: read_mask(out / MASKS, k) for k in spread(track.frames.tolist(), COMPARED_FRAMES)}
     seen = [(pose[k], cameras[k], mask) for k, mask in some.items() if mask is not None]
     doubt = doubt_of(seen, shape, body.model)

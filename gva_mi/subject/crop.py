@@ -1,4 +1,4 @@
-"""Crop a frame to the person's surroundings and shrink it, or say why it shows no person.
+"""Crop a frame around the person and shrink it, or give the reason why it shows nobody.
 
 Cropping comes first, so that the person's size decides the resolution, and not the picture's.
 Shrinking lays a coarser grid over the image; both share the upper left corner. With the scale
@@ -32,7 +32,7 @@ Seen = TypeVar("Seen")
 
 
 class Numbered(Protocol):
-    """What a video reads of a frame: a ``Frame``, or an ``Outline``."""
+    """What a video yields: a ``Frame``, or an ``Outline``."""
 
     index: int
 
@@ -41,7 +41,7 @@ Read = TypeVar("Read", bound=Numbered)
 
 
 class NoEvidence(Exception):
-    """Reason why a frame shows nothing of the pose; such a frame keeps its pose."""
+    """The reason why a frame is no evidence of the pose; such a frame keeps its pose."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class ScaledCrop:
         return self.box.cut_camera(replace(camera, **scaled))
 
     def cover(self, height: int, width: int) -> tuple[slice, slice]:
-        """Return the rows and columns of an image of some size that the crop touches."""
+        """Return the rows and columns of an image (height, width) that the crop touches."""
         box, s = self.box, self.scale
         return tuple(
             slice(min(size - 1, math.floor(low / s)), min(size, math.ceil(high / s)))
@@ -167,7 +167,7 @@ class Extent:
         return Extent(np.minimum(self.low, other.low), np.maximum(self.high, other.high))
 
     def box(self, margin: float, size: np.ndarray) -> Box:
-        """Return whole pixels around it, inside an image of some size (2,): width, height.
+        """Return whole pixels around it, inside an image of ``size`` (2,): width, height.
 
         ``margin`` is added on each side, as a fraction of the longer side.
         """
@@ -198,7 +198,7 @@ def mask_extent(mask: np.ndarray) -> Extent:
 
 
 def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:
-    """Return the extent of points on a camera's image, which it may exceed.
+    """Return the extent of projected points, which may exceed the image.
 
     Args:
         points: (N, 3) float64, world, metres.
@@ -221,8 +221,8 @@ def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:
 def person_extent(mask: np.ndarray, camera: Camera, points: np.ndarray, shown: str) -> Extent:
     """Return the extent of a person's mask and of the points of their model.
 
-    Both are needed: the model may lie outside the mask, and an optimiser must see it there.
-    Arguments and errors are those of :func:`mask_extent` and :func:`points_extent`.
+    Both are needed: the model may lie outside the mask, and an optimiser has to see it there. For
+    arguments and errors see :func:`mask_extent` and :func:`points_extent`.
     """
     return mask_extent(mask).joined(points_extent(points, camera, shown))
 
@@ -243,13 +243,13 @@ def gather(
     look: Callable[[Read], Seen],
     found: dict[int, Seen] | SpillCache[Seen],
 ) -> dict[int, str]:
-    """Gather the evidence of some frames; return why the other frames have none.
+    """Gather the evidence of the wanted frames; return why the other ones have none.
 
     Args:
         frames: numbers of the frames that are used.
         absent: frames that cannot be read, and why.
         read: reads frames by their numbers, such as :meth:`gva_mi.subject.video.Video.outlines`.
-        look: makes the evidence of what was read, or raises :class:`NoEvidence`.
+        look: makes evidence from a frame, or raises :class:`NoEvidence`.
         found: receives the evidence.
     """
     wanted = list(frames)

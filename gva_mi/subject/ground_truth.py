@@ -83,7 +83,7 @@ def load_ground_truth(folder: Path, body: BodyModel, count: int | None = None) -
 def truth_of(video: Video, body: BodyModel) -> GroundTruth | None:
     """Read the ground truth of a video; None without one.
 
-    Commands call it before their work, so that a bad file does not cost the result.
+    Call it before a long computation, so that a bad file stops a command early.
     """
     if video.truth is None or not (video.truth / POSES).is_file():
         return None

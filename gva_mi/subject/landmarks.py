@@ -41,14 +41,14 @@ def hand_names(side: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """P named points in T frames. A point that was not looked for or found is NaN."""
+    """P named points in T frames; NaN for points that were not found."""
 
     names: Sequence[str]  # P
     pixels: np.ndarray  # (T, P, 2) x, y; the centre of the first pixel is (0.5, 0.5)
     confidence: np.ndarray  # (T, P) in [0, 1], by the network; for hand and face, of the whole part
     spread: np.ndarray  # (T, P) pixels: standard deviation between passes of the network, or 0
-    # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera, relative to
-    # the middle of the hips, or for a hand to its own middle; NaN if the network gives none.
+    # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera; relative to
+    # the middle of the hips, or for a hand to its own middle. NaN if the network gives none.
     metric: np.ndarray
 
     def __len__(self) -> int:
@@ -59,13 +59,13 @@ class Landmarks:
         return [list(self.names).index(name) for name in names]
 
     def save(self, path: Path) -> None:
-        """Write the file, whole or not at all."""
+        """Write ``landmarks.npz``; it appears when it is complete."""
         numbers = {name: getattr(self, name).astype(np.float32) for name in _SHAPES}
         write_arrays(path, names=np.array(self.names), **numbers)
 
     @staticmethod
     def load(path: Path) -> Landmarks:
-        """Read the file."""
+        """Read ``landmarks.npz``."""
         arrays = read_arrays(path, "landmarks of a video")
         require_keys(path, arrays, ("names", *_SHAPES))
         names = tuple(map(str, np.atleast_1d(arrays["names"])))

@@ -1,11 +1,10 @@
 """Read normal maps as networks write them, in the frame's pixels and the camera's axes.
 
 ===============  ===================================================================
-``perspective``  as a renderer with the video's camera sees them: camera space, x right, y down,
-                 z forward; ``n · d < 0`` along the pixel's ray ``d``
-``opengl``       likewise with x right, y *up*, z toward the viewer, as most networks write
-``icon``         as ICON and PIFuHD see them: an orthographic view of a square crop, in
-                 ``opengl``'s axes
+``perspective``  a perspective view by the video's camera; camera space, x right, y down, z forward;
+                 ``n · d < 0`` along the pixel's ray ``d``
+``opengl``       the same view; x right, y *up*, z toward the viewer, as most networks write
+``icon``         an orthographic view of a square crop, as in ICON and PIFuHD, in ``opengl``'s axes
 ===============  ===================================================================
 
 A perspective picture is orthographic along each ray, not along the axis of the lens. So the z of an
@@ -13,9 +12,9 @@ orthographic network is taken to be each pixel's own ray:
 
     n_camera = R(d) diag(1, -1, -1) n_icon,        R(d) the shortest rotation that takes z to d
 
-Then on the outline, where ``n_icon`` lies in the picture's plane, ``n_camera`` is at a right angle
-to the ray. Otherwise normals would be off by the angle between ray and axis: 17 degrees at the feet
-of a person three metres away.
+Then on the outline, where ``n_icon`` lies in the picture's plane, ``n_camera`` is perpendicular to
+the ray. Without this rotation, normals would be off by the angle between ray and axis: 17 degrees
+at the feet of a person three metres away.
 
 ``normals.json`` beside ``normals/`` says how they were made, and the part of the frame, in pixels,
 that each map shows: a box for each frame, or one for all, which may cross the picture's border::
@@ -131,7 +130,7 @@ def normal_colors(normals: np.ndarray) -> np.ndarray:
 
 
 def _directions(stored: np.ndarray) -> np.ndarray:
-    """Convert stored vectors (h, w, 3) to float32, zero where they are no directions."""
+    """Convert stored vectors (h, w, 3) to float32, zero where their length marks no normal."""
     if stored.dtype == np.uint8:
         normals = stored.astype(np.float32)
         normals *= 1 / 127.5

@@ -63,7 +63,7 @@ def test_who_stands_still_is_one_person_and_does_not_move(tmp_path):
     options = MotionOptions(fps=30, source_fps=30)
     motion = read_motion(folder, TargetBody.read(None), options)
     assert motion.pose.transl.norm(dim=1).max() < 1e-4
-    assert any("another lens in each frame" in note for note in motion.notes)
+    assert any("each frame has another lens" in note for note in motion.notes)
 
 
 def test_missing_frames_are_filled_on_the_way_through_the_picture():

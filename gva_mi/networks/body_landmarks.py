@@ -31,7 +31,7 @@ from gva_mi.subject.landmarks import BODY_LANDMARKS
 # them.
 SQUARE_MARGIN = 1.25
 _HEAT_MAP_WINDOW, _HEAT_MAP_PEAK = 3, 0.5
-_POINT_COUNT = 39
+_POINT_COUNT = 39  # BlazePose's landmarks, 33 of them BODY_LANDMARKS
 _HIPS, _TOP = 33, 34  # the middle of the hips; the top of the circle around the person
 _ARM = ("elbow", "wrist", "pinky", "index", "thumb")
 _LEG = ("knee", "ankle", "heel", "foot_index")

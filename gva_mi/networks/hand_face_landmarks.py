@@ -74,7 +74,7 @@ def with_mirrored(see: See, first: SeenPart) -> SeenPart:
 
 
 LEAST_HAND_PRESENCE = 0.3  # probability of a hand. Chosen: the wrist confirms it, too
-_HAND_POINTS = 21
+_HAND_POINTS = 21  # landmarks of a hand
 _WRIST, _MIDDLE = 0, 9  # the wrist, the root of the middle finger
 _PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswith(("dip", "tip")))
 # As in MediaPipe's graph: side of the next square over the palm's extent, and its shift toward the

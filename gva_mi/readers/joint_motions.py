@@ -43,7 +43,7 @@ from gva_mi.readers.retarget import Places, leg_length, on_body
 from gva_mi.readers.track import Track
 from gva_mi.readers.up_axis import unit
 
-HUMANML3D_FPS = 20.0
+HUMANML3D_FPS = 20.0  # frames a second
 HUMANML3D_FEATURES = 263  # numbers a frame
 JOINT_COUNT = 22  # SMPL's joints above hands and face
 _JOINT_COUNTS = (22, 24, 52, 55)  # joints of bodies whose first 22 are these

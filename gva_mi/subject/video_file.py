@@ -46,7 +46,7 @@ HD_WIDTH, HD_HEIGHT = 1280, 720  # pixels: an untagged video of this size or mor
 BT2020_TO_BT709 = np.array(  # of linear light: BT.2087
     [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
 )
-BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
+BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)  # luminance of linear RGB: BT.2100
 _ENCODINGS = {  # codec, pixel format and options
     # x264 writes its settings into the file, the number of threads among them: always use one.
     "lossless": ("libx264rgb", "rgb24", {"crf": "0", "preset": "veryfast", "threads": "1"}),

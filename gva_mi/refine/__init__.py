@@ -7,7 +7,7 @@ printed, frame by frame.
 ========================  ============================================================
 ``refine``                videos in, refined poses out; clips as jobs: start here
 ``observed_video``        the evidence of a video, gathered before its refinement
-``sequence``              the method for all frames together
+``sequence``              the method for all frames together, with the clothes' displacement
 ``single_frame``          the method of Eq. 8 as printed
 ``optimize``              minimises evidence + prior
 ``corrections``           the unknowns: corrections of stage 1, and their prior energy
@@ -16,9 +16,7 @@ printed, frame by frame.
 ``close_ups``             the same of hands and feet, at the video's own resolution
 ``landmark_evidence``     landmarks
 ``frame_losses``          losses of frames, shared among processes
-``displacement``          the clothes
 ``clips``                 cuts a long video into clips, and joins the results
-``one_lens``              for estimators that assume another lens in each frame
 ========================  ============================================================
 
 Evidence and prior have one interface each:

@@ -75,7 +75,7 @@ class ObservedVideo:
         """Gather the evidence of all frames.
 
         Args:
-            video: with one lens (:mod:`gva_mi.refine.one_lens`).
+            video: with one lens (:mod:`gva_mi.refine.refine`).
             simplified: :func:`simplified_body` of the body that poses move.
             options: of the refinement.
         """

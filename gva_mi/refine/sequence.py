@@ -9,13 +9,23 @@ optimised (:mod:`gva_mi.refine.optimize`) on
         + ν E(δ, τ)                            prior: stage 1, motion, anatomy, ground
                                                (gva_mi.refine.corrections)
         + λl L_landmarks                       gva_mi.refine.landmark_evidence
-        + E(D)                                 gva_mi.refine.displacement
+        + E(D)                                 the clothes
         + λβ |β - β^stage1|²
         + λh (h(β) - H)²                       if the height H is known: gva_mi.prior.stature
 
 One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
 cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
 limb tilts toward the camera, but its neighbours see the limb from another side.
+
+Clothes and hair stand off the body, and no pose of a bare body fills the mask of a clothed person:
+limbs, size and depth would change to make up for the cloth. Their displacement ``D`` (V, 3) of the
+rest surface is shared by all frames (SMPL-X + D), and costs
+
+    E(D) = a mean |Δ D|² / h⁴ + b mean |D|² + c mean min(D · n, 0)²
+
+with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
+the mean square of the edges. The energy keeps ``D`` smooth, small, and outward, because cloth lies
+on the body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
 """
 
 from __future__ import annotations
@@ -31,12 +41,12 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
+from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats, Soles
 from gva_mi.prior.stature import PERSON_HEIGHTS, Stature
-from gva_mi.refine.close_ups import FinePicture
-from gva_mi.refine.displacement import Displacement
+from gva_mi.refine.close_ups import FinePicture, hand_vertices
 from gva_mi.refine.frame_losses import FrameLosses, mean_of_losses, shared_losses
 from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.refine.landmark_evidence import SeenLandmarks
@@ -279,3 +289,38 @@ class ClothedPerson:
             off = self._clip.landmarks.energy(self.landmark_offsets) / len(self.frames)
             energy = energy + LANDMARK_WEIGHT * off
         return energy
+
+
+SMOOTHNESS = 1.6e-4  # a, for one (1/m)²; chosen
+# b and c, for one square metre. Chosen: cloth may stand off by decimetres, and hardly enters.
+SMALLNESS, OUTWARDNESS = 10.0, 400.0
+
+
+class Displacement:
+    """The displacement ``D`` and its energy.
+
+    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
+    hands.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
+        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
+        exact = vertex_normals(vertices.detach().double(), faces)
+        self._normals = exact.to(vertices.dtype)
+        ends = vertices[faces], vertices[faces.roll(1, dims=1)]
+        self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
+        self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
+        self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
+        self.raw = torch.zeros_like(vertices).requires_grad_()
+
+    @property
+    def offsets(self) -> Tensor:
+        """``D`` (V, 3), metres."""
+        return self.raw * self._free
+
+    def energy(self, offsets: Tensor) -> Tensor:
+        """Return ``E(D)``."""
+        bent = torch.sparse.mm(self._laplacian, offsets).square().sum() / self._square_edge**2
+        inward = (offsets * self._normals).sum(1).clamp_max(0).square().sum()
+        total = SMOOTHNESS * bent + SMALLNESS * offsets.square().sum() + OUTWARDNESS * inward
+        return total / len(offsets)

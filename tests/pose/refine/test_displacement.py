@@ -6,7 +6,7 @@ import torch
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.refine import displacement
 from gva_mi.refine.close_ups import hand_vertices
-from gva_mi.refine.displacement import Displacement
+from gva_mi.refine.sequence import Displacement
 
 
 @pytest.fixture(scope="module")

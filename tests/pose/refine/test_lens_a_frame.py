@@ -7,7 +7,7 @@ import torch
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.refine import SequenceOptions, refine
-from gva_mi.refine.one_lens import before_one_lens, moved_between_lenses
+from gva_mi.refine.refine import before_one_lens, moved_between_lenses
 from gva_mi.splat import Camera
 
 SHORT = SequenceOptions(size=48, faces=2000, passes=1, learn=0)

@@ -74,7 +74,7 @@ def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatc
         weights_file(NAMES[0], path.parent)
     inside = mediapipe._IN_WHEEL[NAMES[0]][0]
     monkeypatch.setitem(mediapipe._IN_WHEEL, NAMES[0], (inside, "0" * 64))
-    with pytest.raises(InputError, match="another file"):  # fetched, and not kept
+    with pytest.raises(InputError, match="is not MediaPipe's file"):  # fetched, and not kept
         weights_file(NAMES[0], tmp_path / "there")
     assert not list((tmp_path / "there").glob("*.tflite"))
 

@@ -75,7 +75,7 @@ def test_fit_takes_a_broken_subject_or_says_why(
     name, copied, refused_or_taken, tmp_path, monkeypatch
 ):
     warnings = []
-    monkeypatch.setattr("gva_mi.app.steps.say", warnings.append)
+    monkeypatch.setattr("gva_mi.subject.opened.say", warnings.append)
     cases.SUBJECTS[name](copied)
     refused = refused_or_taken("fit", copied, "--out", tmp_path / "out")
     assert (refused is None) == (name in cases.TAKEN), refused

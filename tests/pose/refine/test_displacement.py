@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.refine import displacement
+from gva_mi.refine import sequence
 from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.refine.sequence import Displacement
 
@@ -20,7 +20,7 @@ def weights(monkeypatch):
 
     def set_them(*values):
         for name, value in zip(("SMOOTHNESS", "SMALLNESS", "OUTWARDNESS"), values, strict=True):
-            monkeypatch.setattr(displacement, name, value)
+            monkeypatch.setattr(sequence, name, value)
 
     return set_them
 

@@ -2,7 +2,9 @@
 
 import doctest
 import importlib
+import inspect
 import pkgutil
+from pathlib import Path
 
 import pytest
 
@@ -14,24 +16,17 @@ PACKAGES = (
 )  # fmt: skip
 
 
-def modules(package):
-    """Name a package and all modules below it, without importing those."""
-    yield package
-    path = importlib.import_module(package).__path__
-    yield from (found.name for found in pkgutil.walk_packages(path, f"{package}."))
-
-
-def examples():
-    """Yield each docstring with examples, by the module's source: nothing is run."""
-    parser = doctest.DocTestParser()
+def modules_with_examples():
+    """Name the modules whose source holds an example; none but the packages is imported."""
     for package in PACKAGES:
-        for name in modules(package):
-            source = importlib.util.find_spec(name).origin
-            if ">>>" in open(source).read():
-                yield name, parser
+        path = importlib.import_module(package).__path__
+        inside = (found.name for found in pkgutil.walk_packages(path, f"{package}."))
+        for name in (package, *inside):
+            if ">>>" in Path(importlib.util.find_spec(name).origin).read_text():
+                yield name
 
 
-@pytest.mark.parametrize("name", sorted({name for name, _ in examples()}))
+@pytest.mark.parametrize("name", sorted(modules_with_examples()))
 def test_examples_print_what_they_say(name):
     if name.startswith("gva_mi_plugins."):
         load_plugins()  # their classes derive from Mitsuba's, which a variant brings
@@ -39,3 +34,16 @@ def test_examples_print_what_they_say(name):
     flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
     failed, tried = doctest.testmod(module, optionflags=flags)
     assert tried and not failed
+
+
+@pytest.mark.parametrize("package", ["gva_mi.splat", "gva_mi.splat.gsplat", "gva_mi.gradcheck"])
+def test_every_name_that_a_package_exports_has_an_example(package):
+    exported = vars(importlib.import_module(package))["__all__"]
+    public = [getattr(importlib.import_module(package), name) for name in exported]
+    silent = [
+        item.__name__
+        for item in public
+        if (inspect.isclass(item) or inspect.isfunction(item))
+        and ">>>" not in "".join(doc.docstring for doc in doctest.DocTestFinder().find(item))
+    ]
+    assert not silent

@@ -87,7 +87,7 @@ class Work:
             render(s.gaussians, s.camera, s.options, s.background)
 
     def both(self) -> None:
-        """Draw the picture and its gradient by every input."""
+        """Draw the picture and compute its gradient with respect to every input."""
         s = self.scene
         image = render(s.gaussians, s.camera, s.options, s.background)
         torch.autograd.grad(image.color, list(s.inputs().values()), self.weights)

@@ -49,7 +49,7 @@ class DensifyOptions:
 
 
 class ScreenGradients:
-    """Sum over views of the length of the loss's gradient by each Gaussian's screen position.
+    """Sum over views of |dL/d(u, v)|, the loss's gradient with respect to screen positions.
 
     ``total`` (N,) is the sum, per half person, and ``views`` (N,) counts the views that showed a
     Gaussian.

@@ -179,7 +179,7 @@ def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int]
 def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tensor:
     """Return what one frame shows of each Gaussian (N,), pixels, weighted by its angle (eq. 2)."""
     G = avatar.canonical
-    with torch.enable_grad():  # a picture's derivative by a Gaussian's colour is Σ T α
+    with torch.enable_grad():  # d picture / d (colour of a Gaussian) = Σ T α
         sh = torch.zeros_like(G.sh, requires_grad=True)
         gaussians = avatar.animate(pose, sh).gaussians
         target = sample.target(gaussians)

@@ -1,7 +1,8 @@
 """Check an avatar's gradients: the whole chain from pose, shape and Gaussians to the picture.
 
-The loss is L = <w, image>, random weights w on colour, alpha and depth. Its gradient by every
-input, by ``Avatar.forward`` and ``render`` as a fit calls them, in float64, is compared
+The loss is L = <w, image> with random weights w on colour, alpha and depth. Its gradient
+with respect to every input, through ``Avatar.forward`` and ``render`` as a fit calls them, in
+float64, is compared
 
 * with central differences of fourth order and with tangents, both in float64, along a random
   direction and along single entries,
@@ -13,8 +14,8 @@ of the network's relu.
 
 A picture is a function of the pose (``rotations``, ``transl``, ``expression``), the shape
 (``betas``), the ``light``, the canonical Gaussians and the weights of the residual's network. The
-method omits the network's derivative by the means (:class:`PoseResidual`). Therefore the network
-reads constant means here.
+method omits the network's derivative with respect to the means (:class:`PoseResidual`). Therefore
+the network reads constant means here.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ STEP_FACTORS = {
     "light": 30.0,
 }  # fmt: skip
 NETWORK_STEP_FACTOR = 4.0  # the same factor for the network's weights; well within KINK_DISTANCE
-# An input with at most this many times the entries asked for is differentiated by each entry.
+# Each entry is checked if an input has at most this many times the requested number of entries.
 ALL_ENTRIES_FACTOR = 4
 
 

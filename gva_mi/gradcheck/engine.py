@@ -69,7 +69,7 @@ class Check:
     values: Tensors  # the inputs, float64, of numbers that float32 holds
     images: Tensors  # the true images (H, W, ...), by name
     weights: Tensors  # w of each image; 0 in the band
-    truth: Tensors  # the true gradients by the inputs
+    truth: Tensors  # the true gradients with respect to the inputs
     probes: dict[str, Probe]  # directions of each input
     band: Tensor  # (H, W) bool, pixels at a step of the picture, which are left out
 

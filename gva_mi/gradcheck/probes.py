@@ -38,17 +38,17 @@ def drawn(fn: Renderer, scene: Scene, inputs: Tensors) -> list[Tensor]:
 
 
 def leaves(values: Tensors, dtype: torch.dtype = torch.float64) -> Tensors:
-    """Return copies of tensors in one precision, to differentiate by."""
+    """Return copies of tensors in one precision that require gradients."""
     return {k: v.detach().to(dtype).clone().requires_grad_() for k, v in values.items()}
 
 
 def gradients(made: Iterable[Tensor], leaves: Tensors, grads: Iterable[Tensor]) -> Tensors:
-    """Return the gradients by leaves, by their names; zero where a leaf was not used.
+    """Return the gradients with respect to leaves, by name; zero where a leaf was not used.
 
     Args:
         made: outputs; those that depend on no leaf count as constants.
         leaves: inputs that need gradients.
-        grads: the loss's gradient by each output.
+        grads: the loss's gradient with respect to each output.
     """
     pairs = [(x, g) for x, g in zip(made, grads, strict=True) if x.requires_grad]
     if not pairs:
@@ -131,7 +131,7 @@ class Probe:
     Example:
         >>> gradient = torch.arange(6.0).double()
         >>> probe = Probe.among(gradient, entries=2, generator=Generator().manual_seed(0))
-        >>> probe.entries, probe.along(gradient)[1:]  # the derivatives by two entries
+        >>> probe.entries, probe.along(gradient)[1:]  # derivatives along two entries
         (((2,), (1,)), tensor([2., 1.], dtype=torch.float64))
     """
 

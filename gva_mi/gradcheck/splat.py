@@ -1,7 +1,7 @@
 """Compare a renderer's image and gradients with the reference implementation.
 
-The loss is L = <w, image> with random weights w on colour, alpha and depth. Its gradient by every
-input is computed
+The loss is L = <w, image> with random weights w on colour, alpha and depth. Its gradient
+with respect to every input is computed
 
 * by the renderer's adjoint in float32 and in float64,
 * by the renderer's tangent (torch's forward-mode AD) in both, along a random direction and along
@@ -54,8 +54,8 @@ from gva_mi.splat.camera import CameraTensors
 from gva_mi.splat.scene import Scene
 
 NO_CAMERA = (
-    "this renderer does not differentiate by the camera's T_camera_world and K: their gradients "
-    "are missing"
+    "this renderer does not differentiate with respect to the camera's T_camera_world and K: their "
+    "gradients are missing"
 )
 
 # Entries of every input that are differentiated one by one. Chosen: each costs two pictures.
@@ -119,7 +119,8 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
     Args:
         fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``splat.render``. It
             must take float32 tensors. Where it refuses float64 or forward-mode AD, or does not
-            differentiate by the camera's tensors, the report notes it and omits those comparisons.
+            differentiate with respect to the camera's tensors, the report notes it and omits those
+            comparisons.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         seed: of the weights in the loss and of the choice of entries.
 
@@ -129,7 +130,7 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
         >>> scene = random_scene(Generator().manual_seed(0), gaussians=8, width=16, height=16)
         >>> gradcheck(render, scene).verdict
         'all 46 comparisons pass (8 Gaussians, 256 pixels)'
-        >>> def half(*args):  # a wrong gradient by the colours
+        >>> def half(*args):  # a wrong gradient of the colours
         ...     image = render(*args)
         ...     color = 0.5 * image.color + 0.5 * image.color.detach()
         ...     return type(image)(color, image.alpha, image.depth)

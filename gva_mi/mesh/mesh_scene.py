@@ -1,7 +1,8 @@
 """Render normals and mask of a mesh through a camera, differentiable in torch.
 
 One mesh stands in a Mitsuba scene, and the plugin ``mesh_normals`` renders it through the sensor
-of a camera. The gradient by the vertices has both terms, interior and boundary.
+of a camera. The gradient with respect to the vertices has both terms, interior and
+boundary.
 
 A camera becomes a sensor:
 

@@ -28,7 +28,7 @@ SHARED_LOSSES = 1000
 
 
 class FrameLoss(NamedTuple):
-    """The loss of a frame, and its gradient by the body (V, 3); None if it was not needed."""
+    """Loss of a frame, and its gradient with respect to the body (V, 3), None if not needed."""
 
     loss: float
     gradient: Tensor | None
@@ -49,7 +49,7 @@ def frame_loss(
     silhouette: float,
     differentiated: bool,
 ) -> FrameLoss:
-    """Return the weighted sum of the views' losses, and its gradient by the body.
+    """Return the weighted sum of the views' losses, and its gradient with respect to the body.
 
     The gradient is computed with the loss, while the scene shows the body: to move the mesh a
     second time would cost as much as a rendering. For the same reason all views are rendered
@@ -117,7 +117,7 @@ class FrameLosses:
         self._parts = {part: w for part in parts_of(body) if (w := weights[part.name]) > 0}
 
     def __call__(self, frames: Sequence[int], bodies: Tensor, close: bool) -> list[FrameLoss]:
-        """Return the losses of B frames, with gradients by the bodies (B, V, 3), world, metres.
+        """Return the losses of B frames, with gradients with respect to bodies (B, V, 3), world, m.
 
         ``close`` says whether close-ups count, if there are any.
         """

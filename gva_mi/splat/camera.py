@@ -51,7 +51,7 @@ _RIGID_TOLERANCE = 1e-4 + 1e-5 * _UNIT  # of R R^T: chosen, a rotation in float3
 
 
 class CameraTensors(NamedTuple):
-    """The matrices of a camera to differentiate by, torch's or Dr.Jit's; None for a constant.
+    """Differentiable matrices of a camera, torch's or Dr.Jit's; None for a constant.
 
     Example:
         >>> CameraTensors()
@@ -67,8 +67,8 @@ class Camera:
     """One view: intrinsics in pixels, a rigid pose, and the size of the image.
 
     A camera that :meth:`from_matrices` made from tensors also keeps the tensors, and renderers
-    differentiate by them. Cameras with the same numbers are equal. The axes follow OpenCV, the
-    models gsplat's ``camera_model``.
+    differentiate with respect to them. Cameras with the same numbers are equal. The axes follow
+    OpenCV, the models gsplat's ``camera_model``.
 
     Example:
         >>> camera = Camera(100.0, 100.0, 32.0, 24.0, look_at((0, 0, 2), (0, 0, 0)), 64, 48)
@@ -141,7 +141,7 @@ class Camera:
         """Make a camera from its intrinsics and its pose.
 
         Args:
-            K: (3, 3) intrinsics, px; numbers, or a torch or Dr.Jit tensor to differentiate by.
+            K: (3, 3) intrinsics, px; numbers, or a differentiable torch or Dr.Jit tensor.
             T_camera_world: (4, 4), rigid; numbers, or a tensor of the same kind.
             width, height: of the image, px.
             model: of the lens.

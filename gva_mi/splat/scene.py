@@ -72,7 +72,7 @@ class Scene:
         return self.gaussians.arrays() | {"background": self.background} | matrices
 
     def with_camera_inputs(self) -> Scene:
-        """Return the scene with a camera made of tensors, to differentiate by it too."""
+        """Return the scene with a differentiable camera, made of tensors."""
         T, K = (torch.tensor(matrix) for matrix in (self.camera.T_camera_world, self.camera.K))
         return replace(self, camera=self.camera.with_matrices(T, K))
 

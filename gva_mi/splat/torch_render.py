@@ -10,9 +10,9 @@ With x everything that is differentiated and y the images,
     Adjoint   x, dL/dy -> dL/dx    backward of Render: linear in dL/dy
     Tangent   x, dx -> dy          jvp of Render: linear in dx
 
-Adjoint and Tangent are each other's transpose, so each is the other's derivative by the argument
-in which it is linear. Their derivatives by x would be second derivatives of the picture, which are
-not implemented: ``FirstOrder`` stands before x and refuses them.
+Adjoint and Tangent are each other's transpose, so each is the other's derivative with respect to
+the argument in which it is linear. Their derivatives with respect to x would be second derivatives
+of the picture, which are not implemented: ``FirstOrder`` stands before x and refuses them.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def keep(ctx: FunctionCtx, tensors: tuple, drawn: Drawn) -> None:
 
 
 def pull(ctx: FunctionCtx, grads: tuple[Tensor | None, ...]) -> tuple[Tensor | None, ...]:
-    """Return the gradients by ``Tensors`` from those by the images."""
+    """Return the gradients with respect to ``Tensors``, given those of the images."""
     tensors, drawn, by_images = ctx.saved_tensors, ctx.drawn, _three(grads)
     requested = drawn.requested(Tensors(*ctx.needs_input_grad[:COUNT]))
     if not torch.is_grad_enabled():

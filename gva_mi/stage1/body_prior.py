@@ -247,7 +247,7 @@ class SharedPrior:
         return turn
 
     def height_excess(self, state: Stage1State) -> tuple[Tensor, Tensor, float]:
-        """Return the excess of height, its derivative by betas (B,), and its standard deviation."""
+        """Return the excess height, its derivatives with respect to betas (B,), and its sigma."""
         slope = self.stature.slope.double()[: self.unknowns.betas]
         height = self.stature.mean + slope @ state.betas[: len(slope)]
         return height - self.height, slope, HEIGHT_SIGMA

@@ -105,7 +105,7 @@ class Leaning:
 def upright_at_rest(places: Tensor) -> Tensor:
     """Move the neck above the pelvis, and the feet below the mass, in joints (..., 15, 3) at rest.
 
-    The map changes z alone and is linear, so it also applies to derivatives by betas.
+    The map changes z alone and is linear, so it also applies to derivatives with respect to betas.
     """
     names, z = list(MASS_SHARES), places[..., 2].clone()
     mass = z.new_tensor(list(MASS_SHARES.values()))

@@ -1,4 +1,4 @@
-"""Points on a posed body, with derivatives by pose, shape and constant offsets."""
+"""Points on a posed body, with derivatives with respect to pose, shape and constant offsets."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ class PointSet:
 
 @dataclass(frozen=True)
 class PosedPoints:
-    """P points on a posed body in n frames, with derivatives by pose, shape and constant offsets.
+    """P points on a posed body in n frames, with derivatives.
+
+    The derivatives are with respect to pose, shape and constant offsets.
 
     Let ``[A_d | t_d]`` be the transform of the joint ``d`` that moves a point, ``p_j`` the places
     of the joints, and ``Ω_j`` the axes about which the unknowns turn joint ``j``:

@@ -40,7 +40,7 @@ class Stage1State:
     angle_offsets: Tensor
 
     def upward(self) -> tuple[Tensor, Tensor]:
-        """Return the unit vector upward (3,), and its derivative (3, 2) by ``up``."""
+        """Return the unit vector upward (3,), and its derivative (3, 2) with respect to ``up``."""
         n = torch.stack([self.up[0], -torch.ones_like(self.up[0]), self.up[1]])
         length, unit = n.norm(), n / n.norm()
         across = torch.eye(3, dtype=n.dtype) - unit[:, None] * unit

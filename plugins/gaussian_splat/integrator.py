@@ -147,7 +147,7 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> None:
-        """Propagate the gradient by the image to the gradients of the parameters."""
+        """Propagate the image's gradient to the gradients of the parameters."""
         with dr.resume_grad():
             image = self._image(scene, sensor, seed, spp)
             if dr.grad_enabled(image):

@@ -88,7 +88,7 @@ class Contours:
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Evaluate eq. 1 backward: from gradients by contributions to gradients by positions."""
+        """Evaluate eq. 1 backward: from gradients of contributions to gradients of positions."""
         grad_x = self.sweep * sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         by_end = (grad_x * (1 - self.s), grad_x * self.s)
         dr.eval(by_end)

@@ -173,7 +173,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         seed: int = 0,
         spp: int = 0,
     ) -> None:
-        """Propagate the gradient by the image (H, W, C) to the gradients of the parameters."""
+        """Propagate the image's gradient (H, W, C) to the gradients of the parameters."""
         sensor, spp = _arguments(scene, sensor, spp)
         to_world = sensor.world_transform().matrix
         with dr.suspend_grad():

@@ -97,7 +97,7 @@ class Interior:
         return image
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Evaluate eq. 1 backward: from gradients by pixels (H W,) to gradients by positions."""
+        """Evaluate eq. 1 backward: from gradients of pixels (H W,) to gradients of positions."""
         by_sample = self.filter.spread(grads, self.rays)
         if dr.width(self.q) > 0:
             on_faces = self.filter.spread_to(grads, self.q, self.crowd)

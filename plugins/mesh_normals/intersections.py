@@ -245,7 +245,7 @@ class Intersections:
         return [jump * area for jump in self.jump]
 
     def adjoint(self, grads: list[mi.Float]) -> mi.Vector3f:
-        """Evaluate eq. 2 backward: from gradients by contributions to gradients by positions."""
+        """Evaluate eq. 2 backward: from gradients of contributions to gradients of positions."""
         grad = sum(g * jump for g, jump in zip(grads, self.jump, strict=True))
         count = dr.width(grad)
         by_corner = dr.zeros(mi.Vector3f, 6 * count)

@@ -99,7 +99,7 @@ class MeshView:
         return self._tensor(interior), self._tensor(boundary)
 
     def adjoint(self, grad_image: mi.TensorXf) -> mi.Vector3f:
-        """Convert the gradient by the image (H, W, C) to the gradient by positions (V,)."""
+        """Convert the image's gradient (H, W, C) to the gradient of the positions (V,)."""
         interior, boundary = self.adjoint_parts(grad_image)
         return interior + boundary
 
@@ -115,7 +115,7 @@ class MeshView:
         return inside, jumps
 
     def adjoint_to_world(self, grad_image: mi.TensorXf, grad_positions: mi.Vector3f) -> mi.Matrix4f:
-        """Convert the gradient by the image (H, W, C) to the gradient by the sensor's ``to_world``.
+        """Convert the image's gradient (H, W, C) to the gradient of the sensor's ``to_world``.
 
         ``grad_positions`` (V,) is the result of :meth:`adjoint` for this image.
         """

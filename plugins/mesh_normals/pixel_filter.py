@@ -112,7 +112,7 @@ class PixelFilter:
         return [dr.block_sum(x, self.spp) / self.spp for x in samples]
 
     def spread(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
-        """Convert gradients by pixels (H W,) to gradients by some samples (R,), eq. 3."""
+        """Convert gradients of pixels (H W,) to gradients of some samples (R,), eq. 3."""
         pixel = rays // self.spp
         if self.steps == 0:
             return [dr.gather(mi.Float, grad, pixel) / self.spp for grad in grads]
@@ -133,7 +133,7 @@ class PixelFilter:
     def spread_to(
         self, grads: list[mi.Float], q: mi.Point2f, crowd: mi.Float | None = None
     ) -> list[mi.Float]:
-        """Convert gradients by pixels (H W,) to gradients by contributions (S,) at ``q``, eq. 4.
+        """Convert gradients of pixels (H W,) to gradients of contributions (S,) at ``q``, eq. 4.
 
         Points of triangles have a ``crowd``, as in :meth:`balance`.
         """

@@ -148,7 +148,7 @@ class SensorProjection:
         return mi.Vector3f(move.x, move.y, move.z)
 
     def carried_adjoint(self, grad: mi.Vector3f, v: mi.Vector3f, w: int) -> mi.Matrix4f:
-        """Convert the gradient by motions of eq. 6 to the gradient by ``T``."""
+        """Convert the gradient of the motions of eq. 6 to the gradient of ``T``."""
         y = dr.rcp(self.to_world) @ mi.Vector4f(*v, w)
         dr.eval(grad, y)
         return mi.Matrix4f([[dr.sum(g * entry) for entry in y] for g in grad] + [[0, 0, 0, 0]])

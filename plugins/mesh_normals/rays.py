@@ -104,7 +104,7 @@ class Channels:
     def adjoint(
         self, grads: list[mi.Float], camera_world: mi.Matrix3f
     ) -> tuple[mi.Vector3f | None, mi.Float | None]:
-        """Return the gradients by normal (world) and by depth from gradients by channels.
+        """Return the gradients of normals (world) and of depths, given those of the channels.
 
         None for a kind that the image lacks.
         """

@@ -92,9 +92,9 @@ class MeshSurface:
         return self._tangential(d_total)
 
     def adjoint(self, grad_corners: mi.Vector3f, grad_corner_normals: mi.Vector3f) -> mi.Vector3f:
-        """Return the gradient by positions (V,) (eq. 1 and 2 backward).
+        """Return the gradient with respect to the positions (V,) (eq. 1 and 2 backward).
 
-        The inputs are gradients by the positions and by the normals of all corners, (3F,).
+        The inputs are gradients of the positions and of the normals of all corners, (3F,).
         """
         topology = self.topology
         grad_total = self._tangential(topology.corners_of_normal.sum(grad_corner_normals))
@@ -139,10 +139,10 @@ class MeshSurface:
 
         Args:
             ray, face: the rays, and the faces that they hit.
-            grad_n, grad_t: gradients by normals and ray parameters; None for zero.
+            grad_n, grad_t: gradients of normals and ray parameters; None for zero.
 
         Returns:
-            Gradients by the positions and by the shading normals of all corners, (3F,) each.
+            Gradients of the positions and of the shading normals of all corners, (3F,) each.
         """
         leaves = self._at(face, True)
         with dr.isolate_grad(), dr.resume_grad():

@@ -113,7 +113,7 @@ def bits(s):
 
 
 def test_same_bits_at_every_run_and_for_any_number_of_threads():
-    """Of pictures, gradients by the camera too, and tangents."""
+    """Of pictures, gradients including the camera's, and tangents."""
     s = scene(gaussians=3000, width=200, height=150, degree=1)
     s = s.with_camera_inputs().to(torch.float32)
     turn = torch.ones_like(s.camera.tensors.T_camera_world)

@@ -148,7 +148,7 @@ class Rotation:
 
 @dataclass(frozen=True)
 class EllipseGradient:
-    """Gradients by the inputs of an ellipse."""
+    """Gradients with respect to the inputs of an ellipse."""
 
     J: Mat23
     R: Mat3

@@ -308,7 +308,7 @@ def camera_tangent(camera: Camera, dT: np.ndarray, dK: np.ndarray) -> CameraArra
 
 
 def camera_adjoint(camera: Camera, grad: CameraGradient) -> tuple[np.ndarray, np.ndarray]:
-    """Convert the gradient by R, t, f, c, o to those by ``T_camera_world`` and ``K``."""
+    """Return the gradients of ``T_camera_world`` and ``K``, given those of R, t, f, c, o."""
     T = camera.T_camera_world
     go = -np.linalg.solve(T[:3, :3].T, grad.o)
     grad_T, grad_K = np.zeros((4, 4)), np.zeros((3, 3))

@@ -40,7 +40,7 @@ from gva_mi.splat.kernels.vectors import Mat23, Vec2, Vec3, dot, each
 
 @dataclass(frozen=True)
 class LensGradient:
-    """Gradients by the point in camera space, the focal lengths and the principal point."""
+    """Gradients of the point in camera space, the focal lengths and the principal point."""
 
     point: Vec3
     f: Vec2

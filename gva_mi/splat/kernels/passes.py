@@ -90,7 +90,7 @@ class Gradients:
     K: np.ndarray | None  # (3, 3)
 
     def named(self) -> Iterator[tuple[str, Array]]:
-        """Yield the gradients by the Gaussians' arrays that were requested, by name."""
+        """Yield the requested gradients of the Gaussians' arrays, by name."""
         g = self.gaussians
         parts = {"means": g.means, "opacities": g.opacities, "colors": g.colors}
         parts |= {} if g.geometry is None else vars(g.geometry)
@@ -260,7 +260,7 @@ def _composite(
 def _composite_adjoint(
     saved: SavedState, grad: Planes, requested: RequestedGradients
 ) -> tuple[list[packets.Packets], tuple[RecordFormat, ...], list[Array]]:
-    """Return the slots of each chunk, their formats, and each lane's gradient by the background.
+    """Return the slots of each chunk, their formats, and each lane's gradient of the background.
 
     Args:
         saved: the forward pass.
@@ -329,7 +329,7 @@ def _composite_tangent(
 
 
 def _background_gradient(by_lanes: list[Array], plan: Plan) -> list[float]:
-    """Add up the lanes' gradients by the background, (D,), when all kernels have ended."""
+    """Add up the lanes' gradients of the background, (D,), when all kernels have ended."""
     parts = zip(by_lanes, plan.formats, strict=True)
     sums = [_sum_rows(shares, format.channels) for shares, format in parts]
     return np.concatenate(sums)[: plan.channels].tolist()

@@ -26,7 +26,7 @@ a difference: the whole minus what was passed. Behind an opaque Gaussian that is
 of both. T and B are the whole state of a pixel.
 
 With ``absolute`` there are two more sums, of |v w_x| and of |v (q w_x + r w_y)|: absolute values of
-each pixel's derivatives by u, without the factors that all pixels share.
+each pixel's derivatives with respect to u, without the factors that all pixels share.
 
 Tangent, where d_ marks tangents and ln2 comes from the base in eq. 12:
 

@@ -133,7 +133,7 @@ class PairGradient:
 
 @dataclass(frozen=True)
 class CameraGradient:
-    """Contribution of one Gaussian, or of all, to the gradient by ``CameraArrays``."""
+    """Contribution of one Gaussian, or of all, to the gradient with respect to ``CameraArrays``."""
 
     R: Mat3
     t: Vec3

@@ -11,7 +11,7 @@ made on an H100 with ``NO_FAST_MATH=1``, gsplat's own switch; only numbers are s
                                times weights / 32; 0 in pixels at a cut-off
 ``case/NAME/loss``             the loss, summed in float64
 ``case/NAME/pixels``           (P, D+1) colours and alpha of every eleventh pixel of all pictures
-``case/NAME/grad/ARRAY``       the loss's gradient by an input, and by ``means2d``
+``case/NAME/grad/ARRAY``       the loss's gradient with respect to an input, and ``means2d``
 ``case/NAME/meta/ARRAY``       of ``meta``: rows where ``radii`` are 0 hold 0, gsplat leaves them
                                uninitialised
 =============================  =====================================================================

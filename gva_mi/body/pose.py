@@ -44,6 +44,7 @@ SMPLX_FIELDS: Mapping[str, slice] = {
     "global_orient": ROOT, "body_pose": BODY, "jaw_pose": JAW, "leye_pose": slice(23, 24),
     "reye_pose": slice(24, 25), "left_hand_pose": LEFT_HAND, "right_hand_pose": RIGHT_HAND,
 }  # fmt: skip
+SMPLX_EXPRESSIONS = 10  # expression coefficients of SMPL-X version 1.0, the default
 # Largest absolute values of valid files: metres, and standard deviations of coefficients. Chosen:
 # far beyond any person, and small enough that nothing overflows in float32.
 LARGEST_IN_FILES = {"transl": 1e6, "expression": 1e4, "betas": 1e4, "offsets": 10.0}
@@ -87,7 +88,9 @@ class Pose:
             )
 
     @staticmethod
-    def rest(frames: int = 1, expressions: int = 10, dtype: torch.dtype = torch.float32) -> Pose:
+    def rest(
+        frames: int = 1, expressions: int = SMPLX_EXPRESSIONS, dtype: torch.dtype = torch.float32
+    ) -> Pose:
         """Return the T-pose at the world's origin.
 
         Example:
@@ -232,7 +235,7 @@ def read_pose_file(path: Path, count: int | None = None) -> PoseFile:
         raise InputError(f"{path}: 'transl' holds no frame; expected (T, 3) with T of at least 1")
     if count not in (None, frames):
         raise InputError(f"{path}: holds {frames} frames, but the video has {count}")
-    data.setdefault("expression", np.zeros((frames, 10)))
+    data.setdefault("expression", np.zeros((frames, SMPLX_EXPRESSIONS)))
     widths = _WIDTHS | {"transl": 3, "expression": None}
     named = {
         name: _numbers(path, name, data.get(name, np.zeros((frames, width or 0))), (frames, width))

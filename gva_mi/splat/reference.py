@@ -1,4 +1,4 @@
-"""The reference implementation: the same picture in dense float64 torch, with gradients from autograd.
+"""The reference implementation: the same picture in dense float64 torch, with autograd gradients.
 
 It shares no code with the kernels, only constants and records, and is written to be obviously
 right: every Gaussian meets every pixel, one after the other; nothing is tiled or pre-scaled. Use it

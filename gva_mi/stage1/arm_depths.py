@@ -55,7 +55,9 @@ def with_arm_depths(
         dt: seconds between frames.
     """
     offsets = pad(state.offsets, (0, 0, 0, len(evidence.points.rest) - len(names)))
-    posed = PosedPoints.of(evidence.points, state.rotations, state.place, state.betas, offsets)
+    posed = PosedPoints.of(
+        evidence.points, state.rotations, state.pelvis_position, state.betas, offsets
+    )
     model = DirectionModel.of(dt)
     gain, depths = evidence.gain.clone(), evidence.depths.clone()
     precision = evidence.depth_precision.clone()
@@ -99,7 +101,7 @@ def _energy(
     """
     i, j = evidence.bones[bone].tolist()
     x, end = (posed.places[:, joint] for joint in ends)
-    f = torch.stack([evidence.K[0, 0], evidence.K[1, 1]]) * state.focal.exp()
+    f = torch.stack([evidence.K[0, 0], evidence.K[1, 1]]) * state.log_focal_scale.exp()
     project = lambda X: f * X[..., :2] / X[..., 2:].clamp_min(NEAREST_DEPTH)
     beside = project(posed.X[:, j]) - project(posed.X[:, i]) - project(end) + project(x)
     beyond = posed.X[:, j, 2] - posed.X[:, i, 2] - end[:, 2] + x[:, 2]

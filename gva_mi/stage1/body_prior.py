@@ -56,17 +56,17 @@ UP_SIGMA, LOOKS_DOWN = (0.04, 0.15), 0.07
 
 
 class MotionSigma(NamedTuple):
-    """Standard deviations of a motion (:class:`Smoothness`)."""
+    """Standard deviations of a motion, a and v of :class:`Smoothness`."""
 
-    acceleration: float  # a
-    speed: float  # v
+    acceleration: float  # a, m/s² or rad/s²
+    speed: float  # v, m/s or rad/s
 
 
 # Chosen: the trunk is heavy and turns evenly; limbs are light.
-PLACE_MOTION = MotionSigma(8.0, 1.5)  # of the person, m/s² and m/s
-TRUNK_MOTION = MotionSigma(8.0, 10.0)  # rad/s² and rad/s
-LIMB_MOTION = MotionSigma(120.0, 10.0)
-FINGER_MOTION = MotionSigma(40.0, 6.0)
+PELVIS_MOTION = MotionSigma(8.0, 1.5)  # of the pelvis position, m/s² and m/s
+TRUNK_MOTION = MotionSigma(8.0, 10.0)  # of the trunk's joint rotations, rad/s² and rad/s
+LIMB_MOTION = MotionSigma(120.0, 10.0)  # of the limbs' joint rotations, rad/s² and rad/s
+FINGER_MOTION = MotionSigma(40.0, 6.0)  # of the fingers' joint rotations, rad/s² and rad/s
 _TRUNK = [
     k for k, name in enumerate(JOINTS) if name.startswith(("pelvis", "spine", "neck", "head"))
 ]
@@ -128,10 +128,10 @@ class BodyPrior:
         joints = [j for j in self.unknowns.joints if j]
         first = self.unknowns.per_frame - 3 * len(joints)
         shared = self.unknowns.shared
-        count = len(state.place)
+        count = len(state.pelvis_position)
         correlated = self.correlated[:, None].expand(count, 1)
         r = state.rotations[:, joints]
-        some = lambda N: state.place.new_zeros(N, self.unknowns.per_frame)
+        some = lambda N: state.pelvis_position.new_zeros(N, self.unknowns.per_frame)
         own = some(3 * len(joints))
         own[:, first:] = torch.eye(3 * len(joints))
         weights = self.precision[joints].flatten() / correlated
@@ -141,7 +141,7 @@ class BodyPrior:
 
         angles = angles_of(self.anatomy, self.unknowns.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
-        by_frame, by_shared = some(len(A)), state.place.new_zeros(len(A), shared)
+        by_frame, by_shared = some(len(A)), state.pelvis_position.new_zeros(len(A), shared)
         by_frame[:, first:] = A
         if self.unknowns.angle_offsets:
             by_shared[:, self.unknowns.angle_offsets_column :] = -torch.eye(len(A))
@@ -205,7 +205,7 @@ class SharedPrior:
                 if self.camera_height is None
                 else KNOWN_CAMERA_HEIGHT_SIGMA
             )
-            found += [state.focal[None], state.up - up, above]
+            found += [state.log_focal_scale[None], state.up - up, above]
             spread += [state.up.new_tensor([self.focal_sigma, *deviations, known])]
         offsets, angles = list(self.unknowns.offsets), list(self.unknowns.angle_offsets)
         found += [self._sides() @ state.offsets[offsets].flatten(), state.angle_offsets[angles]]
@@ -226,7 +226,7 @@ class SharedPrior:
         if self.lines is None:
             return state.up.new_tensor([0.0, -LOOKS_DOWN]), UP_SIGMA
         up = torch.from_numpy(self.lines.up)
-        return torch.stack([up[0], up[1] * state.focal.exp()]), self.lines.spread
+        return torch.stack([up[0], up[1] * state.log_focal_scale.exp()]), self.lines.spread
 
     def _sides(self) -> Tensor:
         """Return the rotation (3 n, 3 n) of offsets to sums and differences of left and right.
@@ -304,7 +304,7 @@ class Smoothness:
 
     def energy(self, state: Stage1State) -> Tensor:
         """Return eq. 1, nats."""
-        total = state.place.new_zeros(())
+        total = state.pelvis_position.new_zeros(())
         for steps, (a, v) in self._groups(state):
             bends = steps.diff(dim=0).square().sum(-1) / (a * self.dt**2) ** 2
             total = total + (STUDENT_DOF + 3) / 2 * torch.log1p(bends / STUDENT_DOF).sum()
@@ -322,7 +322,7 @@ class Smoothness:
     def _groups(self, state: Stage1State) -> Iterator[tuple[Tensor, MotionSigma]]:
         """Yield the steps (T - 1, 3) of every three columns, and their standard deviations."""
         if self.unknowns.travels:
-            yield state.place.diff(dim=0), PLACE_MOTION
+            yield state.pelvis_position.diff(dim=0), PELVIS_MOTION
         for joint in self.unknowns.joints:
             r = state.rotations[:, joint]
             steps = r.diff(dim=0) if joint else turns_between(r[:-1], r[1:])

@@ -107,7 +107,9 @@ class LandmarkEvidence:
         """Yield the terms at a state of the same frames; with ``derive`` also their derivatives."""
         P = self.pixels.shape[1]
         offsets = torch.nn.functional.pad(state.offsets, (0, 0, 0, len(self.points.rest) - P))
-        posed = PosedPoints.of(self.points, state.rotations, state.place, state.betas, offsets)
+        posed = PosedPoints.of(
+            self.points, state.rotations, state.pelvis_position, state.betas, offsets
+        )
         D = self._derivatives(posed) if derive else None
         if self.starting:
             yield self._metric(posed, D)
@@ -147,7 +149,7 @@ class LandmarkEvidence:
         """Return eq. 1."""
         P = self.pixels.shape[1]
         X, z = posed.X[:, :P], posed.X[:, :P, 2:].clamp_min(NEAREST_DEPTH)
-        f = torch.stack([self.K[0, 0], self.K[1, 1]]) * state.focal.exp()
+        f = torch.stack([self.K[0, 0], self.K[1, 1]]) * state.log_focal_scale.exp()
         rays = X[..., :2] / z
         r = torch.where(self.precision[..., None] > 0, f * rays + self.K[:2, 2] - self.pixels, 0)
         r = (self.whitening @ r[..., None])[..., 0]

@@ -36,7 +36,7 @@ from gva_mi.readers.own_masks import MaskOptions, WithMasks, write_masks, write_
 from gva_mi.readers.people import prompt_at
 from gva_mi.stage1.face import with_face
 from gva_mi.stage1.pictures import EvenPictures, even_pictures
-from gva_mi.stage1.solver import KnownOfVideo, Stage1Solution, solve_stage1
+from gva_mi.stage1.solver import KnownParameters, Stage1Solution, solve_stage1
 from gva_mi.stage1.vertical_lines import find_vertical
 from gva_mi.subject.fingerprint import VIDEO_KIND, fingerprint
 from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, StoredPictures, SubjectWriter
@@ -186,7 +186,7 @@ def motion_of_video(
     if backs:
         said = f"frames where the network took the back for the front: {listed(backs)}; corrected"
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, said))
-    known = KnownOfVideo(options.height, focal, camera_height=options.camera_height)
+    known = KnownParameters(options.height, focal, camera_height=options.camera_height)
     lines = find_vertical(pictures.pictures, watched.landmarks, known.K(size))
     known = replace(known, lines=lines)
     solved = solve_stage1(

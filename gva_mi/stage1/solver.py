@@ -2,12 +2,12 @@
 
 :func:`solve_stage1` minimises ``evidence + prior``, in nats, over all frames together. The evidence
 is :mod:`gva_mi.stage1.evidence`, the prior :mod:`gva_mi.stage1.body_prior`. Errors have heavy
-tails: each is a square whose weight follows the error (iteratively reweighted least squares).
+tails: each residual is squared and reweighted by its size (iteratively reweighted least squares).
 
 Body and palms are solved first, then the fingers of each hand. Frames without landmarks, and hands
 that were not found, follow from their neighbours and the prior.
 
-Landmarks do not show how stout a person is. So betas stay near the mean except for lengths.
+Landmarks do not show how stout a person is, so betas stay near the mean except for lengths.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from gva_mi.body import so3
-from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, Pose, Shape
+from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, SMPLX_EXPRESSIONS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.cpu import one_torch_thread
@@ -57,12 +57,13 @@ from gva_mi.subject.lens import centred, in_pixels
 PHONE_FOCAL_35MM = 26.0
 KNOWN_FOCAL_SIGMA = 1e-4  # of the logarithm of a known focal length; chosen: it hardly moves
 START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # Levenberg-Marquardt steps, at most; chosen
-SMALLEST_GAIN = 1e-4  # relative decrease of the energy that ends the steps; chosen
+CONVERGED_DECREASE = 1e-4  # relative decrease of the energy that ends the steps; chosen
 # Levenberg-Marquardt damping, relative to the diagonal: first, and range; chosen.
 FIRST_DAMPING, SMALLEST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
 # Factors on the damping after a step that lowers the energy, and after one that does not; chosen.
 DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = 0.2, 6.0
-MEDIAN_FRAMES = 5  # frames to each side, of the median of distances; chosen
+# Frames to each side, of the running median of person sizes. Chosen: a few outliers do not count.
+PERSON_SIZE_MEDIAN_FRAMES = 5
 _PALM_POINTS = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
 _FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 _BODY_JOINTS = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE_JOINTS]
@@ -79,15 +80,15 @@ class Stage1Solution:
 
 
 @dataclass(frozen=True)
-class KnownOfVideo:
-    """What is known of a video beforehand; None: unknown.
+class KnownParameters:
+    """Known parameters of a video; None means unknown.
 
     Attributes:
         height: of the person, metres. None: an average height, so size and distance are uncertain
             by 5 %. It is not fitted: networks underestimate depths, which would shrink the person.
         focal: focal length, pixels. None: fitted, with a prior around the main cameras of phones.
-        lines: the direction up by lines of the room, for this focal length or for
-            :data:`PHONE_FOCAL_35MM`.
+        lines: the upward direction, estimated from vertical lines of the room with this focal
+            length, or with :data:`PHONE_FOCAL_35MM`.
         camera_height: of the lens above the floor, metres.
     """
 
@@ -97,7 +98,7 @@ class KnownOfVideo:
     camera_height: float | None = None
 
     def K(self, size: tuple[int, int]) -> np.ndarray:
-        """Return the first guess of the camera (3, 3), for pictures of ``size`` (width, height)."""
+        """Return the initial intrinsics K (3, 3) for pictures of ``size`` (width, height)."""
         return centred(self.focal or in_pixels(PHONE_FOCAL_35MM, size), size)
 
 
@@ -106,7 +107,7 @@ def solve_stage1(
     body: BodyModel,
     size: tuple[int, int],
     fps: float,
-    known: KnownOfVideo = KnownOfVideo(),  # noqa: B008 (frozen)
+    known: KnownParameters = KnownParameters(),  # noqa: B008 (frozen)
     progress: Progress | None = None,
 ) -> Stage1Solution:
     """Find poses, shape and camera of one person before a camera that stands still.
@@ -116,7 +117,7 @@ def solve_stage1(
         body: SMPL-X or the built-in body.
         size: width and height of the pictures, pixels.
         fps: frames a second.
-        known: what is known beforehand.
+        known: known parameters of the video.
         progress: called as ``progress(done, total)``.
 
     Raises:
@@ -124,32 +125,32 @@ def solve_stage1(
     """
     report = progress or (lambda done, total, **figures: None)
     with one_torch_thread(), torch.no_grad():
-        video = _VideoToSolve(landmarks, body, size, fps, known)
-        state = video.initial_state()
-        state = video.body_problem(state, starting=True).minimised(state, START_STEPS)
+        problems = _ProblemFactory(landmarks, body, size, fps, known)
+        state = problems.initial_state()
+        state = problems.body_problem(state, starting=True).minimised(state, START_STEPS)
         report(1, 4)
-        problem = video.body_problem(state)
+        problem = problems.body_problem(state)
         state = problem.minimised(state, BODY_STEPS)
-        state = video.with_arm_depths(problem, state).minimised(state, BODY_STEPS)
+        state = problems.with_arm_depths(problem, state).minimised(state, BODY_STEPS)
         report(2, 4)
         for k, side in enumerate(HANDS):
-            state = video.hand_problem(state, side).minimised(state, HAND_STEPS)
+            state = problems.hand_problem(state, side).minimised(state, HAND_STEPS)
             report(3 + k, 4)
-        return video.result(state)
+        return problems.result(state)
 
 
 @dataclass(frozen=True)
 class Stage1Problem:
-    """One problem of stage 1: some unknowns, and the terms of their energy.
+    """Least-squares problem over a subset of the unknowns.
 
     Attributes:
-        unknowns: that are moved.
-        which: indices of the video's landmarks that are compared.
-        evidence, prior, shared_prior, smoothness: the terms.
+        unknowns: to solve for.
+        landmark_indices: the video's landmarks that the evidence compares.
+        evidence, prior, shared_prior, smoothness: terms of the energy.
     """
 
     unknowns: Unknowns
-    which: Sequence[int]
+    landmark_indices: Sequence[int]
     evidence: LandmarkEvidence
     prior: BodyPrior
     shared_prior: SharedPrior
@@ -157,8 +158,8 @@ class Stage1Problem:
 
     def minimised(self, state: Stage1State, steps: int) -> Stage1State:
         """Minimise the energy from a state; take ``steps`` at most."""
-        which, offsets = list(self.which), state.offsets
-        state = replace(state, offsets=offsets[which])
+        landmark_indices, offsets = list(self.landmark_indices), state.offsets
+        state = replace(state, offsets=offsets[landmark_indices])
         damping, energy = FIRST_DAMPING, float(self.energy(state))
         for _ in range(steps):
             equations, before = self.equations(state), energy
@@ -172,10 +173,10 @@ class Stage1Problem:
                 break
             state, energy = trial, found
             damping = max(damping * DAMPING_AFTER_SUCCESS, SMALLEST_DAMPING)
-            if before - energy < SMALLEST_GAIN * abs(before):
+            if before - energy < CONVERGED_DECREASE * abs(before):
                 break
         whole = offsets.clone()
-        whole[which] = state.offsets
+        whole[landmark_indices] = state.offsets
         return replace(state, offsets=whole)
 
     def energy(self, state: Stage1State) -> Tensor:
@@ -186,11 +187,13 @@ class Stage1Problem:
 
     def equations(self, state: Stage1State) -> NormalEquations:
         """Return the normal equations around a state."""
-        count, F = len(state.place), self.unknowns.per_frame
+        count, F = len(state.pelvis_position), self.unknowns.per_frame
         equations = NormalEquations.zero(count, F, self.unknowns.shared)
         for start in range(0, count, FRAMES_AT_ONCE):
             some = slice(start, start + FRAMES_AT_ONCE)
-            part = replace(state, rotations=state.rotations[some], place=state.place[some])
+            part = replace(
+                state, rotations=state.rotations[some], pelvis_position=state.pelvis_position[some]
+            )
             for row in self.evidence.of(some).rows(part, derive=True):
                 by_frame, by_shared = row.jacobian[..., :F], row.jacobian[..., F:]
                 equations.add(some, row.residuals, row.weights, by_frame, by_shared)
@@ -203,8 +206,8 @@ class Stage1Problem:
         return equations
 
 
-class _VideoToSolve:
-    """The data of a video, from which its problems are made one after the other."""
+class _ProblemFactory:
+    """A video's data, from which the problems of stage 1 are built."""
 
     def __init__(
         self,
@@ -212,7 +215,7 @@ class _VideoToSolve:
         body: BodyModel,
         size: tuple[int, int],
         fps: float,
-        known: KnownOfVideo,
+        known: KnownParameters,
     ) -> None:
         self.body, self.size, self.dt, self.known = body, size, 1 / fps, known
         self.rig = LandmarkRig.of(body, sorted(landmarks.names))
@@ -222,20 +225,21 @@ class _VideoToSolve:
         self.anatomy, self.K = Anatomy.of(body.j_template), known.K(size)
 
     def initial_state(self) -> Stage1State:
-        """Return the first guess: relaxed joints, and the body where its hips were seen."""
+        """Return the initial guess: relaxed joints, with the root placed at the observed hips."""
         shape = self.mean_shape()
         scale = self.rig.scale(self.landmarks, shape.betas)
-        place = initial_place(self.landmarks, self.K, scale)  # raises without a person
+        # Raises an InputError if no frame has a person.
+        pelvis_position = initial_pelvis_position(self.landmarks, self.K, scale)
         rotations = relaxed_pose(self.anatomy).repeat(len(self.landmarks), 1, 1)
         rotations[:, 0] = so3.to_rotvec(initial_root(self.landmarks))
         zero = lambda *shape: torch.zeros(shape, dtype=torch.float64)
         return Stage1State(
             rotations=rotations,
-            place=place,
+            pelvis_position=pelvis_position,
             betas=shape.betas.double(),
-            focal=zero(),
+            log_focal_scale=zero(),
             up=zero(2),
-            floor=place[:, 1].median() + 0.5 * (self.known.height or AVERAGE_HEIGHT),
+            floor=pelvis_position[:, 1].median() + 0.5 * (self.known.height or AVERAGE_HEIGHT),
             offsets=zero(len(self.rig.names), 3),
             angle_offsets=zero(len(self.anatomy.spreads)),
         )
@@ -248,37 +252,45 @@ class _VideoToSolve:
     def body_problem(self, state: Stage1State, starting: bool = False) -> Stage1Problem:
         """Return the problem of body and palms; the starting problem has no shared unknowns."""
         names = self.rig.names
-        which = [
+        landmark_indices = [
             p for p, name in enumerate(names) if "_hand_" not in name or name.endswith(_PALM_POINTS)
         ]
         if starting:
-            problem = self._problem(Unknowns(_BODY_JOINTS), which, state)
+            problem = self._problem(Unknowns(_BODY_JOINTS), landmark_indices, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
         angle_offsets = angles_of(self.anatomy, _BODY_JOINTS)
-        unknowns = Unknowns(_BODY_JOINTS, len(state.betas), True, range(len(which)), angle_offsets)
-        return self._problem(unknowns, which, state)
+        unknowns = Unknowns(
+            _BODY_JOINTS, len(state.betas), True, range(len(landmark_indices)), angle_offsets
+        )
+        return self._problem(unknowns, landmark_indices, state)
 
     def with_arm_depths(self, problem: Stage1Problem, state: Stage1State) -> Stage1Problem:
         """Return the problem with depths of arms inferred from all frames, around a solution."""
-        which = list(problem.which)
-        names = [self.rig.names[p] for p in which]
-        state = replace(state, offsets=state.offsets[which])
+        landmark_indices = list(problem.landmark_indices)
+        names = [self.rig.names[p] for p in landmark_indices]
+        state = replace(state, offsets=state.offsets[landmark_indices])
         return replace(problem, evidence=with_arm_depths(problem.evidence, names, state, self.dt))
 
     def hand_problem(self, state: Stage1State, side: str) -> Stage1Problem:
         """Return the problem of one hand's fingers."""
         joints = range(len(JOINTS))[HANDS[side]]
-        which = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
+        landmark_indices = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
         of_fingers = [
-            k for k, p in enumerate(which) if not self.rig.names[p].endswith(_PALM_POINTS)
+            k
+            for k, p in enumerate(landmark_indices)
+            if not self.rig.names[p].endswith(_PALM_POINTS)
         ]
         unknowns = Unknowns(joints, 0, False, of_fingers, angles_of(self.anatomy, joints))
-        return self._problem(unknowns, which, state, side)
+        return self._problem(unknowns, landmark_indices, state, side)
 
     def _problem(
-        self, unknowns: Unknowns, which: Sequence[int], state: Stage1State, hand: str | None = None
+        self,
+        unknowns: Unknowns,
+        landmark_indices: Sequence[int],
+        state: Stage1State,
+        hand: str | None = None,
     ) -> Stage1Problem:
-        rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in which])
+        rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in landmark_indices])
         at = self.landmarks.indices(rig.names)
         scale = self.rig.scale(self.landmarks, state.betas.float())
         correlated = correlated_frames(self.landmarks, self.dt, hand)
@@ -308,7 +320,7 @@ class _VideoToSolve:
         )
         prior = BodyPrior.of(unknowns, self.anatomy, correlated)
         smoothness = Smoothness(unknowns, self.dt)
-        return Stage1Problem(unknowns, which, evidence, prior, shared, smoothness)
+        return Stage1Problem(unknowns, landmark_indices, evidence, prior, shared, smoothness)
 
     def result(self, state: Stage1State) -> Stage1Solution:
         """Return the solution in a world with y up and the floor at zero, below the person."""
@@ -316,18 +328,20 @@ class _VideoToSolve:
         x = torch.tensor([1.0, 0, 0], dtype=up.dtype)
         x = torch.nn.functional.normalize(x - (x @ up) * up, dim=0)
         R_camera_world = torch.stack([x, up, torch.linalg.cross(x, up)], 1)
-        middle = state.place.mean(0)
+        middle = state.pelvis_position.mean(0)
         origin = middle - (up @ middle + state.floor) * up
         rotations = state.rotations.clone()
         root = R_camera_world.T @ so3.to_matrix(rotations[:, 0])
         rotations[:, 0] = so3.to_rotvec(root)
         shape = Shape(state.betas.float())
-        place = (state.place - origin) @ R_camera_world
-        transl = place - self.body.rest(shape).joints[0].double()
+        pelvis_position = (state.pelvis_position - origin) @ R_camera_world
+        transl = pelvis_position - self.body.rest(shape).joints[0].double()
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R_camera_world.numpy(), origin.numpy()
-        camera = Camera.from_matrices(self.K, T, *self.size).zoomed(float(state.focal.exp()))
-        pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), 10))
+        camera = Camera.from_matrices(self.K, T, *self.size).zoomed(
+            float(state.log_focal_scale.exp())
+        )
+        pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), SMPLX_EXPRESSIONS))
         return Stage1Solution(pose, shape, camera, tilt=-math.degrees(math.asin(float(up[2]))))
 
 
@@ -340,15 +354,15 @@ def initial_root(landmarks: Landmarks) -> Tensor:
     trunk = torch.from_numpy(landmarks.metric[:, at]).double()
     left_shoulder, right_shoulder, left_hip, right_hip = trunk.unbind(1)
     up = left_shoulder + right_shoulder - left_hip - right_hip
-    aside = left_shoulder - right_shoulder + left_hip - right_hip
+    lateral = left_shoulder - right_shoulder + left_hip - right_hip
     y = normalize(up, dim=1)
-    x = normalize(aside - (aside * y).sum(1, keepdim=True) * y, dim=1)
+    x = normalize(lateral - (lateral * y).sum(1, keepdim=True) * y, dim=1)
     R = torch.stack([x, y, torch.linalg.cross(x, y)], dim=2)
     return R[_nearest(R.flatten(1).isfinite().all(1).numpy())]
 
 
-def initial_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
-    """Return the places (T, 3) of the hips in the camera's axes, metres.
+def initial_pelvis_position(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
+    """Return the positions (T, 3) of the hips' centre in the camera's axes, metres.
 
     Distance follows from the person's size in the picture. Frames without hips take the nearest
     frame's.
@@ -359,13 +373,16 @@ def initial_place(landmarks: Landmarks, K: np.ndarray, scale: float) -> Tensor:
         scale: of the body relative to the landmarks' metres.
     """
     size = person_sizes(landmarks)
-    around = [size[max(0, t - MEDIAN_FRAMES) : t + MEDIAN_FRAMES + 1] for t in range(len(size))]
+    around = [
+        size[max(0, t - PERSON_SIZE_MEDIAN_FRAMES) : t + PERSON_SIZE_MEDIAN_FRAMES + 1]
+        for t in range(len(size))
+    ]
     focal = (K[0, 0] + K[1, 1]) / 2
     z = focal * REFERENCE_HEIGHT * scale / np.array([np.median(some) for some in around])
     hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
     rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]
-    place = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]
-    return torch.from_numpy(place[_nearest(np.isfinite(rays).all(1))])
+    centres = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]
+    return torch.from_numpy(centres[_nearest(np.isfinite(rays).all(1))])
 
 
 def _nearest(known: np.ndarray) -> list[int]:

@@ -21,9 +21,9 @@ class Stage1State:
 
     Attributes:
         rotations: (T, 55, 3) axis-angle; the root is rotated relative to the camera's axes.
-        place: (T, 3) of the root joint in the camera's axes, metres.
+        pelvis_position: (T, 3) of the root joint in the camera's axes, metres.
         betas: (B,) of the shape.
-        focal: () logarithm of a factor on the camera's focal length.
+        log_focal_scale: () logarithm of a factor on the camera's focal length.
         up: (2,) ``(up_0, -1, up_1)`` points up in the camera's axes.
         floor: () height of the camera above the floor, metres.
         offsets: (P, 3) constant offsets of the landmarks, metres.
@@ -31,9 +31,9 @@ class Stage1State:
     """
 
     rotations: Tensor
-    place: Tensor
+    pelvis_position: Tensor
     betas: Tensor
-    focal: Tensor
+    log_focal_scale: Tensor
     up: Tensor
     floor: Tensor
     offsets: Tensor
@@ -69,12 +69,12 @@ class Unknowns:
 
     @property
     def travels(self) -> bool:
-        """Whether the person's place is free."""
+        """Whether the pelvis position is free."""
         return 0 in self.joints
 
     @property
     def per_frame(self) -> int:
-        """``F``, columns of a frame: the place, if the person travels, then the joints."""
+        """``F``, columns of a frame: the pelvis position, if it is free, then the joints."""
         return 3 * (len(self.joints) + self.travels)
 
     @property
@@ -100,9 +100,9 @@ class Unknowns:
     def moved(self, state: Stage1State, step: Tensor, shared: Tensor) -> Stage1State:
         """Return a state after a step: (T, F) of the frames, and ``shared`` (S,)."""
         turns = step.unflatten(1, (-1, 3))
-        place, rotations = state.place, state.rotations.clone()
+        pelvis_position, rotations = state.pelvis_position, state.rotations.clone()
         if self.travels:
-            place, turns = place + turns[:, 0], turns[:, 1:]
+            pelvis_position, turns = pelvis_position + turns[:, 0], turns[:, 1:]
             rotations[:, 0] = compose(rotations[:, 0], turns[:, 0])
             rotations[:, list(self.joints[1:])] += turns[:, 1:]
         else:
@@ -116,7 +116,7 @@ class Unknowns:
         found = replace(
             state,
             rotations=rotations,
-            place=place,
+            pelvis_position=pelvis_position,
             betas=betas,
             offsets=offsets,
             angle_offsets=angles,
@@ -125,5 +125,8 @@ class Unknowns:
             return found
         focal, up, floor = shared[camera], shared[camera + 1 : camera + 3], shared[camera + 3]
         return replace(
-            found, focal=state.focal + focal, up=state.up + up, floor=state.floor + floor
+            found,
+            log_focal_scale=state.log_focal_scale + focal,
+            up=state.up + up,
+            floor=state.floor + floor,
         )

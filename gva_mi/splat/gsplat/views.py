@@ -9,7 +9,7 @@ losses on it. Therefore it is a node of torch's graph between the means and the 
 The kernels run once, in ProjectMeans. In backward they propagate the images' gradient to the means
 and the camera themselves, and the screen receives the gradient with respect to ``means2d``. To
 count it only once, ``echo`` receives it too: ProjectMeans propagates only the difference between
-the two, which hooks and other losses caused. :mod:`gva_mi.splat.torch_render` knows nothing of this.
+the two, which hooks and other losses caused. :mod:`gva_mi.splat.torch_render` is unaware of this.
 """
 
 from __future__ import annotations

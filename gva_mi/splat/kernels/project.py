@@ -29,7 +29,7 @@ from drjit import ArrayBase as Array
 
 from gva_mi.jit import packets
 from gva_mi.splat.kernels import sh
-from gva_mi.splat.kernels.ellipse import LN2, CovarianceEllipse, Ellipse
+from gva_mi.splat.kernels.ellipse import CovarianceEllipse, Ellipse
 from gva_mi.splat.kernels.inputs import (
     CameraArrays,
     Covariance,
@@ -39,6 +39,7 @@ from gva_mi.splat.kernels.inputs import (
     Plan,
 )
 from gva_mi.splat.kernels.lens import LENSES, Lens
+from gva_mi.splat.kernels.pixel import LN2
 from gva_mi.splat.kernels.records import (
     CameraGradient,
     Footprint,
@@ -140,7 +141,7 @@ def project_adjoint(
 ) -> None:
     """Eq. 1-10 reversed, for every Gaussian.
 
-    With the moments m1 of eq. 16:  dL/du = 2 ln2 L^T m1. Where ``target`` has no memory for
+    With the moments m1 of eq. 16:  dℓ/du = 2 ln2 L^T m1. Where ``target`` has no memory for
     geometry, only the gradient of the colours is computed.
 
     Args:

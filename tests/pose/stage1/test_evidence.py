@@ -50,7 +50,7 @@ def test_pulls_are_the_slopes_of_the_energy(built_in_body):
 
 def _slope(evidence, state, column):
     """Return the slope of the energy along one unknown, by central differences."""
-    unknowns, frames = evidence.unknowns, len(state.place)
+    unknowns, frames = evidence.unknowns, len(state.pelvis_position)
     energies = []
     for sign in (1, -1):
         step = torch.zeros(frames * unknowns.per_frame + unknowns.shared, dtype=torch.float64)

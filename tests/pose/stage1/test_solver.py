@@ -15,7 +15,7 @@ from gva_mi.observe.landmark_noise import LandmarkNoise
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.stature import Stature
 from gva_mi.splat import Camera, look_at
-from gva_mi.stage1.solver import KnownOfVideo, solve_stage1
+from gva_mi.stage1.solver import KnownParameters, solve_stage1
 from gva_mi.stage1.vertical_lines import Vertical
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
@@ -136,7 +136,7 @@ def without(landmarks, frames, prefix=""):
 def solved(recording, body, landmarks=None, **options):
     """Solve a video whose camera and height are known."""
     fps = options.pop("fps", FPS)
-    known = KnownOfVideo(**{"height": recording.height, "focal": recording.camera.fx} | options)
+    known = KnownParameters(**{"height": recording.height, "focal": recording.camera.fx} | options)
     return solve_stage1(landmarks or recording.landmarks, body, SIZE, fps, known)
 
 

@@ -105,7 +105,7 @@ def overview(avatar: Avatar, video: Video) -> np.ndarray:
 
 
 def _made_of(avatar: Avatar, video: Video) -> Iterator[np.ndarray]:
-    frame = video.truly_cut(video[(video.splits.test or video.splits.train)[0]])
+    frame = video.with_true_mask(video[(video.splits.test or video.splits.train)[0]])
     yield cut_out(frame)
     if frame.normals is not None:
         inside = frame.mask[..., None] > 0.5
@@ -119,7 +119,7 @@ def _made_of(avatar: Avatar, video: Video) -> Iterator[np.ndarray]:
 
 def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[np.ndarray]:
     """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
-    frames = {k: view.video.truly_cut(view.video[k]) for k in view.frames}
+    frames = {k: view.video.with_true_mask(view.video[k]) for k in view.frames}
     boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
     if view.details is not None:
         found = [(k, box) for k in frames for what, box in view.details.boxes(k) if what == "hands"]

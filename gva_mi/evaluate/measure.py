@@ -176,7 +176,7 @@ def _scores(
     avatar: Avatar, frame: Frame, view: SplitView, scorer: Scorer
 ) -> Iterator[tuple[Region, ImageScores]]:
     """Score the render of a frame region by region, cut out by the true mask if it is known."""
-    frame = view.video.truly_cut(frame)
+    frame = view.video.with_true_mask(frame)
     whole = Box(0, 0, frame.camera.width, frame.camera.height)
     boxes: list[tuple[Region, Box]] = [("white", whole), ("person", person_box(frame.mask))]
     if view.details is not None:

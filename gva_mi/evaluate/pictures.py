@@ -67,7 +67,7 @@ def picture_sections(
 def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
     for k in spread(view.frames, count):
-        frame = view.video.truly_cut(view.video[k])
+        frame = view.video.with_true_mask(view.video[k])
         boxes = [("", person_box(frame.mask))]
         if view.details is not None and view.split != "novel_view":
             boxes += [(f", {what}", box) for what, box in view.details.boxes(k)]

@@ -55,7 +55,7 @@ from gva_mi.fit.perceptual import (
     lpips,
     rand_vgg,
 )
-from gva_mi.subject.backdrop import alone
+from gva_mi.subject.backdrop import premultiplied
 from gva_mi.subject.crop import Box, block_means, bounds
 from gva_mi.subject.footage import files_of, masks
 from gva_mi.subject.numbering import number_in
@@ -275,7 +275,7 @@ def pairs_of_subject(
     _require_all(rendered, set(range(len(video))) - set(video.absent), video.folder)
 
     def pair(number: int) -> PicturePair:
-        frame, render = video.truly_cut(video[number]), _on(color, rendered[number]())
+        frame, render = video.with_true_mask(video[number]), _on(color, rendered[number]())
         picture = _on(color, in_8_bits(frame.image), frame.mask)
         boxes = tuple(details.boxes(number))
         return PicturePair(f"frame {number}", render, picture, frame.mask, boxes)
@@ -329,5 +329,5 @@ def _on(color: Color, picture: np.ndarray, mask: np.ndarray | None = None) -> np
     if mask.shape != rgb.shape[:2]:
         sizes = f"{rgb.shape[1]}x{rgb.shape[0]}, its mask {mask.shape[1]}x{mask.shape[0]}"
         raise InputError(f"score: a picture has {sizes}; expected the same size")
-    person = alone(rgb.astype(np.float32) / 255, mask)
+    person = premultiplied(rgb.astype(np.float32) / 255, mask)
     return in_8_bits(person + color * (1 - mask[..., None]))

@@ -276,7 +276,7 @@ def shrunk_to_tall(video: Video) -> Video:
     seen = spread((k for k in range(len(video)) if k not in video.absent), HEIGHT_FRAMES)
     rows = [np.flatnonzero((outline.mask > 0.5).any(1)) for outline in video.outlines(seen)]
     height = np.median([row[-1] + 1 - row[0] for row in rows])
-    return video.shrunk(max(1, int(height // PERSON_PIXELS)))
+    return video.downscaled(max(1, int(height // PERSON_PIXELS)))
 
 
 def _fit_clips(

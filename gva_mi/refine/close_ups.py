@@ -33,7 +33,7 @@ from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.splat import Camera
 from gva_mi.subject.cameras import depths
 from gva_mi.subject.crop import Box, Extent
-from gva_mi.subject.video import Outline
+from gva_mi.subject.video import FrameWithoutPicture
 
 HAND_PIXELS = 44  # length of a hand in close-ups, if the video has as many; chosen
 BORDER_SHARE = 0.5  # of a part's length, added on each side (2); chosen
@@ -62,7 +62,9 @@ class FinePicture:
     of_video: bool = False  # whether a network made the mask from a video
 
     @staticmethod
-    def of(outline: Outline, scale: float, points: Tensor, of_video: bool = False) -> FinePicture:
+    def of(
+        outline: FrameWithoutPicture, scale: float, points: Tensor, of_video: bool = False
+    ) -> FinePicture:
         """Crop a frame as :meth:`MaskAndNormals.of` does, and store it in 8 bits."""
         fine = MaskAndNormals.of(outline, scale, points)
         mask, normals = (255 * fine.mask).round().to(torch.uint8), None

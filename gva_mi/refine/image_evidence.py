@@ -51,7 +51,7 @@ from gva_mi.subject.crop import (
     person_extent,
     points_extent,
 )
-from gva_mi.subject.video import Outline, Video
+from gva_mi.subject.video import FrameWithoutPicture, Video
 
 SILHOUETTE_ALONE = 3.0  # factor on λ1 in frames without normals; chosen
 PERSON_MARGIN = 0.15  # added on each side of the box around the person, share of it; chosen
@@ -70,7 +70,7 @@ class MaskAndNormals:
     robust_scale: float | None = None  # c of eq. 4, share of the area; None: eq. 3
 
     @staticmethod
-    def of(outline: Outline, scale: float, points: Tensor) -> MaskAndNormals:
+    def of(outline: FrameWithoutPicture, scale: float, points: Tensor) -> MaskAndNormals:
         """Crop a frame to a box around its mask and the stage-1 body, and shrink it.
 
         Args:
@@ -150,7 +150,7 @@ class MaskAndNormals:
 
 
 def common_scale(
-    video: Video, frames: Iterable[int], size: int, body_at: Callable[[Outline], Tensor]
+    video: Video, frames: Iterable[int], size: int, body_at: Callable[[FrameWithoutPicture], Tensor]
 ) -> float:
     """Return the scale at which all frames of a video are compared, at most 1.
 
@@ -165,7 +165,7 @@ def common_scale(
         body_at: the vertices (V, 3) of the body in a frame's stage-1 pose, world, metres.
     """
 
-    def look(outline: Outline) -> float:
+    def look(outline: FrameWithoutPicture) -> float:
         camera = outline.camera
         body = points_extent(body_at(outline).double().numpy(), camera, _BODY_NAME)
         low, high = (np.clip(x, 0, (camera.width, camera.height)) for x in (body.low, body.high))

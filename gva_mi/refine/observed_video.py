@@ -31,7 +31,7 @@ from gva_mi.refine.sequence import LANDMARK_WEIGHT, ObservedClip, SequenceOption
 from gva_mi.refine.single_frame import SingleFrameOptions
 from gva_mi.subject.crop import gather
 from gva_mi.subject.fingerprint import VIDEO_KIND
-from gva_mi.subject.video import Outline, Video
+from gva_mi.subject.video import FrameWithoutPicture, Video
 
 RefineOptions = SequenceOptions | SingleFrameOptions  # the type chooses the method
 
@@ -85,10 +85,10 @@ class ObservedVideo:
         coarse, of_video = simplified(options.faces, in_sequence), video.kind == VIDEO_KIND
         evidence, pictures = SpillCache(video.folder), SpillCache(video.folder)
 
-        def body_at(outline: Outline) -> Tensor:
+        def body_at(outline: FrameWithoutPicture) -> Tensor:
             return coarse.body(outline.pose, video.shape).vertices[0]
 
-        def look(outline: Outline) -> MaskAndNormals:
+        def look(outline: FrameWithoutPicture) -> MaskAndNormals:
             points = body_at(outline)
             whole = MaskAndNormals.of(outline, scale, points)
             if fine is not None:

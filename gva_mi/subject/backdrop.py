@@ -22,8 +22,8 @@ SEARCH_MARGIN = 8  # pixels around the mask in which the background is looked fo
 ZERO_MASK = 0.5 / 255  # half a step of 8 bits: a smaller mask is stored as zero
 
 
-def alone(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the person's colour times the mask (H, W), eq. 2: (H, W, 3)."""
+def premultiplied(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return eq. 2, the person's colour times the mask (H, W): (H, W, 3)."""
     person = np.zeros_like(image)
     rows, columns = (np.flatnonzero((mask > ZERO_MASK).any(axis)) for axis in (1, 0))
     if len(rows):

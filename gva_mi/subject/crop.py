@@ -32,7 +32,7 @@ Seen = TypeVar("Seen")
 
 
 class Numbered(Protocol):
-    """What a video yields: a ``Frame``, or an ``Outline``."""
+    """What a video yields: a ``Frame``, or a ``FrameWithoutPicture``."""
 
     index: int
 

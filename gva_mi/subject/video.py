@@ -23,7 +23,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import once_a_file
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.splat import Camera
-from gva_mi.subject.backdrop import alone
+from gva_mi.subject.backdrop import premultiplied
 from gva_mi.subject.cameras import load_cameras
 from gva_mi.subject.crop import block_means
 from gva_mi.subject.fingerprint import prepared_from
@@ -60,17 +60,17 @@ class Frame:
 
     def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
         """Return the person on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
-        return self.alone + color * (1 - self.mask[..., None])
+        return self.premultiplied + color * (1 - self.mask[..., None])
 
     @cached_property
-    def alone(self) -> np.ndarray:
-        """Return the person's colour times the mask, (H, W, 3), without the background's colour."""
-        return alone(self.image, self.mask)
+    def premultiplied(self) -> np.ndarray:
+        """The person's colour times the mask, (H, W, 3), with the background's colour removed."""
+        return premultiplied(self.image, self.mask)
 
 
 @dataclass(frozen=True)
-class Outline:
-    """A frame without its picture, which would take longest to read."""
+class FrameWithoutPicture:
+    """A frame whose picture is not read, because reading it takes longest."""
 
     index: int
     mask: np.ndarray  # (H, W) float32 in [0, 1]
@@ -88,21 +88,22 @@ class Video:
     pose: Pose
     shape: Shape
     splits: Splits
-    _images: Sequence[np.ndarray] = field(repr=False)  # video.mp4; [] reads frames/ one by one
+    # Lazy pictures of video.mp4; empty: frames/ are read on demand.
+    _images: Sequence[np.ndarray] = field(repr=False)
     normals: NormalMaps | None = None  # None: no frame has normals
-    absent: Mapping[int, str] = field(default_factory=dict)  # frames that cannot be used, and why
-    stage: int = 1  # that made the poses: gva_mi.body.pose.PoseFile
-    offsets: Tensor | None = None  # (V, 3) metres, of the rest surface, from the file of poses
+    absent: Mapping[int, str] = field(default_factory=dict)  # the reason for each unusable frame
+    stage: int = 1  # source of the poses, as in gva_mi.body.pose.PoseFile
+    offsets: Tensor | None = None  # (V, 3) metres, displacements of the rest surface
     landmarks: Landmarks | None = None  # of all frames
-    kind: str | None = None  # of the source of poses.npz, as in prepare.json; None: unknown
+    kind: str | None = None  # source of poses.npz, as in prepare.json; None: unknown
     fps: float | None = None  # frames a second, as in prepare.json; None: unknown
-    shrink: int = 1  # side, in pixels of a file, of the square that is one pixel here
+    shrink: int = 1  # downscaling factor: a pixel is the mean of shrink × shrink file pixels
 
     def __len__(self) -> int:
         return len(self.cameras)
 
     def __getitem__(self, index: int) -> Frame:
-        """Return one frame; an absent one is white, with an empty mask."""
+        """Return one frame; an absent frame is white, with an empty mask."""
         camera, pose = self.cameras[index], self.pose[index]
         if index in self.absent:
             size = (camera.height, camera.width)
@@ -120,11 +121,13 @@ class Video:
         read = map if self._images else on_all_cores
         return read(self.__getitem__, indices)
 
-    def outlines(self, indices: Iterable[int]) -> Iterator[Outline]:
-        """Yield some frames without their pictures; none of them may be absent."""
+    def outlines(self, indices: Iterable[int]) -> Iterator[FrameWithoutPicture]:
+        """Yield frames without their pictures; the indices must not contain absent frames."""
         for k in indices:
             mask = self._mask(k)
-            yield Outline(k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k])
+            yield FrameWithoutPicture(
+                k, mask, self._normals_of(k, mask), self.cameras[k], self.pose[k]
+            )
 
     def _mask(self, index: int) -> np.ndarray:
         return block_means(read_mask(self.folder / MASKS, index), self.shrink)
@@ -138,10 +141,10 @@ class Video:
 
         return normals
 
-    def shrunk(self, factor: int) -> Video:
+    def downscaled(self, factor: int) -> Video:
         """Return the video with pictures that are ``factor`` times smaller, without normals.
 
-        A pixel is the mean of a square. Incomplete squares at the right and the bottom are cut off.
+        A pixel is the mean of a square; incomplete squares at the right and bottom are cropped.
         """
         if factor == 1:
             return self
@@ -184,8 +187,8 @@ class Video:
         require_sides(f"{path}:", mask, *self.size)
         return mask
 
-    def truly_cut(self, frame: Frame) -> Frame:
-        """Return a frame with its ground-truth mask, if that is known."""
+    def with_true_mask(self, frame: Frame) -> Frame:
+        """Return a frame with its ground-truth mask, if the ground truth is known."""
         mask = self.true_mask(frame.index)
         return frame if mask is None else replace(frame, mask=mask)
 
@@ -199,11 +202,11 @@ def load_video(
 
     Args:
         folder: in the format of :mod:`gva_mi.subject.folder`.
-        poses: the file of poses, such as the refined ones; None: ``folder/poses.npz``.
-        normals: how the normals were made, overriding ``normals.json``; ``"none"`` ignores them.
+        poses: pose file, for example the refined poses; None: ``folder/poses.npz``.
+        normals: convention of the normals, overrides ``normals.json``; ``"none"`` ignores normals.
 
     Raises:
-        InputError: the first file that cannot be used.
+        InputError: a file cannot be used; the message names the first such file.
     """
     return read_video(folder, lambda what, frame, read, *given: read(*given), poses, normals)
 
@@ -214,11 +217,13 @@ def read_video(
     poses: Path | None = None,
     normals: Convention | Literal["none"] | None = None,
 ) -> Video | None:
-    """Read a subject's folder as :func:`load_video` does, each file by ``attempt``.
+    """Read a subject's folder as :func:`load_video` does; call ``attempt`` for each file.
 
-    ``attempt(what, frame, read, *given)`` calls ``read(*given)``. It lets an error through, or
-    keeps it and returns None, as :meth:`gva_mi.subject.problems.Faults.attempt` does. The video is
-    None if its pictures, cameras or poses cannot be used.
+    ``attempt(what, frame, read, *given)`` calls ``read(*given)``; it re-raises an error, or records
+    it and returns None (:meth:`gva_mi.subject.problems.Faults.attempt`).
+
+    Returns:
+        The video; None if its pictures, cameras or poses cannot be used.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -310,7 +315,7 @@ def _why_absent(file: Path, width: int, height: int) -> str:
     require_sides(f"{folder}: mask of frame {index}", mask, width, height)
     if not mask.any():
         return "its mask is empty"
-    faint = f"no pixel of its mask is above a half, the greatest is {mask.max():.2g}"
+    faint = f"no mask pixel exceeds 0.5 (maximum {mask.max():.2g})"
     return "" if (mask > 0.5).any() else faint
 
 

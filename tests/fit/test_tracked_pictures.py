@@ -16,10 +16,10 @@ def tall(video, monkeypatch):
 
 
 def test_a_shrunk_video_has_the_means_of_blocks_and_sees_the_same(video, doubled):
-    for frame, small in zip(video.frames(), doubled.shrunk(2).frames(), strict=True):
+    for frame, small in zip(video.frames(), doubled.downscaled(2).frames(), strict=True):
         assert np.array_equal(small.image, frame.image) and np.array_equal(small.mask, frame.mask)
         assert small.camera == frame.camera
-    odd, point = video.shrunk(5), np.array([[0.1, 0.2, 0.3]])
+    odd, point = video.downscaled(5), np.array([[0.1, 0.2, 0.3]])
     assert odd.size == (48 // 5, 48 // 5)
     assert np.allclose(odd[0].image[3, 4], video[0].image[15:20, 20:25].mean((0, 1)))
     assert np.allclose(5 * odd.cameras[0].project(point), video.cameras[0].project(point))

@@ -12,7 +12,7 @@ from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.mesh.surface import CoarseBody
 from gva_mi.splat import Camera
 from gva_mi.subject.landmarks import Landmarks
-from gva_mi.subject.video import Frame, Outline
+from gva_mi.subject.video import Frame, FrameWithoutPicture
 
 
 @dataclass
@@ -53,7 +53,7 @@ class Clip:
 
 def _outline_of(frame):
     normals = lambda part: None if frame.normals is None else frame.normals[part]
-    return Outline(frame.index, frame.mask, normals, frame.camera, frame.pose)
+    return FrameWithoutPicture(frame.index, frame.mask, normals, frame.camera, frame.pose)
 
 
 @pytest.fixture(scope="session")

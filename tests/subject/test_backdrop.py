@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.subject.backdrop import alone
+from gva_mi.subject.backdrop import premultiplied
 
 H, W = 24, 32
 
@@ -21,7 +21,9 @@ def person():
 def test_a_plain_background_leaves_no_trace_in_the_person(person, backdrop):
     F, S = person[0], person[1][..., None]
     assert ((S > 0.05) & (S < 0.95)).sum() > 20
-    np.testing.assert_allclose(alone(S * F + (1 - S) * backdrop, S[..., 0]), S * F, atol=1e-6)
+    np.testing.assert_allclose(
+        premultiplied(S * F + (1 - S) * backdrop, S[..., 0]), S * F, atol=1e-6
+    )
 
 
 def test_most_of_a_coloured_background_is_removed(person):
@@ -29,12 +31,12 @@ def test_most_of_a_coloured_background_is_removed(person):
     x = np.linspace(0, 1, W, dtype=np.float32)[None, :, None]
     wall = np.broadcast_to(np.concatenate([x, 1 - x, 0.5 + 0 * x], -1), F.shape)
     image = S * F + (1 - S) * wall
-    left = [np.abs(found - S * F).max() for found in (alone(image, S[..., 0]), S * image)]
+    left = [np.abs(found - S * F).max() for found in (premultiplied(image, S[..., 0]), S * image)]
     assert left[0] < 0.4 * left[1]
 
 
 def test_hard_everywhere_and_empty_masks(person):
     hard = (person[1] > 0.5).astype(np.float32)
-    assert np.array_equal(alone(person[0], hard), person[0] * hard[..., None])
-    np.testing.assert_allclose(alone(person[0], 0 * hard + 0.5), 0.5 * person[0])
-    assert not alone(person[0], 0 * hard).any()
+    assert np.array_equal(premultiplied(person[0], hard), person[0] * hard[..., None])
+    np.testing.assert_allclose(premultiplied(person[0], 0 * hard + 0.5), 0.5 * person[0])
+    assert not premultiplied(person[0], 0 * hard).any()

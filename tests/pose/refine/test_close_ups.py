@@ -20,7 +20,7 @@ from gva_mi.refine.frame_losses import frame_loss
 from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
-from gva_mi.subject.video import Outline
+from gva_mi.subject.video import FrameWithoutPicture
 
 SHAPE = Shape(torch.zeros(10))
 
@@ -43,7 +43,7 @@ def seen(scene, fine, vertices, true_pose):
     with torch.no_grad():
         image = scene.render(vertices, fine).numpy()
     normals = lambda part: image[part][..., :3]
-    outline = Outline(0, image[..., 3], normals, fine, true_pose[1])
+    outline = FrameWithoutPicture(0, image[..., 3], normals, fine, true_pose[1])
     return MaskAndNormals.of(outline, 1 / 3, vertices), FinePicture.of(outline, 1, vertices)
 
 

@@ -34,7 +34,7 @@ PARENTS: tuple[int, ...] = (
 )  # fmt: skip
 
 # The fields of SMPL-X as slices of JOINTS.
-ROOT, BODY = slice(0, 1), slice(1, 22)
+ROOT, BODY, ROOT_AND_BODY = slice(0, 1), slice(1, 22), slice(0, 22)
 JAW, EYES, JAW_AND_EYES = slice(22, 23), slice(23, 25), slice(22, 25)
 WRISTS = [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]
 LEFT_HAND, RIGHT_HAND = slice(25, 40), slice(40, 55)  # joints of the fingers

@@ -26,13 +26,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, WRISTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, ROOT_AND_BODY, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.subject.ground_truth import GroundTruth
 
-_BODY_JOINTS = 22  # of trunk and limbs, the first ones; finger joints would outnumber them
 _FRAMES_AT_A_TIME = 16  # chosen: their vertices fit in memory
 
 
@@ -86,7 +85,7 @@ class _Points:
         weights = torch.eye(len(JOINTS)) if foreign else body.weights  # a joint follows itself
         whole = torch.ones(len(weights))
         if foreign:
-            whole[_BODY_JOINTS:] = 0
+            whole[ROOT_AND_BODY.stop :] = 0
         regions = torch.stack(
             [whole, hand_vertices(weights).float(), (weights[:, _FEET].sum(1) > 0.5).float()]
         )
@@ -122,7 +121,8 @@ class _Points:
 
 
 def _joints_apart(x: Posed, y: Posed) -> Tensor:
-    return (x.joints - y.joints)[:, :_BODY_JOINTS]
+    """Return the errors (T, 22, 3) of root and body; finger joints would outnumber them."""
+    return (x.joints - y.joints)[:, ROOT_AND_BODY]
 
 
 def _depths(x: Posed, y: Posed, axes: Tensor) -> dict[str, Tensor]:

@@ -1,7 +1,7 @@
 """Regions of a picture that metrics are taken on, besides the whole picture.
 
-* **Person**: the bounding box of the mask, with a margin of :data:`PERSON_MARGIN`. A metric of the
-  whole picture depends on how much background there is.
+* **Person**: the bounding box of the mask, with a margin of :data:`MASK_BOX_MARGIN`. A metric of
+  the whole picture depends on how much background there is.
 * **Hands**: a square of :data:`HAND_SIDE` around wrist and finger joints. It counts if a quarter of
   the hand's vertices are visible, half of what a hand in front of the body shows, and if the square
   lies in the picture.
@@ -29,10 +29,10 @@ from gva_mi.subject.crop import Box
 from gva_mi.subject.ground_truth import truth_of
 from gva_mi.subject.video import Video
 
-PERSON_MARGIN = 0.03  # share of the longer side of the mask's box; chosen: holds the outline
+MASK_BOX_MARGIN = 0.03  # share of the longer side of the mask's box; chosen: holds the outline
 HAND_SIDE = 0.28  # metres, of a hand's box; chosen: holds an open hand
 FACE_SIDE = 0.26  # metres, of the face's box; chosen: holds a head
-SMALLEST_SIDE = 16  # pixels of a box, which the metrics' networks need
+SMALLEST_REGION_SIDE = 16  # pixels of a box, which the metrics' networks need
 VISIBLE_SHARE = 0.25  # of a hand's vertices; chosen: half of what a hand in front shows
 
 HEAD = JOINTS.index("head")
@@ -40,7 +40,7 @@ HEAD = JOINTS.index("head")
 Detail = Literal["hands", "face"]
 
 
-def person_box(mask: np.ndarray, margin: float = PERSON_MARGIN) -> Box:
+def person_box(mask: np.ndarray, margin: float = MASK_BOX_MARGIN) -> Box:
     """Return the box around a mask (H, W) that is not empty, inside the picture."""
     height, width = mask.shape
     rows, columns = (np.flatnonzero((mask > 0.5).any(axis)) for axis in (1, 0))
@@ -56,14 +56,14 @@ def box_around(camera: Camera, joints: np.ndarray, metres: float) -> Box | None:
     Args:
         camera: of the picture.
         joints: in the middle, metres.
-        metres: of a side, which is at least SMALLEST_SIDE pixels long.
+        metres: of a side, which is at least SMALLEST_REGION_SIDE pixels long.
     """
     R, t = camera.T_camera_world[:3, :3], camera.T_camera_world[:3, 3]
     depth = float((joints @ R.T + t)[:, 2].mean())
     if depth <= 0:
         return None
     u, v = camera.project(joints).mean(0)
-    side = max(SMALLEST_SIDE, round(camera.fx * metres / depth))
+    side = max(SMALLEST_REGION_SIDE, round(camera.fx * metres / depth))
     left, top = round(u - side / 2), round(v - side / 2)
     fits = left >= 0 and top >= 0 and left + side <= camera.width and top + side <= camera.height
     return Box(left, top, left + side, top + side) if fits else None
@@ -104,6 +104,6 @@ class Details:
 
 def _at_least(low: int, high: int, size: int) -> tuple[int, int]:
     """Grow a span to the smallest side, inside the picture."""
-    grown = max(0, SMALLEST_SIDE - (high - low))
+    grown = max(0, SMALLEST_REGION_SIDE - (high - low))
     low, high = low - grown // 2, high + grown - grown // 2
     return max(0, int(low)), min(size, int(high))

@@ -37,7 +37,7 @@ from gva_mi.subject.pictures import read_image
 from gva_mi.subject.problems import Problem
 from gva_mi.subject.video import Video
 from gva_mi.subject.video_file import write_video
-from gva_mi.synthetic.motion.motions import perform
+from gva_mi.synthetic.motion.motions import ROUND_SECONDS, perform
 
 # Chosen: a page of a few megabytes, and motions at a natural speed.
 FRAMES_SHOWN = 4  # of a split
@@ -47,7 +47,6 @@ FINDINGS = "video_check.json"  # on the video, in the subject's folder
 TURNTABLE = "turntable"
 DRIVEN_MOTIONS = ("walk", "dance")  # motions of gva_mi.synthetic.motion
 VIDEO_FPS = 20  # frames a second of the videos
-ROUND_SECONDS = 6.0  # of a motion's round
 VIDEO_SIZE = (384, 512)  # pixels, width and height
 PAGE_STRIDE = 3  # every 3rd picture of a video is in the page
 MOTION_SEED = 0  # chosen: any

@@ -40,14 +40,12 @@ from torch import Tensor
 
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_places, joint_transforms
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import ROOT_AND_BODY, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.splat import Camera
 from gva_mi.subject.ground_truth import truth_of
 from gva_mi.subject.video import Video
-
-BODY_JOINTS = 22  # of trunk and limbs; finger joints would outnumber them
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,8 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     true_pose, true_cameras = zoomed(truth.pose, pelvis, truth.cameras, zoom)
     found = posed_joints(rig, video.pose[frames])
     true = truth.body(true_pose[frames], truth.shape).joints
-    x, y = (joints[:, :BODY_JOINTS].double().numpy() for joints in (found, true))
+    # Finger joints would outnumber those of trunk and limbs.
+    x, y = (joints[:, ROOT_AND_BODY].double().numpy() for joints in (found, true))
     given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, true_cameras))
     placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
     if not all(np.allclose(T, T[0], atol=1e-9) for T in placed):

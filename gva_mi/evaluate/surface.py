@@ -61,7 +61,7 @@ EYE_DISTANCE = 4.0  # metres from the person's centre to the cameras around; cho
 EYE_ANGLES = (np.arange(12) * np.pi / 6, np.radians([0.0, 20.0, 50.0]))
 HEM_SLACK = 0.8  # share of a garment's slack beyond which a face is hem; chosen: the last fifth
 
-END = "end"  # of the fit, a moment
+AT_END = "end"  # how figures name the moment at the end of the fit, beside re-initialisations
 PARTS = ("hair", "hem", "rest")
 
 
@@ -83,7 +83,7 @@ def surface_figures(run: Path, avatar: Avatar, subject: Path, body: BodyModel) -
     for snapshot in run_folder.load_snapshots(run):
         moments.append((f"step {snapshot.step:,}, before", snapshot.before))
         moments.append((f"step {snapshot.step:,}, after", snapshot.after))
-    for moment, gaussians in (*moments, (END, avatar.canonical)):
+    for moment, gaussians in (*moments, (AT_END, avatar.canonical)):
         opaque = gaussians.opacities.detach() > OPAQUE_ABOVE
         means = gaussians.means.detach()[opaque].double().numpy()
         if len(means) < FEWEST_POINTS:

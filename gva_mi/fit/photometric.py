@@ -82,8 +82,8 @@ from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Frame, Video
 
-PERSON_MARGIN = 0.1  # share of the person's box added on each side; chosen: poses may move there
-SMALLEST_SIDE = 16  # pixels of that box; chosen: below it a picture says little
+PERSON_BOX_MARGIN = 0.1  # share of the box, added on each side; chosen: poses may move there
+SMALLEST_PERSON_BOX_SIDE = 16  # pixels of that box; chosen: below it a picture says little
 
 
 @options_of("track")
@@ -123,8 +123,8 @@ class PictureAndMask:
             NoEvidence: the mask is empty, or the camera does not see the points.
         """
         extent = person_extent(frame.mask, frame.camera, points, "its avatar")
-        box = extent.box(PERSON_MARGIN, np.array([frame.camera.width, frame.camera.height]))
-        if min(box.width, box.height) < SMALLEST_SIDE:
+        box = extent.box(PERSON_BOX_MARGIN, np.array([frame.camera.width, frame.camera.height]))
+        if min(box.width, box.height) < SMALLEST_PERSON_BOX_SIDE:
             raise NoEvidence("it shows too little of the person")
         return PictureAndMask(
             box.cut_camera(frame.camera),

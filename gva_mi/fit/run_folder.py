@@ -45,7 +45,7 @@ from gva_mi.subject.video import Video
 
 AVATAR, CHECKPOINT, HISTORY = "avatar.npz", "checkpoint.pt", "history.npz"
 OPTIONS, TRAINED_POSES, REINIT = "options.json", "poses.npz", "reinit"
-FIRST = "first"
+FIRST_FIT = "first"  # folder, inside a run, of the first fit, whose poses the run starts from
 METRICS, REPORT = "metrics.json", "report.html"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 

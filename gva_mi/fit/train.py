@@ -121,11 +121,11 @@ def fit(
             options.still_camera, out,
         )  # fmt: skip
     if options.first_steps:
-        first, steps = out / run_folder.FIRST, options.first_steps
+        first, steps = out / run_folder.FIRST_FIT, options.first_steps
         report = part_of_progress(progress, 0, steps, options.all_steps)
-        alone = replace(options, steps=steps, first_steps=0, complete=False)
+        first_options = replace(options, steps=steps, first_steps=0, complete=False)
         fit(
-            video, body, alone, first, offsets=offsets, resume=True, progress=report,
+            video, body, first_options, first, offsets=offsets, resume=True, progress=report,
             samples=samples,
         )  # fmt: skip
         trained = load_poses(first / run_folder.TRAINED_POSES)[0]

@@ -332,7 +332,7 @@ def tile_of(crop: Camera, whole: Camera) -> Tile:
 
 # Metres off the surface at which a line starts. Chosen: above float32's rounding of positions,
 # below the distance between parts of a body.
-RAY_OFFSET = 0.002
+VISIBILITY_RAY_OFFSET = 0.002
 # Share of the way to the viewpoint that is tested. Chosen: a surface at the viewpoint itself hides
 # nothing.
 TESTED_SHARE = 0.999
@@ -355,7 +355,7 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
 
     vertices = vertices.detach().float()
     normals = vertex_normals(vertices, faces)
-    start, scene = vertices + RAY_OFFSET * normals, scene_of(faces, vertices)
+    start, scene = vertices + VISIBILITY_RAY_OFFSET * normals, scene_of(faces, vertices)
     columns = lambda x: np.ascontiguousarray(x.T.numpy(), np.float32)
     found = []
     for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):

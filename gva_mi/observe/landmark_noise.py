@@ -60,7 +60,8 @@ REFERENCE_HEIGHT = 1.7  # metres of a person, whose pixels are S; chosen: an ave
 BODY_SHARE, HAND_SHARE = 0.012, 0.004
 SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
-CORRELATION_SECONDS = 0.1  # for which errors last at least; chosen
+# Least correlation time of the network's errors, seconds; chosen.
+LANDMARK_CORRELATION_SECONDS = 0.1
 # All points of the face, or of a hand, count as so many independent points; chosen.
 POINTS_OF_GROUP = 3.0
 # Standard deviation along a limb, relative to across it. Chosen by the poses of twelve rendered
@@ -246,7 +247,7 @@ def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) 
     apart = square + square.T - 2 * np.einsum("tpc,kpc->tk", x, x)
     apart = np.maximum(apart, 0) / np.maximum(seen @ seen.T, 1)
     count = np.exp(-apart / (4 * (share * REFERENCE_HEIGHT) ** 2)) @ seen.any(1)
-    return torch.from_numpy(np.maximum(count, max(1.0, CORRELATION_SECONDS / dt)))
+    return torch.from_numpy(np.maximum(count, max(1.0, LANDMARK_CORRELATION_SECONDS / dt)))
 
 
 def independent_points(names: Sequence[str], group_hands: bool) -> Tensor:

@@ -31,12 +31,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gva_mi.body.pose import BODY
 from gva_mi.body.so3 import compose, to_matrix, to_rotvec
 from gva_mi.core.cpu import sqrt
 from gva_mi.prior.error_model import STUDENT_DOF, median_of_square
 from gva_mi.prior.stage1_poses import Stage1Poses
 
-TILTING_JOINTS = slice(1, 22)  # body joints but the pelvis: a tilted camera tilts the whole person
+TILTING_JOINTS = BODY  # without the pelvis, because a tilted camera tilts the whole person
 SMALLEST_TILT = np.radians(0.1)  # least σ, radians; chosen: 2 mm at a foot
 # m of eq. 2. Chosen: the same as for the angles of joints and for soles.
 CORRELATED_FRAMES = 6.0

@@ -67,7 +67,7 @@ SPEED_FLOOR = 0.02  # least speed of a joint in a frame, relative to its error; 
 EXCURSION_FRAMES = 8  # h of corrected poses; chosen
 STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h of stage 1, the largest result counts; chosen
 WINDOW_FRAMES = 4.0  # standard deviation of the Gaussian window of the mean in eq. 4; chosen
-MEDIAN_FRAMES = 10  # frames to each side in the window of the median; chosen
+SPEED_MEDIAN_FRAMES = 10  # frames to each side, of the running median of speeds; chosen
 
 
 def excursions(changes: Tensor, span: int) -> Tensor:
@@ -84,7 +84,7 @@ def median_square_speed(e: Tensor) -> Tensor:
     """Return ``s²`` (n, C) of eq. 4 by a median, of excursions (n, C, d) with outliers."""
     square = e.square().sum(-1) / median_of_square(e.shape[-1])
     around = [
-        square[max(0, k - MEDIAN_FRAMES) : k + MEDIAN_FRAMES + 1].median(0).values
+        square[max(0, k - SPEED_MEDIAN_FRAMES) : k + SPEED_MEDIAN_FRAMES + 1].median(0).values
         for k in range(len(square))
     ]
     return torch.stack(around) if around else square

@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from gva_mi.body.pose import JOINTS, LARGEST_IN_FILES, PARENTS, SIDES
+from gva_mi.body.pose import JOINTS, LARGEST_IN_FILES, PARENTS, ROOT_AND_BODY, SIDES
 from gva_mi.body.rotations import nearest_rotations, shortest, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 from gva_mi.readers.retarget import Places, leg_length, on_body
@@ -45,8 +45,8 @@ from gva_mi.readers.up_axis import unit
 
 HUMANML3D_FPS = 20.0  # frames a second
 HUMANML3D_FEATURES = 263  # numbers a frame
-JOINT_COUNT = 22  # SMPL's joints above hands and face
-_JOINT_COUNTS = (22, 24, 52, 55)  # joints of bodies whose first 22 are these
+JOINT_COUNT = ROOT_AND_BODY.stop  # SMPL's joints without hands and face: its first 22
+_JOINT_COUNTS = (JOINT_COUNT, 24, 52, 55)  # of bodies that start with these joints
 # All chosen.
 _LEG_VARIATION = 0.2  # share of a leg's length by which it may vary; rotations vary by more
 _PARENT_WEIGHT = 0.08  # of the shortest rotation; a limb that is bent by 90 degrees has weight 1

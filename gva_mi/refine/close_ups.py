@@ -37,9 +37,9 @@ from gva_mi.subject.video import FrameWithoutPicture
 
 HAND_PIXELS = 44  # length of a hand in close-ups, if the video has as many; chosen
 BORDER_SHARE = 0.5  # of a part's length, added on each side (2); chosen
-SMALLEST_SIDE = 8  # pixels of a close-up; a smaller one is at the edge of the image; chosen
-# Least ratio of the scales of close-ups and of the person's image. Chosen: below, they add nothing.
-SMALLEST_GAIN = 1.25
+SMALLEST_CLOSE_UP_SIDE = 8  # pixels; chosen: a smaller close-up is at the edge of the image
+# Least ratio of a close-up's scale to that of the person's image. Chosen: below, it adds nothing.
+SMALLEST_CLOSE_UP_GAIN = 1.25
 STORED_UNIT = 127  # length of a stored normal, of int8
 # c of eq. 4 of image_evidence, for hands in masks of videos, share of the area; chosen.
 HAND_ROBUST_SCALE = 0.1
@@ -122,7 +122,7 @@ def _close_up(
     high = low + scale * np.array([whole.width, whole.height])
     ends = pixels.min(0) - border, pixels.max(0) + border
     extent = Extent(*(np.clip(end, low, high) for end in ends))
-    if (extent.high - extent.low).min() < SMALLEST_SIDE:
+    if (extent.high - extent.low).min() < SMALLEST_CLOSE_UP_SIDE:
         return None
     box = extent.box(0, np.array([camera.width, camera.height]))
     missed = picture.of_video and part.name == "hand"  # feet are in a video's masks
@@ -167,7 +167,7 @@ def close_up_scale(
         return None
     hand = parts_of(body)[0].length * float(np.median((focal / depth)[depth > 0]))
     scale = min(1.0, HAND_PIXELS / hand)
-    return scale if scale >= SMALLEST_GAIN * person_scale else None
+    return scale if scale >= SMALLEST_CLOSE_UP_GAIN * person_scale else None
 
 
 def hand_vertices(weights: Tensor) -> Tensor:

@@ -54,7 +54,7 @@ from gva_mi.subject.crop import (
 from gva_mi.subject.video import FrameWithoutPicture, Video
 
 SILHOUETTE_ALONE = 3.0  # factor on λ1 in frames without normals; chosen
-PERSON_MARGIN = 0.15  # added on each side of the box around the person, share of it; chosen
+EVIDENCE_CROP_MARGIN = 0.15  # added on each side of the box around the person, share of it; chosen
 _BODY_NAME = "its stage-1 body"  # how messages call the body that a camera does not see
 _NORMAL_CHANNELS = torch.tensor([1.0, 1.0, 1.0, 0.0])  # which channels of a rendering are normals
 
@@ -84,7 +84,7 @@ class MaskAndNormals:
         """
         camera, corners = outline.camera, points.numpy().astype(np.float64)
         extent = person_extent(outline.mask, camera, corners, _BODY_NAME)
-        crop = ScaledCrop.around(extent, camera, scale, PERSON_MARGIN)
+        crop = ScaledCrop.around(extent, camera, scale, EVIDENCE_CROP_MARGIN)
         part = crop.cover(*outline.mask.shape)
         mask = crop.shrink(outline.mask[part], part)
         normals = outline.normals(part)

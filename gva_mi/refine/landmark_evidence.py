@@ -36,9 +36,9 @@ from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.splat import Camera
 from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
-# For which an error of a landmark lasts. Chosen longer than in stage 1, whose poses already follow
-# these errors.
-CORRELATION_SECONDS = 0.2
+# Correlation time of a landmark's residual, seconds. Chosen longer than in stage 1, whose poses
+# already follow the landmarks' errors.
+RESIDUAL_CORRELATION_SECONDS = 0.2
 HEAD_SIGMA = np.radians(4.5)  # σ_A, radians; chosen
 NEAREST_DEPTH = (
     0.1  # metres in front of the camera; nearer points are projected as if there; chosen
@@ -110,7 +110,7 @@ class SeenLandmarks:
             point_weights=independent_points(rig.names, group_hands=True),
             K=torch.from_numpy(np.stack([c.K for c in cameras])).float(),
             T_camera_world=T_camera_world,
-            correlated_frames=max(1.0, CORRELATION_SECONDS * fps),
+            correlated_frames=max(1.0, RESIDUAL_CORRELATION_SECONDS * fps),
             head_rotations=head,
             face_weights=faces,
         )

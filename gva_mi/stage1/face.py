@@ -35,7 +35,7 @@ from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import BodyModel, columns_of
 from gva_mi.body.so3 import compose, to_matrix
 from gva_mi.core.cpu import one_torch_thread
-from gva_mi.observe.landmark_noise import CORRELATION_SECONDS
+from gva_mi.observe.landmark_noise import LANDMARK_CORRELATION_SECONDS
 from gva_mi.observe.rig import face_weights
 from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.stage1.normal_equations import FRAMES_AT_ONCE, NormalEquations
@@ -234,7 +234,11 @@ class _FaceProblem:
     @property
     def _count(self) -> float:
         """``n / m`` of one point."""
-        return INDEPENDENT_POINTS / len(FACE_LANDMARKS) / max(1.0, CORRELATION_SECONDS / self.dt)
+        return (
+            INDEPENDENT_POINTS
+            / len(FACE_LANDMARKS)
+            / max(1.0, LANDMARK_CORRELATION_SECONDS / self.dt)
+        )
 
     def _add_processes(self, q: Tensor, equations: NormalEquations) -> None:
         """Add eq. 3 for all unknowns of frames."""

@@ -37,7 +37,7 @@ LARGEST_SLOPE = 0.4  # of a vertical line, |dx/dy|; chosen
 PIECES_OF_HEIGHT = 16  # a piece of an edge is this fraction of the picture's height; chosen
 FILLED_SHARE = 0.8  # least share of a piece's rows that have an edge; chosen
 STRAIGHTNESS_PIXELS = 0.4  # largest standard deviation of a piece from its line; chosen
-PERSON_MARGIN = 0.12  # added around the landmarks, share of the person's height; chosen
+LANDMARKS_MARGIN = 0.12  # added around the landmarks, share of the person's height; chosen
 VERTICAL_SHARE, SLOPE_SIGMA = 0.3, 0.006  # q and σ of eq. 2; chosen
 U_GRID, W_GRID = np.linspace(-0.36, 0.36, 181), np.linspace(-0.6, 0.4, 101)  # chosen
 # Nats a frame by which eq. 2 must exceed its value without vertical lines; chosen.
@@ -88,7 +88,7 @@ def _person_box(landmarks: Landmarks, frame: int) -> PersonBox | None:
     points = points[np.isfinite(points).all(1)]
     if not len(points):
         return None
-    margin = PERSON_MARGIN * np.ptp(points[:, 1])
+    margin = LANDMARKS_MARGIN * np.ptp(points[:, 1])
     low, high = points.min(0) - margin, points.max(0) + margin
     return PersonBox(*low, *high, feet=points[:, 1].max())
 

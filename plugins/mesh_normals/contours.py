@@ -37,7 +37,7 @@ from gva_mi_plugins.mesh_normals.topology import Topology
 
 # Pixels from an edge to the two rays beside it. Chosen: above float32's spacing of pixel
 # positions (6e-5 at 512), and so small that another edge seldom lies between.
-RAY_OFFSET = 5e-4
+EDGE_RAY_OFFSET = 5e-4
 # Share of an edge's depth by which an occluder must lie nearer than it. Chosen: above float32's
 # error of a hit on a face that is seen nearly edge-on.
 OCCLUDER_MARGIN = 1e-3
@@ -65,7 +65,7 @@ class Contours:
         if dr.width(edges) == 0:
             return None
         start, samples = _sample(on_image, edges, density)
-        beside = RAY_OFFSET * samples.across / dr.maximum(dr.norm(samples.across), 1e-9)
+        beside = EDGE_RAY_OFFSET * samples.across / dr.maximum(dr.norm(samples.across), 1e-9)
         if caster.channels.moves_inside:
             inner, outer = caster.cast(samples.q - beside), caster.cast(samples.q + beside)
             seen = _is_seen(caster, samples, inner, outer)

@@ -10,7 +10,7 @@ from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.evaluate.regions import (
     FACE_SIDE,
     HAND_SIDE,
-    SMALLEST_SIDE,
+    SMALLEST_REGION_SIDE,
     Details,
     box_around,
     person_box,
@@ -31,8 +31,8 @@ def test_a_tiny_persons_box_is_large_enough_for_the_networks_and_in_the_picture(
     box = person_box(mask)
     assert box.left == 0 and box.bottom == 40
     assert (
-        SMALLEST_SIDE / 2 <= box.width <= SMALLEST_SIDE
-        and SMALLEST_SIDE / 2 <= box.height <= SMALLEST_SIDE
+        SMALLEST_REGION_SIDE / 2 <= box.width <= SMALLEST_REGION_SIDE
+        and SMALLEST_REGION_SIDE / 2 <= box.height <= SMALLEST_REGION_SIDE
     )
 
 

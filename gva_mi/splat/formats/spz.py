@@ -104,7 +104,7 @@ MAX_FRACTION_BITS = 16  # of means: chosen, rounding error 8 µm within ±128 m
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, f, flags, reserved
 _VERSION = 3
 _MAX_24_BIT = 0x7FFFFF  # signed
-_COLOR_SCALE = 0.15
+_COLOR_COEFFICIENT_SCALE = 0.15  # s of a coefficient c of degree 0: byte = 255 (s c + 0.5)
 _QUATERNION_BITS = (2, 10, 10, 10)
 _ROOT_HALF = np.sqrt(0.5)  # bound of all components of a unit quaternion but the largest
 
@@ -136,7 +136,7 @@ def save_spz(path: Path, gaussians: Gaussians) -> None:
     streams = [
         np.ascontiguousarray(fixed).view("u1").reshape(len(means), 3, 4)[..., :3],
         to_bytes(255 * stored.opacities),
-        to_bytes(255 * (_COLOR_SCALE * stored.sh[:, 0] + 0.5)),
+        to_bytes(255 * (_COLOR_COEFFICIENT_SCALE * stored.sh[:, 0] + 0.5)),
         to_bytes(16 * (stored.log_scales + 10)),
         _smallest_three(stored.unit_quats),
         to_bytes(128 * stored.sh[:, 1:] + 128),

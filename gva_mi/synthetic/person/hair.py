@@ -31,8 +31,8 @@ from gva_mi.synthetic.person.rest_body import RestBody
 # In metres, chosen by eye on a head of usual size.
 HAIR_CELL = 0.005  # grid of hair; chosen: resolves locks
 LONG_HAIR_THICKNESS = 0.014  # on the back, over the cloth below it
-HAIRLINE_THICKNESS = 0.007
-HAIRLINE_GROWTH = 1.1  # of the largest thickness, per metre from the hairline
+HAIRLINE_THICKNESS = 0.007  # largest thickness of hair above the skin, at the hairline
+HAIRLINE_GROWTH = 1.1  # metres of this thickness, per metre from the hairline
 EAR_RADIUS = 0.034  # around an ear that short hair leaves free
 
 

@@ -36,7 +36,8 @@ from gva_mi.synthetic.pictures.finishes import finish_color
 from gva_mi.synthetic.pictures.room import INDIRECT_LIGHT, SKY_RADIANCE, Room, smoothly_lit
 
 VARIANT = "llvm_ad_rgb"
-RAY_OFFSET = 1e-4  # m, of secondary rays' origins from the surface; chosen: above float32's error
+# Metres from the surface to the origins of secondary rays. Chosen: above float32's error.
+SECONDARY_RAY_OFFSET = 1e-4
 FEWER_SAMPLES = 4  # times fewer beside the person; chosen: eq. 6 smooths the light there
 PERSON_MATERIALS = len(Material)  # finishes of a room have the numbers from here on
 GROUND_RADIANCE = (0.30, 0.29, 0.28)  # ambient, from below, on white; chosen: half of the sky's
@@ -213,7 +214,7 @@ class Renderer:
         if shown:
             t, hit, color, n_shading = self._in_room(ray, t, hit, material, rest, color, n_shading)
             lit = mi.Bool(True)
-        start = ray(t) + n_shading * RAY_OFFSET - ray.d * RAY_OFFSET
+        start = ray(t) + n_shading * SECONDARY_RAY_OFFSET - ray.d * SECONDARY_RAY_OFFSET
 
         light = mi.Color3f(0)
         for source in self._lights:

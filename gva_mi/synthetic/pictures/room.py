@@ -22,7 +22,7 @@ from gva_mi.synthetic.pictures.furniture import PIECES, Solid, picture
 SKY_RADIANCE = (0.58, 0.60, 0.63)  # ambient, from above
 INDIRECT_LIGHT = 0.55  # light that a surface sends back, over its albedo
 CEILING_RADIANCE = 1.25 * np.array(SKY_RADIANCE)  # lit by all that falls on the floor
-CAMERA_GAIN = 0.95
+EXPOSURE_GAIN = 0.95  # factor on light, if walls and floor have a mean albedo of 0.35
 BRIGHT_ALBEDO = 0.7  # is not overexposed at this gain
 LIGHT_WINDOW = 5  # pixels, side of the squares of eq. 6; chosen: smooths noise, keeps shadows
 BOX_SIDES = 6  # of the box: the first finishes, in the order -x, +x, -y, +y, -z, +z
@@ -90,8 +90,10 @@ def draw_room(
     starts = np.cumsum([0, *(len(solid.vertices) for solid in solids)])
     join = lambda parts: np.concatenate([*parts])
     bright = np.mean([papered.mean_color(), finishes[2].mean_color()])
-    gain = CAMERA_GAIN * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
-    gain = min(gain, CAMERA_GAIN * BRIGHT_ALBEDO / max(person.skin)) * (1 + rng.normal(0, 0.03, 3))
+    gain = EXPOSURE_GAIN * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
+    gain = min(gain, EXPOSURE_GAIN * BRIGHT_ALBEDO / max(person.skin)) * (
+        1 + rng.normal(0, 0.03, 3)
+    )
     return Room(
         low, high,
         join(solid.vertices for solid in solids).astype(np.float32),

@@ -8,7 +8,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Shape
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.refine.landmark_evidence import CORRELATION_SECONDS, HEAD_SIGMA, SeenLandmarks
+from gva_mi.refine.landmark_evidence import HEAD_SIGMA, RESIDUAL_CORRELATION_SECONDS, SeenLandmarks
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
 NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
@@ -96,5 +96,7 @@ def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
             T_world_rest = body(replace(pose, rotations=bent), SHAPE).T_world_rest
             losses.append(seen.losses(every, T_world_rest, SHAPE, offsets))
         assert seen.face_weights.tolist() == pytest.approx([share] * len(pose), abs=0.15)
-        expected = seen.face_weights * (0.05 / HEAD_SIGMA) ** 2 / (2 * CORRELATION_SECONDS * FPS)
+        expected = (
+            seen.face_weights * (0.05 / HEAD_SIGMA) ** 2 / (2 * RESIDUAL_CORRELATION_SECONDS * FPS)
+        )
         assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)

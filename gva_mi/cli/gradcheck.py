@@ -125,7 +125,7 @@ def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, 
 
 
 def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
-    """Check the derivatives of ``mesh_normals`` by coordinates of the body's pose."""
+    """Check the derivatives of ``mesh_normals`` with respect to coordinates of the body's pose."""
     count = options.count or len(COORDINATES)
     rows = []
     with bar("gradcheck") as progress:

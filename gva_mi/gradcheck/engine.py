@@ -81,7 +81,7 @@ class Check:
         band: Tensor,
         probe: Callable[[Tensor], Probe],
     ) -> Check:
-        """Differentiate true images by their inputs, and choose directions by each gradient."""
+        """Return the true gradients of the inputs, and choose directions by each gradient."""
         truth = gradients(images.values(), leaves, weights.values())
         probes = {name: probe(gradient) for name, gradient in truth.items()}
         detached = lambda tensors: {name: x.detach() for name, x in tensors.items()}
@@ -111,7 +111,7 @@ class Check:
         yield from self.tangents(draw, label, tangent)
 
     def tangents(self, draw: Draw, label: str, allowed: float) -> Iterator[Comparison]:
-        """Compare the tangents of a function by every input in one precision."""
+        """Compare the tangents of a function along every input in one precision."""
         inputs = leaves(self.values, PRECISIONS[label])
         for name in inputs:
             moves = partial(tangents, draw, inputs, name)

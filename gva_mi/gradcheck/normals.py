@@ -1,9 +1,9 @@
-"""Check the derivatives of ``mesh_normals`` by single coordinates of the body's pose.
+"""Check the derivatives of ``mesh_normals`` with respect to coordinates of the body's pose.
 
 The built-in body fills a picture of 512 pixels. Its limbs are free, lie before the body, cross, or
 intersect. One coordinate of the pose moves: a translation, a shoulder, an elbow, a finger.
-``mesh_normals`` gives the derivative of the image by the vertices' motion. It is compared with two
-references in float64 that share no code with the plugin:
+``mesh_normals`` gives the derivative of the image along the vertices' motion. It is compared with
+two references in float64 that share no code with the plugin:
 
 1. ``scanlines.py`` for the mask's derivative and the normals' boundary term, ``moving_mesh.py`` for
    the normals' interior term. The terms are compared separately, because in their sum errors may

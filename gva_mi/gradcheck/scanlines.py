@@ -52,7 +52,7 @@ class Breakpoints:
 def boundary(
     mesh: MovingMesh, lens: PinholeLens, lines: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Return the derivative of the image by parts that appear or disappear (eq. 3), (H, W, 5).
+    """Return the part of the image's derivative that visibility changes cause (eq. 3), (H, W, 5).
 
     Args:
         mesh: with its motion.

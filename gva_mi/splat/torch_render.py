@@ -43,9 +43,9 @@ from gva_mi.splat.torch_passes import (
 COUNT = len(Tensors._fields)
 SMALLEST_ALPHA = 1e-10  # by which a depth is divided, as in gsplat
 NO_SECOND_DERIVATIVES = (
-    "render(): its gradients and tangents cannot be differentiated again by the Gaussians, the "
-    "background or the camera; second derivatives, as a Hessian or a penalty on a gradient needs "
-    "them, are not available"
+    "render(): its gradients and tangents cannot be differentiated again with respect to the "
+    "Gaussians, the background or the camera; second derivatives, which a Hessian or a penalty on "
+    "a gradient needs, are not available"
 )
 
 

@@ -77,8 +77,8 @@ class PriorRows(NamedTuple):
 
     residuals: Tensor  # (n, N) r
     weights: Tensor  # (n, N) w
-    by_frame: Tensor  # (N, F) derivatives of r by the unknowns of the frame, the same in all frames
-    by_shared: Tensor  # (N, S) derivatives of r by the shared unknowns
+    by_frame: Tensor  # (N, F) ∂r / ∂(unknowns of a frame), the same in all frames
+    by_shared: Tensor  # (N, S) ∂r / ∂(shared unknowns)
 
 
 def relaxed_pose(anatomy: Anatomy) -> Tensor:

@@ -121,7 +121,7 @@ class LandmarkEvidence:
             yield self._upright(posed, D, state)
 
     def _derivatives(self, posed: PosedPoints) -> Tensor:
-        """Return the derivatives of all points by all columns, (n, P, 3, F + S)."""
+        """Return the derivatives of points with respect to all columns, (n, P, 3, F + S)."""
         unknowns, F = self.unknowns, self.unknowns.per_frame
         n, P = posed.X.shape[:2]
         D = posed.X.new_zeros(n, P, 3, F + unknowns.shared)

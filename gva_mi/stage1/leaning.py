@@ -58,7 +58,7 @@ class Leaning:
         share: (n, 1) ``s``.
         axes: (n, 2, 3) trunk and balance, metres.
         length: (n, 2, 1) metres.
-        along: (n, 2, 3) derivative of the length by the axis with s = 0.
+        along: (n, 2, 3) derivative of the length with respect to the axis with s = 0.
         up: (3,) ``u``.
     """
 

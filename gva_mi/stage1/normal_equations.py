@@ -63,8 +63,8 @@ class NormalEquations:
             some: the n frames.
             r: (n, N) residuals.
             weights: (n, N) ``w``.
-            by_frame: (n, N, F) derivatives of r by the unknowns of the frame.
-            by_shared: (n, N, S) derivatives of r by the shared unknowns.
+            by_frame: (n, N, F) ∂r / ∂(unknowns of the frame).
+            by_shared: (n, N, S) ∂r / ∂(shared unknowns).
         """
         weighted = weights[..., None] * by_frame
         self.frames[some] += weighted.mT @ by_frame

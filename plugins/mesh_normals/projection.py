@@ -12,9 +12,9 @@ P_1, P_2``:
 5. lines  a segment of the world appears as the line from ``a`` to ``b`` on the image; the share
    ``t`` of the line shows the share ``s = t h_a / (t h_a + (1 - t) h_b)`` of the segment,
 6. pose   with ``T`` the sensor's ``to_world``, a point fixed to the sensor moves by ``dT T^{-1} v``
-   with ``v = (x, 1)``, a direction with ``v = (n, 0)``. Gradients are by the entries of ``T``; its
-   last row is not used. They hold for any ``dT`` in an orthographic view. A pinhole sensor is
-   rigid, so only gradients along rotations and translations have a meaning.
+   with ``v = (x, 1)``, a direction with ``v = (n, 0)``. Gradients are with respect to the
+   entries of ``T``; its last row is not used. They hold for any ``dT`` in an orthographic view. A
+   pinhole sensor is rigid, so only gradients along rotations and translations have a meaning.
 
 Pixels count from the upper left corner of the film's crop window; their centres lie at +0.5.
 """

@@ -1,4 +1,4 @@
-"""The gradients of ``mesh_normals`` by the body's pose agree with exact ones."""
+"""The gradients of ``mesh_normals`` with respect to the body's pose agree with exact ones."""
 
 import pytest
 

@@ -43,7 +43,7 @@ def camera_of():
 
 @pytest.fixture
 def gradients():
-    """Differentiate a loss by all arguments: a dictionary, None where it does not depend on one."""
+    """Return a loss's gradients by argument name; None if it does not depend on an argument."""
 
     def found(loss, a):
         leaves = {k: v for k, v in a.items() if isinstance(v, torch.Tensor)}

@@ -81,7 +81,7 @@ class Check:
         band: Tensor,
         probe: Callable[[Tensor], Probe],
     ) -> Check:
-        """Return the true gradients of the inputs, and choose directions by each gradient."""
+        """Compute the inputs' true gradients, and choose directions by each of them."""
         truth = gradients(images.values(), leaves, weights.values())
         probes = {name: probe(gradient) for name, gradient in truth.items()}
         detached = lambda tensors: {name: x.detach() for name, x in tensors.items()}

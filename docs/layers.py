@@ -15,14 +15,14 @@ SOURCES = sorted((ROOT / "gva_mi").rglob("*.py")) + sorted((ROOT / "plugins").rg
 
 # From the bottom up: name, purpose, packages. A module belongs to the longest prefix that fits.
 LAYERS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("core", "errors, files, options, stamps, workers, libLLVM", ("gva_mi", "gva_mi.core")),
+    ("core", "errors, files, options, result stamps, workers, libLLVM", ("gva_mi", "gva_mi.core")),
     ("jit", "between Dr.Jit and torch: the lock, frozen kernels, memory", ("gva_mi.jit",)),
     ("splat", "Gaussian splatting: kernels; entry points for torch and Dr.Jit", ("gva_mi.splat",)),
     ("plugins", "Mitsuba plugins: mesh normals, Gaussian splats", ("gva_mi_plugins",)),
     ("body", "SMPL-X, skinning, the built-in body", ("gva_mi.body",)),
     ("mesh", "a mesh rendered by Mitsuba, as a torch function", ("gva_mi.mesh",)),
     ("subject", "the folder of a person's video: read, write, check", ("gva_mi.subject",)),
-    ("networks", "landmarks and masks of pictures", ("gva_mi.networks", "gva_mi.matting")),
+    ("networks", "landmarks and masks from pictures", ("gva_mi.networks", "gva_mi.matting")),
     ("readers", "files of other programs, as a subject", ("gva_mi.readers",)),
     ("synthetic", "synthetic subjects with ground truth", ("gva_mi.synthetic",)),
     ("prior", "pose prior: error model, motion, anatomy; for both stages", ("gva_mi.prior",)),

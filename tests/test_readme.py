@@ -140,7 +140,7 @@ def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monk
         if kind == "python" and "gva_mi.app" in block
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(app, "prepare", lambda recording, out: shutil.copytree(subject, out))
+    monkeypatch.setattr(app, "prepare", lambda video, out: shutil.copytree(subject, out))
     for step, options in (
         (app.refine, SequenceOptions(passes=1, size=32)), (app.fit, FitOptions(steps=20)),
         (app.render, CameraPath(frames=2, size=(32, 48))),

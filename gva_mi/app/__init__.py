@@ -17,14 +17,16 @@ what it writes, prints what it found, and replaces nothing unless asked to. Opti
 Source: ``refine`` is Sec. 4.2 of the paper, ``fit`` Sec. 4.1, 4.3 and 4.4; the other steps are
 ours.
 
-* ``steps.py``: one function for each step up to the evaluation;
-* ``driving.py``: ``render``, and what drives an avatar;
-* ``whole.py``: all steps on a video (``avatar``), or on a synthetic subject (``demo``).
+============  ======================================================================
+``steps``     one function for each step up to the evaluation
+``driving``   ``render``, and what drives an avatar
+``pipeline``  all steps on a video (``avatar``), or on a synthetic subject (``demo``)
+============  ======================================================================
 """
 
 from gva_mi.app.driving import render
+from gva_mi.app.pipeline import AvatarEffort, DemoOptions, avatar, demo
 from gva_mi.app.steps import check, evaluate, fit, prepare, refine, track
-from gva_mi.app.whole import AvatarEffort, DemoOptions, avatar, demo
 
 __all__ = [
     "AvatarEffort", "DemoOptions", "avatar", "check", "demo", "evaluate", "fit", "prepare",

@@ -53,7 +53,7 @@ from gva_mi.subject.video import load_video
 
 
 def prepare(
-    recording: Path | str,
+    video: Path | str,
     out: Path | str,
     options: PrepareVideoOptions = PrepareVideoOptions(),  # noqa: B008 (frozen)
     own_masks: MaskOptions = MaskOptions(),  # noqa: B008 (frozen)
@@ -66,7 +66,7 @@ def prepare(
     """Make a subject's folder from a video: frames, masks, camera, landmarks and stage-1 poses.
 
     Args:
-        recording: a video file of one person who turns around once, or a folder of its pictures.
+        video: a video file of one person who turns around once, or a folder of its pictures.
         out: the subject's folder.
         options: what is known about the video.
         own_masks: masks that come from another program.
@@ -80,16 +80,16 @@ def prepare(
     Raises:
         InputError: the video shows no person, or ``out`` holds something else.
     """
-    recording, out = Path(recording), Path(out)
+    video, out = Path(video), Path(out)
     if not overwrite and (out / PREPARED).exists():
         raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_video(
-            folder, recording, options, None if body is None else Path(body), person=person,
+            folder, video, options, None if body is None else Path(body), person=person,
             lens=lens, own_masks=own_masks, progress=progress,
         )  # fmt: skip
     for note in notes:
-        say(f"{recording}: {note}")
+        say(f"{video}: {note}")
     say(f"subject: {out}")
 
 

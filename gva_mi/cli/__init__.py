@@ -13,6 +13,22 @@
 writes a folder, and can be run alone; no output is replaced without ``--overwrite``. A command
 reads its arguments and calls the library: for a step, the function of its name in
 :mod:`gva_mi.app`. A new command is a function in a new file, and a line in :data:`VERBS`.
+
+==============  ====================================================================
+``avatar``      ``avatar`` and ``demo``: all steps
+``prepare``     ``prepare`` and ``motion``
+``steps``       ``check``, ``refine``, ``fit``, ``evaluate``, ``track`` and ``render``
+``subjects``    ``synth`` and ``body``
+``score``       renders of any method
+``export``      files for other programs
+``view``        the viewer in the browser
+``study``       studies over many subjects
+``gradcheck``   gradient checks
+``bench``       benchmarks of a checkout
+``doctor``      checks the dependencies
+``parse``       reads a command's arguments, from its signature
+``arguments``   arguments that several commands share
+==============  ====================================================================
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from gva_mi.stage1.prepare import PrepareVideoOptions
 
 
 def avatar(
-    recording: Positional[Path],
+    video: Positional[Path],
     video_options: Flat[PrepareVideoOptions] = PrepareVideoOptions(),  # noqa: B008 (frozen)
     effort: Flat[AvatarEffort] = AvatarEffort(),  # noqa: B008 (frozen)
     own_masks: Flat[MaskOptions] = MaskOptions(),  # noqa: B008 (frozen)
@@ -33,7 +33,7 @@ def avatar(
     the steps that depend on them. Each step is also a command of its own.
 
     Args:
-        recording: a video file of one person who turns around once, or a folder of its pictures.
+        video: a video file of one person who turns around once, or a folder of its pictures.
         video_options: what is known about the video.
         effort: how much work is spent on the avatar.
         own_masks: masks that come from another program.
@@ -47,7 +47,7 @@ def avatar(
         overwrite: replace an existing avatar.
     """
     app.avatar(
-        recording, out, video_options, effort, own_masks, person=person, lens=lens, body=body,
+        video, out, video_options, effort, own_masks, person=person, lens=lens, body=body,
         overwrite=overwrite,
     )  # fmt: skip
 

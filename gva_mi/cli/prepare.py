@@ -38,7 +38,7 @@ def prepare(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[PrepareOptions] = PrepareOptions(),  # noqa: B008 (frozen)
-    recording: Flat[PrepareVideoOptions] = PrepareVideoOptions(),  # noqa: B008 (frozen)
+    video_options: Flat[PrepareVideoOptions] = PrepareVideoOptions(),  # noqa: B008 (frozen)
     *,
     overwrite: Switch = False,
 ) -> None:
@@ -50,7 +50,7 @@ def prepare(
             set's folder of one subject. Pickles are read without running their code.
         out: the subject's folder.
         options: pictures, masks, lens and body that belong to the source.
-        recording: what is known about a video.
+        video_options: what is known about a video.
         overwrite: replace a folder that was prepared here.
     """
     if kind not in ("auto", VIDEO_KIND) and kind not in (kinds := {**KINDS, **DATASETS}):
@@ -62,11 +62,11 @@ def prepare(
         if wrong:
             raise InputError(f"prepare: {wrong[0]} is not for a {VIDEO_KIND}")
         app.prepare(
-            source, out, recording, options, person=nth_person(options.person), lens=options.lens,
-            body=options.body, overwrite=overwrite,
+            source, out, video_options, options, person=nth_person(options.person),
+            lens=options.lens, body=options.body, overwrite=overwrite,
         )  # fmt: skip
         return
-    if wrong := given(recording):
+    if wrong := given(video_options):
         raise InputError(f"prepare: {next(iter(wrong.values()))} is for a {VIDEO_KIND}; got {kind}")
     if options.body is None:
         raise InputError("prepare: give --body, the body of the poses: a body file, or built-in")
@@ -84,7 +84,7 @@ def motion(
     source: Positional[Path],
     out: Positional[Path],
     options: Flat[MotionOptions] = MotionOptions(),  # noqa: B008 (frozen)
-    recording: Flat[VideoSource] = VideoSource(),  # noqa: B008 (frozen)
+    video_options: Flat[VideoSource] = VideoSource(),  # noqa: B008 (frozen)
     *,
     lens: str | None = None,
     body: Path | None = None,
@@ -97,7 +97,7 @@ def motion(
             running their code. Or a video: its largest person, or --person.
         out: the poses, .npz.
         options: options of the conversion.
-        recording: for a video: what is known about it, and which part of it is used.
+        video_options: for a video: what is known about it, and which part of it is used.
         lens: for a video: focal length, as 26mm (35 mm equivalent) or in pixels; without it, the
             one that the video records, else it is estimated.
         body: the avatar's body, if it is not the built-in body: its pelvis stays in place when
@@ -108,9 +108,9 @@ def motion(
         raise InputError(f"{out}: a file of poses ends in .npz")
     require_room(out, overwrite)
     target = TargetBody.read(body)
-    of_video = [*given(recording).values(), *(["--lens"] if lens else [])]
+    of_video = [*given(video_options).values(), *(["--lens"] if lens else [])]
     if source.suffix.lower() in VIDEO_FILES:
-        known = PrepareVideoOptions(**vars(recording))
+        known = PrepareVideoOptions(**vars(video_options))
         found = _of_video(source, known, lens, target, options)
     elif of_video:
         raise InputError(
@@ -125,7 +125,7 @@ def motion(
 
 
 def _of_video(
-    recording: Path,
+    video: Path,
     known: PrepareVideoOptions,
     lens: str | None,
     body: TargetBody,
@@ -135,8 +135,8 @@ def _of_video(
     person = nth_person(options.person)
     with bar("motion") as progress:
         found = motion_of_video(
-            recording, known, body.model, person=person, lens=lens, progress=progress
+            video, known, body.model, person=person, lens=lens, progress=progress
         )
     solved, fps = found.solved, found.pictures.fps
-    motion = motion_of_poses(str(recording), solved.pose, solved.shape, fps, body, options)
+    motion = motion_of_poses(str(video), solved.pose, solved.shape, fps, body, options)
     return replace(motion, notes=(*motion.notes, *found.notes))

@@ -83,7 +83,7 @@ class MultiviewChoice:
     give the points, which are accurate to a few centimetres. Prints lengths in millimetres.
     """
 
-    recordings: Positional[Path]  # folder of the videos, named after their cameras
+    videos: Positional[Path]  # folder of the videos, named after their cameras
     calibration: Positional[Path]  # of the cameras, as Pose2Sim, anipose and FreeMoCap write it
     up: Axis = "z"  # axis of the calibration's world
     known_lens: Switch = False  # solve the videos with their true focal lengths
@@ -156,7 +156,7 @@ def _multiview(what: MultiviewChoice) -> None:
     options = PrepareVideoOptions(height=what.height)
     with bar("study") as progress:
         figures = multiview(
-            what.recordings, what.calibration, load_body(), options, axis_of(what.up),
+            what.videos, what.calibration, load_body(), options, axis_of(what.up),
             what.known_lens, progress,
         )  # fmt: skip
     _print(table(pivot(figures, ("subject",), ("region",)), "camera"))

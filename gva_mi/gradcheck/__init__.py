@@ -10,14 +10,15 @@ Every check returns a ``Report``, a list of comparisons with errors and toleranc
 An adjoint is right if <w, J v> = <Jᵀ w, v> for all v and w (the dot-product test: Claerbout, "Earth
 Soundings Analysis", 1992). The checks compare it with tangents, differences and other programs.
 
-==========================  ===========================================================
-``engine.py``               comparisons by all methods, a report, its table and JSON
-``probes.py``               directions, tangents and finite differences
-``splat.py``                a renderer against the reference implementation; its pictures
-``avatar.py``               an avatar from pose to picture
-``normals.py``              ``mesh_normals`` by the body's pose, against ``scanlines.py``
-                            and the interior in ``moving_mesh.py``
-==========================  ===========================================================
+===============  ===================================================================
+``engine``       comparisons by all methods, a report, its table and JSON
+``probes``       directions, tangents and finite differences
+``splat``        a renderer against the reference implementation; its pictures
+``avatar``       an avatar from pose to picture
+``normals``      ``mesh_normals`` by the body's pose, against the next two
+``scanlines``    reference of the boundary
+``moving_mesh``  reference of the interior
+===============  ===================================================================
 
 Importing this package needs only drjit, numpy and torch; import ``avatar`` and ``normals`` by name.
 """

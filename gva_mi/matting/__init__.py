@@ -2,10 +2,10 @@
 
 A network knows roughly where the person is. The pictures show exactly where the outline runs.
 
-================  ==================================================================================
-:mod:`.masks`     all masks of a video, by the smoothest outline and its soft pixels: start here
-:mod:`.camera`    the working grid around the person, and the camera's motion
-:mod:`.plate`     the background without the person, gathered over the whole video
-:mod:`.odds`      log odds of each pixel, person against background, by colours and shadows
-================  ==================================================================================
+==========  ========================================================================
+``masks``   all masks of a video, by the smoothest outline and its soft pixels: start here
+``camera``  the working grid around the person, and the camera's motion
+``plate``   the background without the person, gathered over the whole video
+``odds``    log odds of each pixel, person against background, by colours and shadows
+==========  ========================================================================
 """

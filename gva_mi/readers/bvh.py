@@ -270,7 +270,7 @@ class _NamedTree:
     def __init__(self, names: list[str], parents: list[int]) -> None:
         self.names, self.parents = names, parents
         number = {name: k for k, name in enumerate(names) if name}
-        self.twin = {
+        self.opposite = {
             k: number[other]
             for name, k in number.items()
             # The name with right for left, or with each of its letters l in turn as an r.
@@ -278,13 +278,13 @@ class _NamedTree:
                 f"{name[:at]}r{name[at + 1 :]}" for at, letter in enumerate(name) if letter == "l"))
             if other != name and other in number
         }  # fmt: skip
-        self.sided = {*self.twin, *self.twin.values()}
+        self.sided = {*self.opposite, *self.opposite.values()}
 
     def both(self, words: Sequence[str]) -> tuple[int, int] | tuple[None, None]:
-        """Return the first left joint named by any of ``words``, and its twin on the right."""
-        fit = (k for word in words for k in sorted(self.twin) if word in self.names[k])
+        """Return the first left joint named by any of ``words``, and its opposite on the right."""
+        fit = (k for word in words for k in sorted(self.opposite) if word in self.names[k])
         found = min((k for k in fit if not _HELPER_BONE.search(self.names[k])), default=None)
-        return (None, None) if found is None else (found, self.twin[found])
+        return (None, None) if found is None else (found, self.opposite[found])
 
     def first(self, word: str) -> int | None:
         """Return the first joint without a side that is named by a word."""

@@ -14,8 +14,7 @@ WHAM's. Then::
 
 1. ``recognises`` looks for names that no other program's files have: :mod:`.source_files`.
 2. ``people`` and ``lens`` are functions of :mod:`.estimator_layouts`; if none fits, add one there.
-3. ``arrays`` has the file's name for each of ours, which :data:`.body_arrays.ARRAY_NAMES` lists,
-and
+3. ``arrays`` has the file's name for each of ours (:data:`.body_arrays.ARRAY_NAMES`), and
    ``poses`` for all joints in a row. Without it, the names of that table are read.
 4. ``docs/sources.md`` gets a row, and ``WRITTEN`` in ``tests/samples/estimates.py`` a file to test.
 
@@ -93,7 +92,7 @@ class Estimator:
     from_mean_hand: bool = False
     # Whether positions depend on the size of the video's pictures: then a file alone is no motion.
     needs_video: bool = False
-    # The axis that is up: one of world.UP_AXES, "-y" in the camera's axes; None: any.
+    # The axis that is up: one of up_axis.UP_AXES, "-y" in the camera's axes; None: any.
     up: str | None = "-y"
     # The number of the first frame; None: that in its picture's name.
     first_number: int | None = 0

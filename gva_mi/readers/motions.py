@@ -7,7 +7,8 @@ were lost; angles of more than half a turn; and any axis may be up.
 
 An estimator's motion is in world axes if its file holds them. Otherwise it is in camera axes, and
 the camera is assumed to stand still. If each frame has a lens of its own, all get one usual lens
-(:func:`.lens.usual_lens`). An estimator whose positions depend on the video's size is refused.
+(:func:`gva_mi.subject.lens.usual_lens`). An estimator whose positions depend on the video's size is
+refused.
 """
 
 from __future__ import annotations

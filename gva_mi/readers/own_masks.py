@@ -56,7 +56,8 @@ def write_own_masks(
 
     Args:
         writer: of the subject.
-        source: what :func:`.footage.masks` reads, a mask for each picture of the video file.
+        source: what :func:`gva_mi.subject.footage.masks` reads, a mask for each picture of the
+            video file.
         numbers: T numbers of the used pictures in the video file, ascending.
         size: (W, H) of the used pictures, which may be smaller than the masks.
         probabilities: T maps (H, W) 8-bit by a network, which reveal masks of another video.

@@ -7,7 +7,7 @@ translation t becomes
     t' = W (p + t) − p',
 
 where p' is the pelvis of the target body. Both pelvises are at rest and have the person's betas
-(:meth:`.TargetBody.pelvises`).
+(:meth:`gva_mi.readers.target_body.TargetBody.pelvises`).
 """
 
 from __future__ import annotations

@@ -1,18 +1,23 @@
 """3D Gaussian splatting on Dr.Jit's LLVM backend: forward, adjoint and tangent, float32 and 64.
 
-Usable alone:
+Usable alone: ``render(gaussians, camera)`` draws torch tensors, differentiably.
 
-* ``render(gaussians, camera)`` draws torch tensors, differentiably; for Dr.Jit tensors use
-  :func:`gva_mi.splat.drjit_render.render`.
-* ``rasterization(...)`` has gsplat's signature, and its ``meta``.
+==================  ================================================================
+``camera``          the camera, and all conventions about axes and pixels
+``gaussians``       ``Gaussians``, the input, and ``Image``, the output
+``options``         cut-offs, for the kernels and the reference implementation
+``torch_render``    ``render`` on torch tensors, in autograd and torch.func
+``torch_passes``    forward, adjoint and tangent on torch tensors; ``Screen``
+``drjit_render``    ``render`` on Dr.Jit tensors
+``gsplat``          ``rasterization``, with gsplat's signature and its ``meta``
+``kernels``         the kernels, in the order in which to read them
+``reference``       the reference implementation, in float64 torch
+``scene``           scenes to test and to measure with
+``axes``            half a turn between files and the world; axes of a covariance
+``formats``         .ply, .spz and .splat
+==================  ================================================================
 
-Read kernels/ in this order: lens.py (where a point falls in the picture), ellipse.py (a Gaussian's
-shape there), sh.py (its colour), project.py (all three, for all Gaussians), tiles.py (which
-Gaussians touch which tile), pixel.py (one pixel meets one Gaussian), blend.py (the loops around
-it), passes.py (forward, adjoint, tangent).
-
-Checks: reference.py is the reference implementation, gradcheck/ compares the kernels with it and
-with other methods, and scene.py holds the scenes.
+:mod:`gva_mi.gradcheck` compares the kernels with the reference implementation and other methods.
 
 Importing this package imports Dr.Jit and numpy; torch is imported with the first use of ``render``,
 ``rasterization`` or ``Screen``.

@@ -213,9 +213,11 @@ class Camera:
             scale = 1 / x[..., 2]
         elif self.model == "ortho":
             scale = np.ones_like(x[..., 2])
-        else:
+        elif self.model == "fisheye":
             r = np.maximum(np.hypot(x[..., 0], x[..., 1]), 1e-12)
             scale = np.arctan2(r, x[..., 2]) / r
+        else:
+            raise ValueError(f"Camera.project: unknown camera model {self.model!r}")
         u = self.fx * x[..., 0] * scale + self.cx
         v = self.fy * x[..., 1] * scale + self.cy
         return np.stack([u, v], axis=-1)

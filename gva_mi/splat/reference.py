@@ -222,9 +222,11 @@ def picture_point(x: Tensor, K: Tensor, model: CameraModel) -> Tensor:
         p = x[:2] / x[2]
     elif model == "ortho":
         p = x[:2]
-    else:
+    elif model == "fisheye":
         r = x[:2].norm()
         p = x[:2] * torch.atan2(r, x[2]) / r
+    else:
+        raise ValueError(f"picture_point: unknown camera model {model!r}")
     return torch.diagonal(K)[:2] * p + K[:2, 2]
 
 

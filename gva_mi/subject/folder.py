@@ -110,7 +110,10 @@ class SubjectWriter:
         save_cameras(self.folder / CAMERAS, cameras)
 
     def poses(self, pose: Pose, shape: Shape, stage: int, offsets: Tensor | None = None) -> None:
-        """Write ``poses.npz``; ``stage`` is 1, or 0 for ground truth: :class:`.PoseFile`."""
+        """Write ``poses.npz`` (:class:`gva_mi.body.pose.PoseFile`).
+
+        ``stage`` is 1, or 0 for ground truth.
+        """
         save_poses(self.folder / POSES, pose, shape, stage=stage, offsets=offsets)
 
     def refined_poses(self, pose: Pose, shape: Shape, offsets: Tensor | None) -> None:

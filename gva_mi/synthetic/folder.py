@@ -6,12 +6,12 @@
 Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
 white, in the light of the room. ``phone.mp4`` is the video that a phone would make in a room.
 
-Files outside ``truth`` are estimates of a pipeline (see ``estimates``), cameras included, whose
-focal length may be wrong. All in ``truth`` is exact:
+Files outside ``truth`` are estimates of a pipeline (see ``errors/pipeline``), cameras included,
+whose focal length may be wrong. All in ``truth`` is exact:
 
 ======================  ========================================================================
 ``poses.npz``           poses of the body that was drawn
-``body.npz``            this body, if it is not the fitted one, see ``foreign_body``
+``body.npz``            this body, if it is not the fitted one, see ``person/stretched_body``
 ``cameras.npz``         the true cameras
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gva_mi.app.whole import Step, StepFolder
+from gva_mi.app.pipeline import Step, StepFolder
 from gva_mi.core.errors import InputError
 
 MARKER = "about.json"

@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from samples.importer_seeds import importers
 from samples.mutations import mutated
+from samples.reader_seeds import readers
 from samples.seeds import seeds as good_files
 
 from gva_mi.core.errors import InputError
@@ -28,7 +28,7 @@ QUICK, THOROUGH = 12, 400  # files for each reader
 @pytest.fixture(scope="module")
 def seeds(subject, known):
     """For each reader, a function that writes its good files and one that reads them."""
-    return good_files(subject, known) | importers()
+    return good_files(subject, known) | readers()
 
 
 @contextmanager

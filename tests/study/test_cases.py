@@ -20,9 +20,9 @@ BOTH = pytest.mark.parametrize(
 
 
 def test_held_out_sets_share_no_subject_and_no_draw_and_are_alike_in_all_else():
-    editions = [TUNING, *(held_out(n) for n in (1, 2, 3, 1000))]
-    for k, some in enumerate(editions):
-        for others in editions[:k]:
+    case_sets = [TUNING, *(held_out(n) for n in (1, 2, 3, 1000))]
+    for k, some in enumerate(case_sets):
+        for others in case_sets[:k]:
             assert not {c.take.person for c in some} & {c.take.person for c in others}
             assert not {c.draw for c in some} & {c.draw for c in others}
     alike = lambda c: (c.kind_of_errors, c.take.motion, c.take.figure, c.take.outfit, c.take.bare)

@@ -101,7 +101,7 @@ def test_a_damaged_video_is_refused(tmp_path):
     path = tmp_path / "video.mp4"
     write_video(path, (shown(k) for k in range(COUNT)))
     recording = VideoFile(path, kept=0)
-    path.write_bytes(b"no film at all" * 10)
+    path.write_bytes(b"no video at all" * 10)
     with pytest.raises(InputError, match="cannot be decoded as a video"):
         recording[3]
     with pytest.raises(InputError, match="cannot be decoded as a video"):

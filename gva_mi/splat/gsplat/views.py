@@ -191,6 +191,8 @@ def _projection(view: GsplatView) -> Callable[[Tensor, Tensor, Tensor], tuple[Te
             return f * x[:, :2] / z + c, depths
         if model == "ortho":
             return f * x[:, :2] + c, depths
+        if model != "fisheye":
+            raise ValueError(f"rasterization: unknown camera model {model!r}")
         squared = x[:, :2].square().sum(dim=-1, keepdim=True)
         on_axis = squared < SERIES_MAX_Q * z * z
         r = sqrt(torch.where(on_axis, 1, squared))

@@ -1,4 +1,4 @@
-"""The pictures of a film at an even rate: which, how many, how large, in which order."""
+"""The pictures of a video at an even rate: which, how many, how large, in which order."""
 
 import struct
 from fractions import Fraction
@@ -123,7 +123,7 @@ def test_a_folder_in_natural_order_turned_upright(tmp_path):
 def test_what_is_no_video_is_refused_in_a_sentence(tmp_path):
     good = recording(tmp_path / "a.mp4", np.arange(20) / 25)
     (tmp_path / "cut.mp4").write_bytes(good.read_bytes()[:-200])
-    (tmp_path / "words.mp4").write_text("no film at all")
+    (tmp_path / "words.mp4").write_text("no video at all")
     (tmp_path / "empty").mkdir()
     for name, words in {
         "cut.mp4": "cannot be decoded as a video", "words.mp4": "cannot be decoded as a video",

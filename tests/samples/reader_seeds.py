@@ -1,4 +1,4 @@
-"""Good files of estimators, data sets and networks: those by which their readers are tested.
+"""Good files of estimators, data sets and networks, to test their readers with.
 
 Folders of several cameras hold out views, so that the files of all of their cameras are read.
 """
@@ -17,8 +17,8 @@ from samples.estimates import WRITTEN
 from samples.networks import onnx_file
 
 
-def importers():
-    """All of them by name."""
+def readers():
+    """Return how to write the good files of each reader, and the reader, by name."""
     built_in = TargetBody.read(None)
     rotations = np.full((filmed.FRAMES, 55, 3), 0.1)
     rotations[:, 0] = [np.pi, 0, 0]

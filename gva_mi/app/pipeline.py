@@ -109,7 +109,7 @@ class AvatarEffort:
 
 
 def avatar(
-    recording: Path | str,
+    video: Path | str,
     out: Path | str,
     options: PrepareVideoOptions = PrepareVideoOptions(),  # noqa: B008 (frozen)
     effort: AvatarEffort = AvatarEffort(),  # noqa: B008 (frozen)
@@ -126,7 +126,7 @@ def avatar(
     steps that depend on them.
 
     Args:
-        recording: a video file of one person who turns around once, or a folder of its pictures.
+        video: a video file of one person who turns around once, or a folder of its pictures.
         out: the folder.
         options, own_masks, person, lens: as for :func:`gva_mi.app.prepare`.
         effort: how much work is spent.
@@ -138,17 +138,17 @@ def avatar(
         Traceback (most recent call last):
         gva_mi.core.errors.InputError: no_such_video.mp4: no such video file or folder of pictures
     """
-    recording, out = Path(recording), Path(out)
-    if not recording.exists():
-        raise InputError(f"{recording}: no such video file or folder of pictures")
+    video, out = Path(video), Path(out)
+    if not video.exists():
+        raise InputError(f"{video}: no such video file or folder of pictures")
     model = load_body(body)  # a bad file is refused before any work
-    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {recording.name}"
+    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {video.name}"
     refining, fitting = effort.refining(options.height), effort.fitting()
     refined, findings = subject / REFINED_POSES, subject / FINDINGS
 
     def prepare_anew(begun: bool) -> None:
         prepare(
-            recording, subject, options, own_masks, person=person, lens=lens, body=body,
+            video, subject, options, own_masks, person=person, lens=lens, body=body,
             overwrite=True,
         )  # fmt: skip
 
@@ -170,7 +170,7 @@ def avatar(
 
     # Files that each step reads and writes: a step is run again if what it reads has changed.
     body_files = [] if body is None else [body]
-    inputs = [recording, *body_files, *filter(None, vars(own_masks).values())]
+    inputs = [video, *body_files, *filter(None, vars(own_masks).values())]
     parts = (FRAMES, MASKS, CAMERAS, LANDMARKS, POSES, PREPARED)
     prepared = [*body_files, *(subject / name for name in parts)]
     before_fit = [*prepared, subject / SPLITS, refined]
@@ -187,7 +187,7 @@ def avatar(
         Step("evaluate", "avatar", None, [*before_fit, *fitted], measured, evaluate_anew),
         Step("report", "avatar", None, [*before_fit, *fitted, findings, *measured], [page], report),
     ]  # fmt: skip
-    source = stamp(files_of(recording) or [recording])
+    source = stamp(files_of(video) or [video])
     with folder_lock(out, "gva-mi avatar"):
         StepFolder(out, VIDEO_MARKER, source, overwrite).follow(steps)
     say(f"avatar: {run / run_folder.AVATAR}")

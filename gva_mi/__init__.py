@@ -28,7 +28,7 @@ Dr.Jit and Mitsuba 3. Equation numbers are the printed paper's. From the bottom 
 ``cli``         the command line
 ==============  ====================================================================
 
-Importing ``gva_mi`` imports nothing heavy: it only chooses the libLLVM that Dr.Jit is going to load.
+Importing ``gva_mi`` imports nothing heavy: it only chooses the libLLVM that Dr.Jit will load.
 """
 
 from gva_mi.core.errors import InputError

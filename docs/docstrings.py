@@ -15,12 +15,13 @@ from griffe import Attribute, Docstring, Extension, Object
 _RULE = re.compile(r"^ *=+( +=+)+ *$")
 _ROLE = re.compile(r":\w+:`~?([^`]*)`")
 _NAMES = re.compile(r"(\w+(?:,\s+\w+)+):\s+(.*)", re.DOTALL)  # of several arguments
+_EXAMPLE = re.compile(r"^Example:$", re.MULTILINE)  # griffe shows programs under Examples
 _NO_WORDS = ("noqa", "fmt:", "type:")  # comments that are for tools
 
 
 def markdown(text: str) -> str:
     """Convert a docstring to Markdown."""
-    text = arguments_apart(_ROLE.sub(r"`\1`", text))
+    text = arguments_apart(_EXAMPLE.sub("Examples:", _ROLE.sub(r"`\1`", text)))
     lines, at = [], 0
     source = text.split("\n")
     while at < len(source):

@@ -109,6 +109,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     sources = lessons | set(AT_THE_TOP)
     pages = [(Path(f.abs_src_path).parent, f.content_string) for f in files.documentation_pages()]
     pages += [(ROOT / "notebooks", shown(lesson)) for lesson in lessons]
+    pages += [(ROOT, (ROOT / page).read_text()) for page in AT_THE_TOP]
     for folder, text in pages:
         found = (source_of(folder, link) for link in links(text))
         sources.update(source for source in found if source)

@@ -9,6 +9,7 @@ import torch
 from drjit.llvm.ad import TensorXf64
 
 from gva_mi.splat.camera import Camera, look_at
+from gva_mi.splat.reference import picture_point
 
 
 def camera(**changes):
@@ -80,3 +81,13 @@ def test_cameras_with_the_same_numbers_are_equal():
     others = [replace(camera, model="ortho"), replace(camera, fx=10.5), moved]
     assert camera == same and hash(camera) == hash(same)
     assert len({camera, same, *others}) == 4 and camera != 1
+
+
+def test_a_model_without_a_formula_is_refused():
+    """And is not drawn as the last one."""
+    camera = Camera(50, 50, 32, 32, np.eye(4), 64, 64)
+    object.__setattr__(camera, "model", "new")
+    with pytest.raises(ValueError, match="unknown camera model 'new'"):
+        camera.project(np.ones((1, 3)))
+    with pytest.raises(ValueError, match="unknown camera model 'new'"):
+        picture_point(torch.ones(3), torch.eye(3), "new")

@@ -23,7 +23,7 @@ import torch
 from drjit import ArrayBase as Array
 from torch import Tensor
 
-from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.cpu import quiet_openmp
 from gva_mi.jit import packets
 from gva_mi.jit.frozen import exclusive
 from gva_mi.jit.tensors import PRECISION, tensor_of, to_drjit
@@ -81,7 +81,7 @@ class Drawn:
 
 
 @exclusive
-@one_torch_thread()
+@quiet_openmp()
 def draw(
     given: Tensors, camera: Camera, options: SplatOptions, harmonics: bool, screen: Screen | None
 ) -> Drawn:
@@ -103,7 +103,7 @@ def draw(
 
 
 @exclusive
-@one_torch_thread()
+@quiet_openmp()
 def adjoint(
     tensors: Tensors, grads: Images, drawn: Drawn, requested: RequestedGradients
 ) -> Tensors:
@@ -139,7 +139,7 @@ def adjoint(
 
 
 @exclusive
-@one_torch_thread()
+@quiet_openmp()
 def tangent(given: Tensors, drawn: Drawn) -> Images:
     """Compute dy from dx; None is zero."""
     _refuse_batches(*given)

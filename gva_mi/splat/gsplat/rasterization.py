@@ -14,7 +14,7 @@ from typing import Any, Literal, NoReturn, get_args
 import torch
 from torch import Tensor
 
-from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.cpu import quiet_openmp
 from gva_mi.core.errors import InputError
 from gva_mi.jit.frozen import exclusive
 from gva_mi.jit.tensors import not_compiled
@@ -149,7 +149,7 @@ def flat(tensor: Tensor, axes: int) -> list[Tensor]:
 
 @not_compiled
 @exclusive
-@one_torch_thread()
+@quiet_openmp()
 def rasterization(
     means: Tensor,
     quats: Tensor | None,

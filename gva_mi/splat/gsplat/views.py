@@ -25,7 +25,7 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 from torch.func import vjp
 
-from gva_mi.core.cpu import one_torch_thread, sqrt
+from gva_mi.core.cpu import quiet_openmp, sqrt
 from gva_mi.jit.frozen import exclusive
 from gva_mi.jit.tensors import not_compiled
 from gva_mi.splat.camera import Camera
@@ -85,7 +85,7 @@ class ProjectMeans(torch.autograd.Function):
     @staticmethod
     @not_compiled
     @exclusive
-    @one_torch_thread()  # retain_grad has just copied a gradient, on all threads
+    @quiet_openmp()  # retain_grad has just copied a gradient, on all threads
     def backward(
         ctx: FunctionCtx,
         grad: Tensor | None,

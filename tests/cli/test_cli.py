@@ -213,7 +213,7 @@ def test_every_number_outside_its_range_is_refused_under_its_name(verb, words, c
         parse(load(verb), verb, ["--help"])
     help_text = capsys.readouterr().out
     options = re.findall(r"(--[\w.-]+) [^\s\w]*(?:None[^\s\w]*)?(?:INT|FLOAT) ", help_text)
-    assert len(options) > 5
+    assert len(options) > 1
     for turn, option in enumerate(options):
         bad = ("nan", "inf", "-inf", "1e30", "-1e30", "1" + 20 * "0")[turn % 6]
         with pytest.raises(InputError) as error:

@@ -150,8 +150,10 @@ def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
 
 INTERRUPTED = """
 import os, signal, sys, threading
-import gva_mi.cli.{verb}
 from gva_mi.__main__ import run
+from gva_mi.cli import load
+
+load("{verb}")  # imported before the signal
 sys.argv = ["gva-mi", *sys.argv[1:]]
 threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 run()

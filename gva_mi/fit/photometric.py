@@ -222,7 +222,7 @@ def fit_poses(
     frames: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> FittedPoses:
-    """Fit the poses of some frames to their pictures, seen through a fixed avatar.
+    """Fit the poses of the given frames to their pictures, seen through a fixed avatar.
 
     The result is reproducible to the bit.
 

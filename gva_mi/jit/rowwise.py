@@ -69,7 +69,7 @@ def flat_array(tensor: Tensor) -> Array:
 
 
 def load_columns(numbers: Array, width: int, row: Array) -> Lane:
-    """Load the columns of some rows from a flat array of rows."""
+    """Load the columns of the given rows from a flat array of rows."""
     part = _packet(width)
     packets = range(width // part)
     return [x for k in packets for x in load_rows(numbers, part, row * len(packets) + k)]

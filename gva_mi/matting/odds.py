@@ -27,7 +27,7 @@ shares in deep and in faint shadow,
 4. ``w = deep / (deep + faint + FEW_SHADOWS)``
 
 **Colours.** A head and a shoe share few colours, and so do wall and floor. The density of a colour
-is counted in bins of RGB, once for all heights and once for each of some bands from top to bottom,
+is counted in bins of RGB, once for all heights and once per band from top to bottom,
 and blurred, because few colours are seen exactly again.
 """
 

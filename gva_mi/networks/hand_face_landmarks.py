@@ -255,7 +255,7 @@ def _square_around_face(mesh: np.ndarray) -> TurnedSquare:
 
 
 def _at(body: SeenBody, *names: str) -> np.ndarray:
-    """Return the middle of some landmarks of a body (2,)."""
+    """Return the mean of the given landmarks of a body (2,)."""
     return body.points[[BODY_LANDMARKS.index(name) for name in names]].mean(0)
 
 

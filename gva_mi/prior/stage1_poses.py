@@ -1,4 +1,4 @@
-"""Stage-1 poses of some frames, and the rotations between the camera's axes and the joints'."""
+"""Stage-1 poses of chosen frames, and the rotations between the camera's axes and the joints'."""
 
 from __future__ import annotations
 

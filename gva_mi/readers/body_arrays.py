@@ -169,7 +169,7 @@ def is_numbers(x: Any) -> bool:  # noqa: ANN401
 
 
 def listed_names(names: Sequence[str]) -> str:
-    """Return the first of some names, and how many more there are."""
+    """Return the first of the given names, and how many more there are."""
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return ", ".join(names[:12]) + more
 

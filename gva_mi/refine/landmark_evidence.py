@@ -116,7 +116,7 @@ class SeenLandmarks:
         )
 
     def part(self, frames: range) -> SeenLandmarks:
-        """Return the landmarks of some consecutive frames."""
+        """Return the landmarks of consecutive frames."""
         some = slice(frames.start, frames.stop)
         cut = {name: getattr(self, name)[some] for name in _OF_FRAMES}
         return replace(self, **cut)

@@ -143,7 +143,7 @@ class ObservedVideo:
     def clip(
         self, frames: Sequence[int], first: int, pose: Pose, first_round: Solution | None = None
     ) -> ObservedClip:
-        """Return what was observed of some frames.
+        """Return what was observed of the given frames.
 
         Args:
             frames: their numbers.

@@ -151,7 +151,7 @@ def descend(
     """Minimise eq. 1; the leaves ``evidence.shared`` are moved in place.
 
     Args:
-        evidence: of some of the frames.
+        evidence: of a subset of the frames.
         start: poses of all T frames, which are corrected.
         arms: (J,) lever arms of the person's joints, metres.
         options: weights, passes, learning rates and the seed.

@@ -81,7 +81,7 @@ class StudyVideos:
     def make(
         self, cases: Sequence[StudyCase], body: BodyModel, progress: Progress | None = None
     ) -> None:
-        """Make the missing videos of some cases."""
+        """Make the missing videos of the given cases."""
         for case in cases:
             take, subject = self.folder / "takes" / self._name(case.take), self.subject(case)
             options = self.options

@@ -55,7 +55,7 @@ class Landmarks:
         return len(self.pixels)
 
     def indices(self, names: Sequence[str]) -> list[int]:
-        """Return the positions of some names in :attr:`names`."""
+        """Return the positions of the given names in :attr:`names`."""
         return [list(self.names).index(name) for name in names]
 
     def save(self, path: Path) -> None:

@@ -116,7 +116,7 @@ class Video:
         return Frame(index, image, mask, normals, camera, pose)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
-        """Yield the frames of some indices, or all frames; files are read ahead."""
+        """Yield the frames of the given indices, or all frames; files are read ahead."""
         indices = range(len(self)) if indices is None else indices
         read = map if self._images else on_all_cores
         return read(self.__getitem__, indices)

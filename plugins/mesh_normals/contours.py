@@ -153,7 +153,7 @@ class _EdgesOnImage:
         return _EdgesOnImage(**{k: dr.gather(type(x), x, edge) for k, x in arrays.items()})
 
     def length(self, edge: mi.UInt32) -> mi.Float:
-        """Return the lengths of some edges on the image, pixels (S,)."""
+        """Return the lengths of the given edges on the image, pixels (S,)."""
         a, b = (dr.gather(mi.Point2f, point, edge) for point in (self.a, self.b))
         share = dr.gather(mi.Float, self.t1, edge) - dr.gather(mi.Float, self.t0, edge)
         return dr.norm(b - a) * share

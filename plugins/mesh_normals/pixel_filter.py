@@ -112,7 +112,7 @@ class PixelFilter:
         return [dr.block_sum(x, self.spp) / self.spp for x in samples]
 
     def spread(self, grads: list[mi.Float], rays: mi.UInt32) -> list[mi.Float]:
-        """Convert gradients of pixels (H W,) to gradients of some samples (R,), eq. 3."""
+        """Convert gradients of pixels (H W,) to gradients of samples (R,), eq. 3."""
         pixel = rays // self.spp
         if self.steps == 0:
             return [dr.gather(mi.Float, grad, pixel) / self.spp for grad in grads]

@@ -123,7 +123,7 @@ class Channels:
 
 @dataclass(frozen=True)
 class RayHits:
-    """The first hits of some rays."""
+    """The first hits of rays."""
 
     ray: mi.Ray3f  # (R,)
     face: mi.UInt32  # (R,) 0 where nothing is hit

@@ -66,11 +66,11 @@ class MeshSurface:
         return self._at_corners(self.positions)
 
     def vertices_of(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.UInt32]:
-        """Return the vertices of some faces, three (S,)."""
+        """Return the vertices of the given faces, three (S,)."""
         return [dr.gather(mi.UInt32, vertex, face, active) for vertex in self.topology.vertices]
 
     def corners_of(self, face: mi.UInt32, active: mi.Bool = True) -> list[mi.Vector3f]:
-        """Return the corners of some faces, three (S,) world."""
+        """Return the corners of the given faces, three (S,) world."""
         vertices = self.vertices_of(face, active)
         return [dr.gather(mi.Vector3f, self.positions, i, active) for i in vertices]
 
@@ -171,7 +171,7 @@ class MeshSurface:
         return [dr.gather(mi.UInt32, normal, face, active) for normal in self.topology.normals]
 
     def _at(self, face: mi.UInt32, active: mi.Bool) -> list[mi.Vector3f]:
-        """Return corners and shading normals of some faces: p_0, p_1, p_2, n_0, n_1, n_2."""
+        """Return corners and shading normals of the given faces: p_0, p_1, p_2, n_0, n_1, n_2."""
         n = [dr.gather(mi.Vector3f, self.normals, i, active) for i in self._normals(face, active)]
         return self.corners_of(face, active) + n
 

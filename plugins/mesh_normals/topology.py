@@ -367,7 +367,7 @@ def _edges(corners: _Corners, sides_of_faces: Sides) -> dict[str, object]:
     counts = np.diff(begins, append=len(order))
 
     def at_ends(numbers: np.ndarray, side: np.ndarray) -> np.ndarray:
-        """Return a numbering of corners at both ends of some sides, the lower point first."""
+        """Return a numbering of corners at both ends of sides, the lower point first."""
         face, k = side // 3, side % 3
         pair = np.stack([numbers[face, k], numbers[face, head[k]]], axis=1)
         return np.where(forward[side][:, None], pair, pair[:, ::-1])

@@ -1,4 +1,4 @@
-"""Actions: rotations of some joints in place of the A-pose, with a gesture of each hand."""
+"""Actions: rotations of a few joints in place of the A-pose, with a gesture of each hand."""
 
 from __future__ import annotations
 

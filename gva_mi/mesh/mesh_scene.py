@@ -74,7 +74,7 @@ class MeshScene:
 
         Args:
             faces: (F, 3) integers, counter-clockwise seen from outside.
-            vertices: (V, 3) any positions; vertices that coincide must be equal here.
+            vertices: (V, 3) any positions.
         """
         load_plugins()
         import mitsuba as mi

@@ -52,7 +52,7 @@ from gva_mi_plugins.mesh_normals.pixel_filter import MultiCrop, PixelFilter, Til
 from gva_mi_plugins.mesh_normals.projection import SensorProjection
 from gva_mi_plugins.mesh_normals.rays import Channels, RayCaster
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
-from gva_mi_plugins.mesh_normals.topology import Topology, meshes_of, without_ellipsoids
+from gva_mi_plugins.mesh_normals.topology import Topology, Welds, meshes_of, without_ellipsoids
 
 
 class MeshNormals(mi.ad.integrators.common.ADIntegrator):
@@ -88,7 +88,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         for name in ("edge_density", "pixel_aspect"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"mesh_normals: {name} must be positive")
-        self._topology: tuple[list[mi.UInt32], Topology] | None = None
+        self._topology: Topology | None = None
 
     def view(
         self,
@@ -208,17 +208,18 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         )
 
     def _surface(self, meshes: list[mi.Mesh], positions: mi.Vector3f) -> MeshSurface:
-        """Return the meshes at a place; the topology is built again only when faces changed."""
-        faces = [mesh.faces_buffer() for mesh in meshes]
-        known = None if self._topology is None else [x.index for x in self._topology[0]]
-        if known != [x.index for x in faces]:
-            self._topology = (faces, Topology.of(meshes))
-        surface = MeshSurface.of(self._topology[1], positions)
-        flat = surface.flat_faces() if self.flat_faces else surface.topology.flat
-        if not np.array_equal(flat, surface.topology.flat):
-            self._topology = (faces, Topology.of(meshes, flat))
-            surface = replace(surface, topology=self._topology[1])
-        return surface
+        """Return the meshes at a place; the topology is built again only when it has changed."""
+        topology = self._topology
+        earlier = {} if topology is None else {mesh.key: mesh for mesh in topology.welds}
+        welds = tuple(Welds.of(mesh, earlier) for mesh in meshes)
+        if topology is None or welds != topology.welds:
+            topology = Topology.of(welds)
+        surface = MeshSurface.of(topology, positions)
+        flat = surface.flat_faces() if self.flat_faces else topology.flat
+        longest = surface.longest_sides(flat)
+        same = np.array_equal(flat, topology.flat) and np.array_equal(longest, topology.longest)
+        self._topology = topology if same else Topology.of(welds, flat, longest)
+        return replace(surface, topology=self._topology)
 
 
 def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.Sensor, int]:

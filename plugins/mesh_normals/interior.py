@@ -130,7 +130,7 @@ def _points_on_triangles(caster: RayCaster) -> tuple[mi.UInt32, mi.Point2f]:
     q, _ = projection.pixel(x)
     w = projection.depth(x)
     candidate = projection.is_inside(q) & (w > projection.near)
-    if surface.topology.is_closed:
+    if surface.is_solid:
         candidate &= faces_sensor  # the others are behind them
     dr.eval(q, w, faces_sensor, candidate)
     face = dr.compress(candidate)

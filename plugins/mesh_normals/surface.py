@@ -83,6 +83,26 @@ class MeshSurface:
         least = AREA_ROUNDING * side * dr.maximum(dr.maximum(reach[0], reach[1]), reach[2])
         return np.array(dr.compress(dr.norm(self.face_normals) <= least)).astype(np.int64)
 
+    def longest_sides(self, flat: np.ndarray) -> np.ndarray:
+        """Return the longest side of those of some faces that have three corners, longest first."""
+        if len(flat) == 0:
+            return flat
+        points = np.stack([np.array(point)[flat] for point in self.topology.points], axis=1)
+        three = (points != np.roll(points, 1, axis=1)).all(1)
+        corners = np.array(self.positions).T[points[three]]
+        length = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
+        order = np.argsort(-length.max(1), kind="stable")
+        return (3 * flat[three] + length.argmax(1))[order]
+
+    @cached_property
+    def is_solid(self) -> bool:
+        """Return whether all meshes are closed and wound outward: no volume is negative."""
+        if not self.topology.is_closed:
+            return False
+        from_origin = np.array(dr.dot(self.corners[0], self.face_normals), np.float64)
+        ends = np.cumsum([len(mesh.faces) for mesh in self.topology.welds])
+        return all(volumes.sum() >= 0 for volumes in np.split(from_origin, ends))
+
     def tangent(self, d_positions: mi.Vector3f) -> mi.Vector3f:
         """Return the motion of the shading normals (N,) as positions (V,) move (eq. 1, 2)."""
         p, dp = self.corners, self._at_corners(d_positions)

@@ -1,14 +1,17 @@
-"""Topology of meshes, independent of positions: corners, normals, edges and faces.
+"""Topology of meshes: corners, normals, edges and faces.
 
-Built once for the meshes of a scene, with numpy; the arrays are Mitsuba's. Names and sizes: ``V``
-vertices of all meshes one after the other, ``F`` faces, ``E`` edges, ``N`` shading normals; corner
-``k`` of face ``f`` is corner ``3 f + k``.
+Built with numpy for the meshes of a scene; the arrays are Mitsuba's. It follows from the faces,
+from :class:`Welds` and from the faces without area. These are compared for every image, and the
+topology is built again when one of them has changed: no image depends on the images before it.
+
+Names and sizes: ``V`` vertices of all meshes one after the other, ``F`` faces, ``E`` edges, ``N``
+shading normals; corner ``k`` of face ``f`` is corner ``3 f + k``.
 
 Three numberings of a corner:
 
 * *vertex*: the entry in the vertex buffer, which carries position and gradient;
 * *point*: vertices of one mesh at the same place are one point. Files split vertices along texture
-  seams; an edge between split vertices is no border, and must not count as one;
+  seams; an edge between split vertices is no border until they move apart;
 * *normal*: corners that share a shading normal. A smooth mesh has one for each point, except where
   a file says that an edge is hard, a faceted one for each face.
 
@@ -26,13 +29,13 @@ the two others, where the edge of one neighbour was split. If the longest side h
 normals are averages over faces, so that they move with the vertices. Where a file splits a vertex,
 the normals of the file tell the reason: they are equal along a seam of textures, and differ along a
 hard edge. If a file has none, Mitsuba computes them for every copy of a vertex alone, or leaves the
-memory uninitialised. Then copies of a smooth mesh belong together unless they differ by about a
-right angle.
+memory uninitialised; when vertices move, it replaces those of the file as well. Then copies of a
+smooth mesh belong together unless they differ by about a right angle.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -54,32 +57,29 @@ class Sides(NamedTuple):
     owner: np.ndarray  # (3F,) the face that it is a side of
 
 
-def live_sides(points: np.ndarray, flat: np.ndarray, places: np.ndarray) -> Sides:
+def live_sides(points: np.ndarray, flat: np.ndarray, longest: np.ndarray) -> Sides:
     """Find the sides of faces (side ``k`` of face ``f`` is ``3 f + k``) that belong to edges.
 
-    Faces have ``points`` (F, 3) at ``places`` (V, 3); the faces ``flat`` (n,) have no area.
+    Faces have ``points`` (F, 3); the faces ``flat`` (n,) have no area. ``longest`` are the longest
+    sides of those with three corners, in falling order of length.
     """
     owner, live = np.arange(points.size) // 3, np.ones(points.size, bool)
     ends = np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2)
     live[(3 * flat[:, None] + np.arange(3)).ravel()] = False
-    on_line = [face for face in flat.tolist() if len(set(points[face].tolist())) == 3]
-    if not on_line:
+    if len(longest) == 0:
         return Sides(ends, live, owner)
-    length = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1).reshape(-1, 3)
     edge = [tuple(side) for side in np.sort(ends, axis=1).tolist()]
     at: dict[tuple[int, int], list[int]] = {}  # live sides of each edge
     for side in np.flatnonzero(live).tolist():
         at.setdefault(edge[side], []).append(side)
-    for face in sorted(on_line, key=lambda f: -length[f].max()):
-        k = int(length[face].argmax())
-        longest, *others = (3 * face + (k + j) % 3 for j in range(3))
-        beyond = at.get(edge[longest], [])
+    for long in longest.tolist():
+        beyond = at.get(edge[long], [])
         if len(beyond) != 1:
             continue
         (side,) = beyond
-        live[side], at[edge[longest]] = False, []
-        for other in others:
-            if (ends[longest] == ends[side]).all():  # the flat face is wound the other way
+        live[side], at[edge[long]] = False, []
+        for other in (long - long % 3 + (long + j) % 3 for j in (1, 2)):
+            if (ends[long] == ends[side]).all():  # the flat face is wound the other way
                 ends[other] = ends[other, ::-1]
             live[other], owner[other] = True, owner[side]
             at.setdefault(edge[other], []).append(other)
@@ -113,8 +113,10 @@ def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.n
     computed = (np.linalg.norm(normals - own, axis=1)[used] < COMPUTED_NORMAL_DISTANCE).all()
     facets = (_dots(normals[faces], _crosses(positions, faces)[:, None]) > SAME_NORMAL_COSINE).all()
     least = SMOOTH_SEAM_COSINE if computed and not facets else SAME_NORMAL_COSINE
+    copies = np.bincount(points)
     order = np.argsort(points, kind="stable")
-    for step in range(1, np.bincount(points).max()):
+    order = order[copies[points[order]] > 1]
+    for step in range(1, copies.max()):
         later, earlier = order[step:], order[:-step]
         joined = (points[later] == points[earlier]) & (
             (normals[later] * normals[earlier]).sum(1) > least
@@ -148,8 +150,8 @@ def _file_normals(mesh: mi.Mesh, faces: np.ndarray) -> np.ndarray | None:
     return normals if (np.abs(length[faces] - 1) < UNIT_LENGTH_TOLERANCE).all() else None
 
 
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), SMALLEST_LENGTH)
+def _unit(v: np.ndarray, axis: int = -1) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=axis, keepdims=True), SMALLEST_LENGTH)
 
 
 def _crosses(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -170,12 +172,70 @@ def _by_angle(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     These are Mitsuba's own (Thürmer and Wüthrich, "Computing Vertex Normals from Polygonal Facets",
     1998).
     """
-    corners, n = positions[faces], _unit(_crosses(positions, faces))
-    total = np.zeros_like(positions)
-    for k in range(3):
-        a, b = (corners[:, (k + j) % 3] - corners[:, k] for j in (1, 2))
-        np.add.at(total, faces[:, k], n * np.arccos(np.clip(_dots(a, b), -1, 1))[:, None])
-    return _unit(total)
+    corners = positions.T[:, faces.T]  # (axis, corner, F)
+    sides = _unit(np.roll(corners, -1, axis=1) - corners, axis=0)
+    n = _unit(np.cross(sides[:, 0], sides[:, 1], axis=0), axis=0)
+    angles = np.arccos(np.clip(-(sides * np.roll(sides, 1, axis=1)).sum(0), -1, 1))
+    total = [np.bincount(faces.T.ravel(), (x * angles).ravel(), len(positions)) for x in n]
+    return _unit(np.stack(total, axis=1))
+
+
+class MeshKey(NamedTuple):
+    """What identifies a mesh and its faces, wherever the vertices are."""
+
+    registered: int  # number in Mitsuba's registry of shapes
+    buffer: int  # index of the faces' buffer
+    vertex_count: int
+    facets: bool  # each face has a normal of its own
+
+
+@dataclass(frozen=True, eq=False)
+class Welds:
+    """Which vertices of a mesh are one, and which way its normals point."""
+
+    key: MeshKey
+    buffer: mi.UInt32  # the faces; kept, so that no other buffer gets its index
+    faces: np.ndarray  # (F, 3) vertices
+    points: np.ndarray  # (V,) the first vertex at each vertex's place
+    normals: np.ndarray  # (V,) the vertex whose shading normal it shares
+    inward: bool  # normals point against the winding
+
+    @staticmethod
+    def of(mesh: mi.Mesh, earlier: Mapping[MeshKey, Welds]) -> Welds:
+        """Read a mesh as it is now; return its ``earlier`` object if that still holds."""
+        registered = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]
+        buffer, count, facets = mesh.faces_buffer(), mesh.vertex_count(), mesh.has_face_normals()
+        key = MeshKey(registered, buffer.index, count, facets)
+        known = earlier.get(key)
+        faces = np.array(buffer).reshape(-1, 3).astype(np.int64) if known is None else known.faces
+        positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
+        points = _first_at_place(positions, None if known is None else known.points)
+        normals = points if facets else shared_normals(mesh, faces, points)
+        found = Welds(key, buffer, faces, points, normals, points_inward(mesh, faces))
+        return known if known is not None and found._agrees(known) else found
+
+    def _agrees(self, other: Welds) -> bool:
+        same = np.array_equal(self.points, other.points) and self.inward == other.inward
+        return same and np.array_equal(self.normals, other.normals)
+
+
+# Odd factors without a pattern, chosen: the sum of a place's bits times these is its hash.
+HASH_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+
+
+def _first_at_place(positions: np.ndarray, known: np.ndarray | None) -> np.ndarray:
+    """Return the first vertex at the place of each vertex, (V,); ``known`` itself if it is that.
+
+    Vertices that are known to be one must still be so, and there must be as many places as before.
+    Hashes count the places in a fiftieth of the time of ``np.unique``.
+    """
+    if known is not None and (positions == positions[known]).all():
+        bits = (positions + 0.0).view(np.uint32).astype(np.uint64)  # 0 in the place of -0
+        places = np.count_nonzero(np.diff(np.sort(bits @ HASH_FACTORS))) + 1
+        if places == np.count_nonzero(known == np.arange(len(known))):
+            return known
+    _, first, place = np.unique(positions, axis=0, return_index=True, return_inverse=True)
+    return first[place.reshape(-1)]
 
 
 NO_FACES = np.zeros(0, np.int64)
@@ -183,12 +243,13 @@ NO_FACES = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class Topology:
-    """The part of the meshes that stays the same while their vertices move."""
+    """The part of the meshes that most often stays the same while their vertices move."""
 
-    vertex_counts: tuple[int, ...]  # of each mesh
+    welds: tuple[Welds, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
     flips: mi.Bool  # (N,) the normal points against the winding of its faces
     flat: np.ndarray  # (n,) faces without area, which belong to no edge
+    longest: np.ndarray  # (m,) the longest sides of those with three corners, longest first
     vertices: tuple[mi.UInt32, ...]  # three (F,): vertex of each corner
     points: tuple[mi.UInt32, ...]  # three (F,): point of each corner
     normals: tuple[mi.UInt32, ...]  # three (F,): normal of each corner
@@ -197,7 +258,7 @@ class Topology:
     edge_faces: tuple[mi.UInt32, ...]  # K of (E,): faces at an edge, the first repeated to fill up
     # K of (E,): whether that face runs from the edge's first end to its second
     edge_runs: tuple[mi.Bool, ...]
-    is_closed: bool  # every edge has two faces, and these are wound outward
+    is_closed: bool  # every edge has two faces
     crease: mi.Bool  # (E,): the normal jumps here even between two faces seen from the front
     corners_of_vertex: Segments  # V segments over the 3F corners
     corners_of_point: Segments  # V segments over the 3F corners
@@ -213,7 +274,7 @@ class Topology:
     @property
     def vertex_count(self) -> int:
         """Return the number of vertices V."""
-        return sum(self.vertex_counts)
+        return sum(mesh.key.vertex_count for mesh in self.welds)
 
     def face_number(self, shape: mi.ShapePtr, primitive: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Return face numbers (R,) from Mitsuba's shape and primitive numbers; 0 if not active."""
@@ -222,21 +283,25 @@ class Topology:
         return dr.select(active, first + primitive, 0)
 
     @staticmethod
-    def of(meshes: Sequence[mi.Mesh], flat: np.ndarray = NO_FACES) -> Topology:
-        """Read the faces of the meshes and find the edges between them.
+    def of(
+        welds: Sequence[Welds], flat: np.ndarray = NO_FACES, longest: np.ndarray = NO_FACES
+    ) -> Topology:
+        """Find the edges between the faces of meshes.
 
-        ``flat`` (n,) are further faces without area; faces with two corners at one place are found.
+        ``flat`` (n,) are further faces without area, and ``longest`` the longest sides of those
+        with three corners, longest first; faces with two corners at one place are found.
         """
-        corners = _Corners.of(meshes)
+        corners = _Corners.of(welds)
         vertices, normals, V, N = corners.vertices, corners.normals, corners.V, corners.N
         repeated = (corners.points == np.roll(corners.points, 1, axis=1)).any(1)
         flat = np.union1d(flat, np.flatnonzero(repeated))
         corners_of_normal = Segments.by_owner(normals.reshape(-1), N)
         return Topology(
-            vertex_counts=tuple(mesh.vertex_count() for mesh in meshes),
-            first_face=_first_faces(meshes),
+            welds=tuple(welds),
+            first_face=_first_faces(welds),
             flips=mi.Bool(corners.flips),
             flat=flat,
+            longest=longest,
             vertices=_columns(vertices),
             points=_columns(corners.points),
             normals=_columns(normals),
@@ -244,7 +309,7 @@ class Topology:
             corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
             corners_of_normal=corners_of_normal,
             faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
-            **_edges(corners, live_sides(corners.points, flat, corners.places)),
+            **_edges(corners, live_sides(corners.points, flat, longest)),
         )
 
 
@@ -279,12 +344,11 @@ def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
     return mi.load_dict({"type": "scene", **meshes})
 
 
-def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:
+def _first_faces(welds: Sequence[Welds]) -> mi.UInt32:
     """Return the number of each mesh's first face, by its number in Mitsuba's registry."""
-    registry = [dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0] for mesh in meshes]
+    registry = [mesh.key.registered for mesh in welds]
     first = np.zeros(max(registry) + 1, np.uint32)
-    counts = [mesh.face_count() for mesh in meshes]
-    first[registry] = np.cumsum([0, *counts[:-1]])
+    first[registry] = np.cumsum([0, *(len(mesh.faces) for mesh in welds[:-1])])
     return mi.UInt32(first)
 
 
@@ -292,42 +356,33 @@ def _first_faces(meshes: Sequence[mi.Mesh]) -> mi.UInt32:
 class _Corners:
     """The three numberings of the corners of all meshes."""
 
-    places: np.ndarray  # (V, 3)
     vertices: np.ndarray  # (F, 3)
     points: np.ndarray  # (F, 3)
     normals: np.ndarray  # (F, 3)
     flips: np.ndarray  # (N,) bool
     V: int
     N: int
-    outward: bool  # each mesh has a volume that is not negative
 
     @staticmethod
-    def of(meshes: Sequence[mi.Mesh]) -> _Corners:
-        places, vertices, points, normals, flips = [], [], [], [], []
-        V, N, outward = 0, 0, True
-        for mesh in meshes:
-            positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
-            faces = np.array(mesh.faces_buffer()).reshape(-1, 3).astype(np.int64)
-            _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
-            first = first[inverse.reshape(-1)]
-            places.append(positions)
+    def of(welds: Sequence[Welds]) -> _Corners:
+        vertices, points, normals, flips = [], [], [], []
+        V, N = 0, 0
+        for mesh in welds:
+            faces, count = mesh.faces, mesh.key.vertex_count
             vertices.append(faces + V)
-            points.append(first[faces] + V)
-            a, b, c = (positions.astype(np.float64) - positions.mean(0))[faces].swapaxes(0, 1)
-            outward &= bool((a * np.cross(b, c)).sum() >= 0)  # six times the volume inside
+            points.append(mesh.points[faces] + V)
             before = N
-            if mesh.has_face_normals():
+            if mesh.key.facets:
                 normals.append(np.repeat(np.arange(len(faces))[:, None] + N, 3, axis=1))
                 N += len(faces)
             else:
-                back = _is_back(first[faces])
-                shared = shared_normals(mesh, faces, first)[faces]
-                normals.append(shared + N + len(positions) * back[:, None])
-                N += len(positions) * (1 + back.any())
-            V += len(positions)
-            flips.append(np.full(N - before, points_inward(mesh, faces)))
-        joined = (np.concatenate(x) for x in (places, vertices, points, normals, flips))
-        return _Corners(*joined, V, N, outward)
+                back = _is_back(mesh.points[faces])
+                normals.append(mesh.normals[faces] + N + count * back[:, None])
+                N += count * (1 + back.any())
+            V += count
+            flips.append(np.full(N - before, mesh.inward))
+        joined = (np.concatenate(x) for x in (vertices, points, normals, flips))
+        return _Corners(*joined, V, N)
 
 
 def _is_back(points: np.ndarray) -> np.ndarray:
@@ -389,6 +444,6 @@ def _edges(corners: _Corners, sides_of_faces: Sides) -> dict[str, object]:
         "edge_faces": _columns(np.stack(faces, axis=1)),
         "edge_runs": _columns(np.stack(runs, axis=1), mi.Bool),
         "crease": mi.Bool(crease),
-        "is_closed": bool((counts == 2).all()) and corners.outward,
+        "is_closed": bool((counts == 2).all()),
         "ends_of_vertex": Segments.by_owner(vertices.reshape(-1), corners.V),
     }

@@ -134,3 +134,19 @@ def test_the_gradient_of_a_crop_is_the_same_alone_and_together(scene, body, whol
     alone = slopes(lambda x: scene.render(x, closer))
     together = slopes(lambda x: scene.render_crops(x, whole, [closer])[0])
     assert float((together - alone).norm()) < 0.03 * float(alone.norm())
+
+
+def test_vertices_that_come_apart_show_what_a_new_mesh_shows(camera):
+    """A ball of faces that share no vertex: closed, then parted, then closed again."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    soup = torch.tensor(ball.triangles.reshape(-1, 3) + [0.0, 0.0, 2.0]).float()
+    faces, noise = torch.arange(len(soup)).view(-1, 3), torch.randn(soup.shape).mul(0.01)
+    view, kept = Camera(150.0, 150.0, 32.0, 32.0, np.eye(4), 64, 64), MeshScene(faces, soup)
+    for vertices in (soup, soup + noise, soup):
+        found = []
+        for scene in (kept, MeshScene(faces, vertices)):
+            leaf = vertices.clone().requires_grad_()
+            image = scene.render(leaf, view)
+            (grad,) = torch.autograd.grad((image * torch.linspace(-1, 1, 64)[:, None]).sum(), leaf)
+            found.append((image.detach(), grad))
+        assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))

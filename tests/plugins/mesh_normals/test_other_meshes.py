@@ -231,3 +231,118 @@ def test_a_sheet_with_a_back_has_normals(scenes, integrator):
     (one, grad), (both, grad_both) = found
     assert np.minimum(abs(one - both), abs(one + both))[..., :3].max() < 1e-5
     np.testing.assert_allclose(grad_both, grad, rtol=1e-4, atol=1e-4)
+
+
+def everything(scenes, integrator, scene):
+    """Image, gradient and forward derivative of a scene."""
+    view = integrator.view(scene, scenes.camera(), 4)
+    waves = np.sin(np.arange(3 * view.surface.topology.vertex_count, dtype=np.float32))
+    tangent = view.tangent(mi.Vector3f(waves.reshape(3, -1)))
+    return [
+        np.array(x) for x in (view.image(), view.adjoint(mi.TensorXf(scenes.weights(48))), tangent)
+    ]
+
+
+def show(scene, positions):
+    parameters = mi.traverse(scene)
+    parameters["m.vertex_positions"] = mi.Float(np.ravel(positions).astype(np.float32))
+    parameters.update()
+
+
+def soup(vertices, faces):
+    """The same surface, where no two faces share a vertex."""
+    return vertices[faces.ravel()], np.arange(faces.size).reshape(-1, 3)
+
+
+def states(vertices, faces):
+    """Positions of a closed mesh of split vertices, as an optimiser may move them."""
+    rng = np.random.default_rng(0)
+    yield vertices
+    yield vertices * [1.1, 0.9, 1.0]  # together
+    yield vertices + rng.normal(scale=0.02, size=vertices.shape)  # each on its own
+    yield vertices * [1, 1, -1]  # turned inside out
+    flat = vertices.copy()
+    flat[faces[0, 0]] = flat[faces[0, 1:]].mean(0)
+    yield flat
+    flat[faces[0, 0]] = 2 * flat[faces[0, 1]] - flat[faces[0, 2]]  # another side is the longest
+    yield flat
+    near = vertices.copy()
+    near[faces[1]] = near[faces[-1]]  # two faces come together
+    yield near
+    yield vertices
+
+
+@pytest.mark.parametrize("kind", ["split", "smooth normals", "facets", "hard edges", "mirrored"])
+def test_what_was_rendered_before_changes_no_bit(scenes, tmp_path, kind):
+    """A scene that was rendered in other states is a new scene, also after other meshes."""
+
+    def made():
+        if kind in ("split", "facets"):
+            return scenes.mesh("m", *soup(*scenes.torus(12, 8)), facets=kind == "facets")
+        if kind == "mirrored":
+            return mi.load_dict(
+                {"type": "cube", "to_world": mi.ScalarTransform4f().scale([-0.4, 0.5, 0.5])}
+            )
+        return cylinder(
+            tmp_path / "m.obj",
+            8,
+            normals="round" if kind == "smooth normals" else "flat",
+            caps=True,
+        )
+
+    load = lambda: mi.load_dict({"type": "scene", "m": made()})
+    kept, integrator = load(), mi.load_dict({"type": "mesh_normals"})
+    everything(scenes, integrator, kept)  # with the file's normals, if there are any
+    parameters = mi.traverse(kept)
+    vertices, faces = (
+        np.array(parameters[f"m.{x}"]).reshape(-1, 3) for x in ("vertex_positions", "faces")
+    )
+    for number, positions in enumerate(states(vertices.astype(np.float64), faces)):
+        show(kept, positions)
+        new = load()
+        show(new, positions)
+        fresh = everything(scenes, mi.load_dict({"type": "mesh_normals"}), new)
+        for a, b in zip(everything(scenes, integrator, kept), fresh, strict=True):
+            np.testing.assert_array_equal(a, b, err_msg=f"{kind}, state {number}")
+
+
+def test_meshes_of_one_buffer_of_faces_are_told_apart(scenes, integrator):
+    """Their seams differ, and their numbers in Mitsuba do; so do scenes of one mesh or of both."""
+    vertices, faces = soup(*scenes.torus(12, 8))
+    buffer, meshes = mi.UInt32(faces.ravel()), []
+    for k, place in enumerate((vertices, vertices + np.arange(len(vertices))[:, None] % 7 / 200)):
+        meshes.append(scenes.mesh(f"m{k}", place, faces))
+        parameters = mi.traverse(meshes[-1])
+        parameters["faces"] = buffer
+        parameters.update()
+    assert meshes[0].faces_buffer().index == meshes[1].faces_buffer().index
+    for shown in ([0], [1], [0, 1], [1, 0], [0]):
+        scene = mi.load_dict({"type": "scene"} | {f"s{k}": meshes[k] for k in shown})
+        fresh = everything(scenes, mi.load_dict({"type": "mesh_normals"}), scene)
+        for a, b in zip(everything(scenes, integrator, scene), fresh, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_a_seam_that_opens_is_a_border(scenes):
+    """The area of two triangles changes with a corner by half the opposite side, turned by 90°."""
+    whole = np.array([[-5, -5], [3, -5], [3, 3], [-5, -5], [3, 3], [-5, 3]]) / 10
+    faces, size = np.arange(6).reshape(2, 3), 64
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}}
+    look = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+    sensor = mi.load_dict({"type": "orthographic", "to_world": look, "film": film})
+    as_3d = lambda x: np.pad(x, ((0, 0), (0, 1)))
+    scene = mi.load_dict({"type": "scene", "m": scenes.mesh("m", as_3d(whole), faces)})
+    integrator, ones = (
+        mi.load_dict({"type": "mesh_normals", "channels": "mask"}),
+        mi.TensorXf(np.ones((size, size, 1), np.float32)),
+    )
+    for apart in (0.0, 0.25, 0.0):
+        x = whole + apart * np.array([[0, 0]] * 3 + [[-0.8, 1.0]] * 3)
+        show(scene, as_3d(x))
+        found = np.array(integrator.view(scene, sensor, 64).adjoint(ones)).T[:, :2]
+        a, b = (x[np.roll(faces, -k, axis=1).ravel()] for k in (1, 2))
+        exact = (size / 2) ** 2 / 2 * np.stack([a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], 1)
+        if apart == 0:  # copies of one place move as one
+            one = np.array([0, 1, 2, 0, 2, 3])
+            found, exact = (np.stack([np.bincount(one, y) for y in v.T]) for v in (found, exact))
+        assert np.linalg.norm(found - exact) < 0.02 * np.linalg.norm(exact)

@@ -38,6 +38,7 @@ Note:
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NoReturn
 
 import drjit as dr
 import mitsuba as mi
@@ -155,6 +156,13 @@ class GaussianSplat(mi.ad.integrators.common.ADIntegrator):
                 dr.enqueue(dr.ADMode.Backward, image)
                 dr.traverse(dr.ADMode.Backward)
                 dr.eval()
+
+    def sample(self, *args: object, **kwargs: object) -> NoReturn:
+        """Refuse single rays, which ``aov`` and ``moment`` ask of the integrator inside them."""
+        raise ValueError(
+            "gaussian_splat: draws whole images and no single rays, therefore it cannot be inside "
+            "'aov' or 'moment': render it alone"
+        )
 
     def aov_names(self) -> list[str]:
         """Return the names of the channels after colour and alpha."""

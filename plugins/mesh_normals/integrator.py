@@ -43,6 +43,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NoReturn
 
 import drjit as dr
 import mitsuba as mi
@@ -194,6 +195,13 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
                 dr.backward(
                     sum(to_world[i, j] * by_sensor[i, j] for i in range(3) for j in range(4))
                 )
+
+    def sample(self, *args: object, **kwargs: object) -> NoReturn:
+        """Refuse single rays, which ``aov`` and ``moment`` ask of the integrator inside them."""
+        raise ValueError(
+            "mesh_normals: draws whole images and no single rays, therefore it cannot be inside "
+            "'aov' or 'moment': render it alone"
+        )
 
     def aov_names(self) -> list[str]:
         """Names of the channels."""

@@ -3,6 +3,9 @@
 import subprocess
 import sys
 
+import mitsuba as mi
+import pytest
+
 PROGRAM = """
 import sys
 
@@ -46,3 +49,21 @@ def test_a_change_of_variant():
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "needs a differentiable variant, and mi.variant() is scalar_rgb" in done.stdout
+
+
+@pytest.mark.parametrize("outer", [{"type": "aov", "aovs": "d:depth"}, {"type": "moment"}])
+@pytest.mark.parametrize("name", ["mesh_normals", "gaussian_splat"])
+def test_an_integrator_of_rays_cannot_hold_one_of_images(scenes, outer, name):
+    """``mi.render`` reports the refusal as the cause of its own error."""
+    nested = mi.load_dict(outer | {"nested": {"type": name}})
+    tensor = lambda *rows: mi.TensorXf([list(row) for row in rows])
+    splat = {"centers": tensor((0, 0, 0)), "scales": tensor((1, 1, 1)), "opacities": tensor((1,))}
+    splat |= {"quaternions": tensor((0, 0, 0, 1)), "sh_coeffs": tensor((1, 1, 1))}
+    shapes = {"m": {"type": "cube"}, "s": {"type": "ellipsoids"} | splat}
+    scene = mi.load_dict({"type": "scene"} | shapes)
+    with pytest.raises(RuntimeError) as caught:
+        mi.render(scene, sensor=scenes.camera(8), integrator=nested, spp=1)
+    error = caught.value
+    while error.__cause__ is not None:
+        error = error.__cause__
+    assert isinstance(error, ValueError) and f"{name}: draws whole images" in str(error)

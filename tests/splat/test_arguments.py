@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import drjit.scalar
 import numpy as np
 import pytest
 import torch
@@ -55,6 +56,9 @@ def test_cameras_tensors_are_checked():
         with pytest.raises(ValueError, match=message):
             draw(replace(s, camera=s.camera.with_matrices(**{name: tensor})))
     native_view = s.camera.with_matrices(K=K)
+    for kind in (drjit.scalar.TensorXf, torch.tensor):
+        with pytest.raises(ValueError, match=r"tensors of drjit.llvm or drjit.llvm.ad, got"):
+            native.render(in_drjit(s.gaussians, kind), s.camera)
     with pytest.raises(ValueError, match="the camera's K must be a TensorXf64, got Tensor"):
         draw_drjit(replace(s, camera=native_view))
 

@@ -3,6 +3,7 @@
 README's other command, ``avatar``, needs a video of a person: tests/cli/test_avatar.py makes one.
 """
 
+import doctest
 import io
 import re
 import runpy
@@ -129,9 +130,14 @@ def test_the_steps_run_one_after_the_other(tmp_path, cli, monkeypatch):
 
 
 def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monkeypatch):
-    """On a tiny subject, whose folder is there already, with options that make it quick."""
+    """On a tiny subject, whose folder is there already, with options that make it quick.
+
+    The examples of the steps are skipped in test_examples.py: here is what they need.
+    """
     from gva_mi import app
+    from gva_mi.app import steps
     from gva_mi.fit.options import FitOptions
+    from gva_mi.fit.photometric import PhotometricOptions
     from gva_mi.fit.renders import CameraPath
     from gva_mi.refine.sequence import SequenceOptions
 
@@ -140,15 +146,28 @@ def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monk
         if kind == "python" and "gva_mi.app" in block
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
+    examples = {
+        name: doctest.DocTestParser().get_doctest(step.__doc__, vars(steps).copy(), name, "", 0)
+        for name, step in vars(app).items() if name in app.__all__ and name in vars(steps)
+    }  # fmt: skip
+    for name in ("prepare", "fit", "evaluate"):
+        (line,) = examples[name].examples
+        assert line.source.partition("  #")[0].rpartition(" = ")[2] in program.splitlines()
     monkeypatch.setattr(app, "prepare", lambda video, out: shutil.copytree(subject, out))
     for step, options in (
         (app.refine, SequenceOptions(passes=1, size=32)), (app.fit, FitOptions(steps=20)),
         (app.render, CameraPath(frames=2, size=(32, 48))),
+        (app.track, PhotometricOptions(passes=1)),
     ):  # fmt: skip
         monkeypatch.setattr(step, "__defaults__", (options,))
     exec(compile(program, "README.md", "exec"), {})
     assert (tmp_path / "me/run/report.html").exists()
     assert (tmp_path / "me/turntable/000001.png").exists()
+    monkeypatch.setattr("gva_mi.app.steps.say", lambda line: None)  # examples show no such lines
+    for name in ("check", "track"):
+        for line in examples[name].examples:
+            line.options.clear()  # no longer skipped
+        assert not doctest.DocTestRunner().run(examples[name]).failed
 
 
 @pytest.mark.parametrize(

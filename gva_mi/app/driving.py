@@ -144,7 +144,20 @@ def motion_of(
 
     A motion that ``gva-mi motion`` reads is resampled to ``fps`` frames per second, and its notes
     are printed. Poses are played as they are; without ``poses``, the poses trained with the avatar.
-    :func:`render` has an example.
+
+    Example:
+        >>> import tempfile
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import save_poses
+        >>> from gva_mi.body.smplx import load_body
+        >>> average, options = Shape(torch.zeros(10)), AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), average, options=options)
+        >>> run = Path(tempfile.mkdtemp())
+        >>> save_poses(run / "taller.npz", Pose.rest(frames=3), Shape(torch.ones(10)), stage=1)
+        >>> motion, shape = motion_of(run, avatar, run / "taller.npz", fps=25, body=None)
+        /...: poses of a person of another shape, used as they are: ...
+        >>> len(motion)
+        3
     """
     given = None if poses is None else Path(poses)
     if given is None or is_pose_file(given):

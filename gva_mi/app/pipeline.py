@@ -196,7 +196,15 @@ def avatar(
 
 @dataclass(frozen=True)
 class Step:
-    """One step of a command; :class:`StepFolder` has an example."""
+    """One step of a command.
+
+    Example:
+        Another option, another stamp: the step has to run again.
+
+        >>> step = Step("fit", "avatar", {"steps": 500}, reads=[], writes=[], run=print)
+        >>> step.stamp() == replace(step, options={"steps": 2000}).stamp()
+        False
+    """
 
     name: str  # one word, for the printed lines
     results: str  # the key of RESULTS_VERSIONS whose version counts

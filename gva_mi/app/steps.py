@@ -79,6 +79,9 @@ def prepare(
 
     Raises:
         InputError: the video shows no person, or ``out`` holds something else.
+
+    Example:
+        >>> prepare("video.mp4", "me/subject")  # doctest: +SKIP
     """
     video, out = Path(video), Path(out)
     if not overwrite and (out / PREPARED).exists():
@@ -108,6 +111,11 @@ def check(
 
     Returns:
         All problems that were found; they are also printed.
+
+    Example:
+        >>> report = check("me/subject")  # doctest: +SKIP
+        >>> report.errors  # doctest: +SKIP
+        []
     """
     subject, sheet = Path(subject), None if sheet is None else Path(sheet)
     model = load_body(body_of(subject, body))
@@ -202,6 +210,9 @@ def fit(
         body: a body file; without it, the subject's, else the built-in body.
         overwrite: replace an existing run.
         resume: continue a run that was stopped, with its poses and its body.
+
+    Example:
+        >>> avatar = fit("me/subject", "me/run")  # doctest: +SKIP
     """
     subject, out = Path(subject), Path(out)
     if resume:
@@ -249,6 +260,9 @@ def evaluate(
             hands.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
+
+    Example:
+        >>> metrics = evaluate("me/run", "me/subject")  # doctest: +SKIP
     """
     run, subject = Path(run), Path(subject)
     avatar = Avatar.load(run / run_folder.AVATAR)
@@ -297,6 +311,11 @@ def track(
             was fitted to this video; else the refined poses, else the stage-1 poses.
         body: a body file; without it, the run's, else the built-in body.
         overwrite: replace existing poses.
+
+    Example:
+        >>> poses = track("me/run", "me/subject")  # doctest: +SKIP
+        >>> len(poses) == len(load_video(Path("me/subject")))  # doctest: +SKIP
+        True
     """
     run, subject = Path(run), Path(subject)
     out = subject / TRACKED_POSES

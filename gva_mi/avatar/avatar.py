@@ -79,7 +79,16 @@ class AvatarOptions:
 
 @dataclass(frozen=True)
 class PosedSkeleton:
-    """Blend shapes and joints in one pose, from :meth:`Avatar.posed_skeleton`."""
+    """Blend shapes and joints in one pose, from :meth:`Avatar.posed_skeleton`.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> skeleton = avatar.posed_skeleton(Pose.rest())
+        >>> skeleton.coefficients.abs().max(), skeleton.T_world_rest.shape  # nothing bends
+        (tensor(0.), torch.Size([55, 4, 4]))
+    """
 
     coefficients: Tensor  # (P + E,) c of eq. 1
     joints: Tensor  # (55, 3) metres, at rest, moved by the expression
@@ -88,7 +97,16 @@ class PosedSkeleton:
 
 @dataclass(frozen=True)
 class Animated:
-    """An avatar in one pose, from :meth:`Avatar.animate`."""
+    """An avatar in one pose, from :meth:`Avatar.animate`.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> animated = avatar.animate(Pose.rest())
+        >>> len(animated.gaussians), animated.residual.abs().max().item()  # before the fit
+        (500, 0.0)
+    """
 
     gaussians: Gaussians  # in the world
     residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small

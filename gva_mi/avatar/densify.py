@@ -146,7 +146,18 @@ def replace_gaussians(
 
     ``parents`` (N,) are the old rows of the new ones; None: Adam starts afresh. The first
     ``inherited`` rows keep the moments of their parents; the others start with zero moments.
-    :func:`densify` has an example.
+
+    Example:
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> optimizer, G = torch.optim.Adam(avatar.canonical.parameters()), avatar.canonical
+        >>> first = {name: getattr(G, name)[:400].detach() for name in (*PARAMETERS, *BINDING)}
+        >>> replace_gaussians(avatar, optimizer, CanonicalGaussians(**first))
+        >>> len(avatar.canonical), len(optimizer.param_groups[0]["params"][0])
+        (400, 400)
     """
     old = avatar.canonical
     for name in PARAMETERS:

@@ -3,22 +3,6 @@
 It follows the equations of :mod:`gva_mi.avatar.lbs_transforms` and
 :mod:`gva_mi.avatar.skin_gaussians`. The fused kernel is checked against it and takes its tangents
 from it, and avatars that do not stretch (Eq. 6 of the paper) use its transforms and colours.
-
-Example:
-    A Gaussian half way between a joint at rest and one that moved by 1 m along y.
-
-    >>> import torch
-    >>> W = torch.full((1, 2), 0.5)
-    >>> weights = SparseWeights.of(W, slopes=torch.zeros(1, 3, 2))
-    >>> T = torch.eye(4, dtype=torch.float64)[:3].repeat(2, 1, 1)
-    >>> T[1, 1, 3] = 1
-    >>> means = torch.zeros(1, 3)
-    >>> A, E = lbs_transforms(weights, T.flatten(1), means)
-    >>> A.view(3, 4)[:, 3]
-    tensor([0.0000, 0.5000, 0.0000])
-    >>> moved, covars = stretched(A, E, means, torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1, 3))
-    >>> moved, covars
-    (tensor([[0.0000, 0.5000, 0.0000]]), tensor([[1., 0., 0., 1., 0., 1.]]))
 """
 
 from __future__ import annotations
@@ -32,7 +16,18 @@ from gva_mi.splat.reference import rotation
 def lbs_transforms(weights: SparseWeights, T: Tensor, means: Tensor) -> tuple[Tensor, Tensor]:
     """Return A (N, 12) and E (N, 9), row by row, in the precision of the means (N, 3) at rest.
 
-    T (J, 12) float64 are the joints' transforms row by row. The module has an example.
+    T (J, 12) float64 are the joints' transforms row by row.
+
+    Example:
+        A Gaussian half way between a joint at rest and one that moved by 1 m along y.
+
+        >>> import torch
+        >>> weights = SparseWeights.of(torch.full((1, 2), 0.5), slopes=torch.zeros(1, 3, 2))
+        >>> T = torch.eye(4, dtype=torch.float64)[:3].repeat(2, 1, 1)
+        >>> T[1, 1, 3] = 1
+        >>> A, E = lbs_transforms(weights, T.flatten(1), means=torch.zeros(1, 3))
+        >>> A.view(3, 4)[:, 3]
+        tensor([0.0000, 0.5000, 0.0000])
     """
     N, pairs, T = len(means), weights.gaussians, T.view(-1, 3, 4)[weights.joints]
     W, dW = weights.four[:, 0].double(), weights.four[:, 1:].double()
@@ -42,13 +37,10 @@ def lbs_transforms(weights: SparseWeights, T: Tensor, means: Tensor) -> tuple[Te
     return A.to(means), E.to(means)
 
 
-def stretched(
+def _stretched(
     A: Tensor, E: Tensor, means: Tensor, quats: Tensor, scales: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return means (N, 3) and covariances (N, 6) of Gaussians that stretch with the skin.
-
-    The module has an example.
-    """
+    """Return means (N, 3) and covariances (N, 6) of Gaussians that stretch with the skin."""
     A, E = A.view(-1, 3, 4), E.view(-1, 3, 3)
     beta = (1 + E.square().sum((1, 2)) / MAX_STRETCH**2).rsqrt()
     M = rotation(quats)
@@ -84,7 +76,18 @@ def skinned(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return means (N, 3), covariances (N, 6) and colours (N, 3); ``sh`` is (N, 12).
 
-    :func:`gva_mi.avatar.skin_gaussians.skin_gaussians` has an example.
+    Example:
+        A ball half way between a joint at rest and one that moved by 1 m along y stays a ball.
+
+        >>> import torch
+        >>> weights = SparseWeights.of(torch.full((1, 2), 0.5), slopes=torch.zeros(1, 3, 2))
+        >>> T = torch.eye(4, dtype=torch.float64)[:3].repeat(2, 1, 1)
+        >>> T[1, 1, 3] = 1
+        >>> ball = torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1, 3)
+        >>> light = torch.tensor([[0.0, 1, 0]])
+        >>> means, covars, _ = skinned(weights, T.flatten(1), *ball, torch.zeros(1, 12), light)
+        >>> means, covars
+        (tensor([[0.0000, 0.5000, 0.0000]]), tensor([[1., 0., 0., 1., 0., 1.]]))
     """
     A, E = lbs_transforms(weights, T, means)
-    return *stretched(A, E, means, quats, scales), lit(sh.unflatten(1, (4, 3)), A, light)[:, 0]
+    return *_stretched(A, E, means, quats, scales), lit(sh.unflatten(1, (4, 3)), A, light)[:, 0]

@@ -18,15 +18,6 @@ difference of large numbers, so the sums of eq. 1 and 2 are in float64. The sums
 in the precision of the model, because eq. 4 has no positions of joints.
 
 Eq. 1 is Eq. 5 of the paper; eq. 2-5 are derived here.
-
-Example:
-    Three Gaussians that follow the first two of 55 joints.
-
-    >>> W = torch.zeros(3, 55)
-    >>> W[:, 0], W[:, 1] = 0.25, 0.75
-    >>> weights = SparseWeights.of(W, slopes=torch.zeros(3, 3, 55))
-    >>> weights.gaussians, weights.joints
-    (tensor([0, 0, 1, 1, 2, 2]), tensor([0, 1, 0, 1, 0, 1]))
 """
 
 from __future__ import annotations
@@ -58,6 +49,14 @@ class PairLists:
     """Pairs of a Gaussian and a joint that it follows, as one list per lane of a kernel.
 
     Made by :meth:`SparseWeights.of`.
+
+    Example:
+        Two Gaussians; the first follows both joints, the second only one.
+
+        >>> W = torch.tensor([[0.5, 0.5], [0.0, 1.0]])
+        >>> lists = SparseWeights.of(W, slopes=torch.zeros(2, 3, 2)).of_gaussians
+        >>> lists.begin, lists.end, lists.others
+        ([0, 2], [2, 3], [0, 1, 1])
     """
 
     begin: UInt32  # (L,) start of each lane's list in the next two
@@ -77,7 +76,14 @@ class PairLists:
 class SparseWeights:
     """Skinning weights of N Gaussians and their derivatives without the zeros, constant.
 
-    The module has an example.
+    Example:
+        Three Gaussians that follow the first two of 55 joints.
+
+        >>> W = torch.zeros(3, 55)
+        >>> W[:, 0], W[:, 1] = 0.25, 0.75
+        >>> weights = SparseWeights.of(W, slopes=torch.zeros(3, 3, 55))
+        >>> weights.gaussians, weights.joints
+        (tensor([0, 0, 1, 1, 2, 2]), tensor([0, 1, 0, 1, 0, 1]))
     """
 
     gaussians: Tensor  # (M,) int64, the Gaussian of each pair

@@ -6,7 +6,7 @@ and loose clothes to a few large Gaussians that come apart in new poses. So, 2-3
 1. meshing       a closed surface around the opaque Gaussians           ``mesh_gaussians``
 2. smoothing     Taubin's low-pass filter of it                         ``mesh_gaussians``
 3. resampling    points on it, denser where it is curved, and in faces  ``resample``
-4. re-Gaussian   opacity and colour from the K nearest old ones,        ``regaussian``
+4. re-Gaussian   opacity and colour from the K nearest old ones,        ``_regaussian``
                  rotation and scale anew, skinning from the new surface
 
 Differences from the paper (``surface="alpha"`` and ``random`` of the options are as printed):
@@ -111,7 +111,22 @@ class ReinitOptions:
 
 @dataclass(frozen=True)
 class Reinitialised:
-    """Result of :func:`reinitialise`; the avatar itself has not changed yet."""
+    """Result of :func:`reinitialise`; the avatar itself has not changed yet.
+
+    Example:
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.avatar.densify import replace_gaussians
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> found = reinitialise(avatar, ReinitOptions(alpha=0.04), torch.manual_seed(0))
+        >>> optimizer = torch.optim.Adam(avatar.canonical.parameters())
+        >>> replace_gaussians(avatar, optimizer, found.canonical)
+        >>> avatar.set_skin_weights(found.skin)
+        >>> avatar.canonical is found.canonical, len(avatar.skin.vertices) > 1000
+        (True, True)
+    """
 
     canonical: CanonicalGaussians  # see :func:`gva_mi.avatar.densify.replace_gaussians`
     surface: SurfaceMesh  # smooth and watertight
@@ -159,7 +174,7 @@ def reinitialise(
     samples = resample(whole, options.count or len(G), density, rng)
     body = rig.skin(avatar.options.skinning)
     skin = diffused(whole.vertices, whole.faces, body, rig.looseness)
-    canonical = regaussian(avatar, on_surface, samples, skin, options, rng)
+    canonical = _regaussian(avatar, on_surface, samples, skin, options, rng)
     return Reinitialised(canonical, surface, skin)
 
 
@@ -232,7 +247,7 @@ def wanted_density(surface: SurfaceMesh, rig: Rig, options: ReinitOptions) -> np
     return curved * (1 + options.face_gain * face)
 
 
-def regaussian(
+def _regaussian(
     avatar: Avatar,
     sources: Tensor,
     samples: SurfacePoints,
@@ -244,7 +259,6 @@ def regaussian(
 
     Opacity and colour are means over the K nearest of ``sources`` (M,) int64, the Gaussians of the
     avatar that lie on the surface, weighted by 1 / distance². ``rng`` draws angles and sizes.
-    :func:`reinitialise` has an example.
     """
     from scipy.spatial import cKDTree
 

@@ -262,7 +262,15 @@ DARTS_PER_QUERY = 2048  # whose neighbours are queried together; chosen: few of 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points on a surface, no two too close, from :func:`resample`."""
+    """Points on a surface, no two too close, from :func:`resample`.
+
+    Example:
+        >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        >>> sheet = SurfaceMesh(square, np.array([[0, 1, 2], [0, 2, 3]]))
+        >>> found = resample(sheet, 100, np.ones(4), np.random.default_rng(0))
+        >>> bool(found.spacing.min() > 0.05), found.normals[0]  # a grid has 0.1
+        (True, array([0., 0., 1.]))
+    """
 
     points: np.ndarray  # (N, 3) metres
     normals: np.ndarray  # (N, 3)

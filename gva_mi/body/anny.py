@@ -50,19 +50,23 @@ def anny_body(cache: Path | None = None) -> Path:
 
     Raises:
         InputError: the file is not built yet, and the package is not installed.
+
+    Example:
+        >>> from gva_mi.body.smplx import load_body
+        >>> body = load_body(anny_body())  # doctest: +SKIP
     """
     if cache is None:
         cache = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser() / "gva_mi"
     path = cache / FILE
     if not path.exists():
-        arrays = build_anny()
+        arrays = _build_anny()
         part = path.with_name(f"{path.stem}.{os.getpid()}.npz")  # another process may build it, too
         write_arrays(part, **arrays)
         part.replace(path)
     return path
 
 
-def build_anny() -> dict[str, np.ndarray]:
+def _build_anny() -> dict[str, np.ndarray]:
     """Build Anny as the arrays of an SMPL-X file; :func:`anny_body` keeps them in a file."""
     try:
         import anny

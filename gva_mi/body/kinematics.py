@@ -85,7 +85,12 @@ def joint_transforms(
 def joint_places(T_world_rest: Tensor, joints: Tensor) -> Tensor:
     """Return joints (..., J, 3) in the world, from their transforms and rest positions (J, 3).
 
-    :func:`joint_transforms` has an example.
+    Example:
+        >>> T = torch.eye(4).repeat(2, 1, 1)
+        >>> T[:, 1, 3] = 0.5  # everything half a metre up
+        >>> joint_places(T, torch.tensor([[0.0, 0, 0], [1, 0, 0]]))
+        tensor([[0.0000, 0.5000, 0.0000],
+                [1.0000, 0.5000, 0.0000]])
     """
     A, t = T_world_rest[..., :3, :3], T_world_rest[..., :3, 3]
     return (A @ joints.unsqueeze(-1)).squeeze(-1) + t

@@ -194,7 +194,13 @@ class Shape:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """Content of a file of poses, from :func:`read_pose_file`."""
+    """Content of a file of poses, from :func:`read_pose_file`.
+
+    Example:
+        >>> refined = PoseFile(Pose.rest(frames=4), Shape(torch.zeros(10)), stage=2, offsets=None)
+        >>> len(refined.pose), len(refined.shape.betas)
+        (4, 10)
+    """
 
     pose: Pose
     shape: Shape
@@ -281,7 +287,16 @@ def is_pose_file(path: Path) -> bool:
 
 
 def load_poses(path: Path, count: int | None = None) -> tuple[Pose, Shape]:
-    """Read only the poses and the shape of a file; see :func:`read_pose_file`."""
+    """Read only the poses and the shape of a file; see :func:`read_pose_file`.
+
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "poses.npz"
+        >>> save_poses(path, Pose.rest(frames=4), Shape(torch.ones(10)), stage=1)
+        >>> pose, shape = load_poses(path, count=4)
+        >>> len(pose), float(shape.betas.sum())
+        (4, 10.0)
+    """
     found = read_pose_file(path, count)
     return found.pose, found.shape
 
@@ -296,7 +311,13 @@ def save_poses(
 ) -> None:
     """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`.
 
-    :func:`read_pose_file` has an example.
+    Example:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "poses.npz"
+        >>> save_poses(path, Pose.rest(frames=4), Shape(torch.zeros(10)), stage=1)
+        >>> with np.load(path) as file:
+        ...     file["body_pose"].shape, file["betas"].shape, int(file["stage"])
+        ((4, 63), (10,), 1)
     """
     data = {name: value.detach().numpy() for name, value in pose.to_smplx().items()}
     if offsets is not None:

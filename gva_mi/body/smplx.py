@@ -58,7 +58,14 @@ from gva_mi.core.errors import InputError, expecting
 
 @dataclass(frozen=True)
 class Rest:
-    """A person in the T-pose, from :meth:`BodyModel.rest`."""
+    """A person in the T-pose, from :meth:`BodyModel.rest`.
+
+    Example:
+        >>> from gva_mi.body.pose import WRISTS
+        >>> left, right = load_body().rest(Shape(torch.zeros(10))).joints[WRISTS]
+        >>> print(f"{float(left[0] - right[0]):.2f} m")  # x points to the person's left
+        1.41 m
+    """
 
     vertices: Tensor  # (V, 3) metres
     joints: Tensor  # (55, 3) metres
@@ -66,7 +73,18 @@ class Rest:
 
 @dataclass(frozen=True)
 class Posed:
-    """A person in T poses, in the world, from calling a :class:`BodyModel`."""
+    """A person in T poses, in the world, from calling a :class:`BodyModel`.
+
+    Example:
+        >>> from gva_mi.body.pose import WRISTS
+        >>> rotations = torch.zeros(1, 55, 3)
+        >>> rotations[0, 0, 1] = torch.pi  # the root turns around: left and right change sides
+        >>> pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+        >>> posed = load_body()(pose, Shape(torch.zeros(10)))
+        >>> left, right = posed.joints[0, WRISTS]
+        >>> print(f"{float(left[0] - right[0]):.2f} m")
+        -1.41 m
+    """
 
     vertices: Tensor  # (T, V, 3) metres
     joints: Tensor  # (T, 55, 3) metres

@@ -64,7 +64,20 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Check:
-    """A loss L = <w, images> of named inputs, with its true images and gradients."""
+    """A loss L = <w, images> of named inputs, with its true images and gradients.
+
+    Example:
+        An image x² of two pixels, and a function in its place whose gradient lacks the factor 2.
+
+        >>> inputs = leaves({"x": torch.tensor([[1.0, 3.0]])})
+        >>> images, weights = {"color": inputs["x"] ** 2}, {"color": torch.ones(1, 2).double()}
+        >>> probe = lambda gradient: Probe.among(gradient, 1, torch.Generator().manual_seed(0))
+        >>> check = Check.of(inputs, images, weights, torch.zeros(1, 2, dtype=torch.bool), probe)
+        >>> wrong = lambda values: [values["x"] * values["x"].detach()]
+        >>> rows = check.methods(wrong, "f64", image=1e-10, adjoint=1e-10, tangent=1e-10)
+        >>> [(row.method, row.name, row.error) for row in rows]
+        [('adjoint f64', 'color', 0.0), ('adjoint f64', 'x', 0.5), ('tangent f64', 'x', 0.5)]
+    """
 
     values: Tensors  # the inputs, float64, of numbers that float32 holds
     images: Tensors  # the true images (H, W, ...), by name

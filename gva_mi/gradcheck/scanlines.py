@@ -38,7 +38,7 @@ END_SHARE = 1e-9
 
 
 @dataclass(frozen=True)
-class Breakpoints:
+class _Breakpoints:
     """Points where the envelopes of lines pass from one triangle to another."""
 
     q: np.ndarray  # (S, 2) pixels
@@ -87,8 +87,8 @@ def boundary(
     parts = [x for x in found if x is not None]
     image = np.zeros((math.prod(lens.size), 5))
     if parts:
-        names = Breakpoints.__dataclass_fields__
-        points = Breakpoints(*(np.concatenate([getattr(x, n) for x in parts]) for n in names))
+        names = _Breakpoints.__dataclass_fields__
+        points = _Breakpoints(*(np.concatenate([getattr(x, n) for x in parts]) for n in names))
         change = flat.change(points) * spacing
         inside = ((points.q >= 0) & (points.q < lens.size)).all(1)
         np.add.at(image, points.q[inside].astype(np.int64) @ [1, lens.size[0]], change[inside])
@@ -125,7 +125,7 @@ class _FlatMesh:
         corners = self.q[0][self.faces]
         return np.flatnonzero(((corners.max(1) >= low) & (corners.min(1) <= high)).all(1))
 
-    def breakpoints(self, near: np.ndarray, runs: int, place: float) -> Breakpoints | None:
+    def breakpoints(self, near: np.ndarray, runs: int, place: float) -> _Breakpoints | None:
         """Find the breakpoints of one line (eq. 1); None if it meets no triangle.
 
         Args:
@@ -167,9 +167,9 @@ class _FlatMesh:
         q = np.full((len(at), 2), place)
         q[:, runs] = at
         before, after = (np.where(k >= 0, face[k], -1) for k in (left, right))
-        return Breakpoints(q, np.full(len(at), runs), before, after, on_edge, pair)
+        return _Breakpoints(q, np.full(len(at), runs), before, after, on_edge, pair)
 
-    def change(self, points: Breakpoints) -> np.ndarray:
+    def change(self, points: _Breakpoints) -> np.ndarray:
         """Return the contribution of each breakpoint to its pixel (eq. 3, 4), (S, 5), for Δ = 1."""
         gradient = self._level(points, 0)[1]
         d_level = (self._level(points, 1)[0] - self._level(points, 2)[0]) / (2 * DIFFERENCE_STEP)
@@ -178,7 +178,7 @@ class _FlatMesh:
         jump = self._shade(points.before, points.q) - self._shade(points.after, points.q)
         return jump * (-d_level / length * m)[:, None]
 
-    def _level(self, points: Breakpoints, which: int) -> tuple[np.ndarray, np.ndarray]:
+    def _level(self, points: _Breakpoints, which: int) -> tuple[np.ndarray, np.ndarray]:
         """Return φ (S,) of eq. 2 and its gradient (S, 2); ``which``: 0 now, 1 after, 2 before."""
         level, gradient = np.zeros(len(points.q)), np.zeros((len(points.q), 2))
         on, q = points.on_edge, self.q[which]

@@ -78,7 +78,16 @@ DIFFERENCE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Maps:
-    """Pictures of the check, as numpy arrays."""
+    """Pictures of the check, as numpy arrays.
+
+    Example:
+        >>> from gva_mi.gradcheck import random_scene
+        >>> from gva_mi.splat import render
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=2, width=8, height=8)
+        >>> maps = gradcheck(render, scene).maps
+        >>> maps.image.shape, bool(maps.error.max() < 1e-5)
+        ((8, 8, 3), True)
+    """
 
     image: np.ndarray  # (H, W, D) by the reference
     error: np.ndarray  # (H, W) greatest error of the float32 image's channels; 0 in the band
@@ -89,7 +98,13 @@ class Maps:
 class RendererReport(Report):
     """The comparisons of a renderer, and the pixels left out of them.
 
-    :func:`gradcheck` makes it; its docstring has an example.
+    Example:
+        >>> from gva_mi.gradcheck import random_scene
+        >>> from gva_mi.splat import render
+        >>> scene = random_scene(Generator().manual_seed(0), gaussians=2, width=8, height=8)
+        >>> report = gradcheck(render, scene)
+        >>> report.passed, report.pixels, report.band
+        (True, 64, 0)
     """
 
     pixels: int = 0
@@ -253,7 +268,17 @@ def write_picture(reports: dict[str, RendererReport], path: Path) -> None:
 
 
 def draw_report(report: RendererReport, axes: Iterable, name: str = "") -> None:
-    """Draw the three panels of a report on matplotlib axes."""
+    """Draw the three panels of a report on matplotlib axes.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> maps = Maps(np.zeros((8, 8, 3)), np.zeros((8, 8)), np.zeros((8, 8), bool))
+        >>> row = Comparison("adjoint f32", "means", 1e-6, 1e-5, (0, 0), tolerance=1e-5)
+        >>> panels = Figure().subplots(1, 3)
+        >>> draw_report(RendererReport((row,), "8 Gaussians", maps=maps), panels, "black")
+        >>> [panel.get_title() for panel in panels][:2]
+        ['black', 'log10 |float32 - reference|; 0 left out']
+    """
     image, error, bars = axes
     maps = report.maps
     rgb = maps.image[..., :3] if maps.image.shape[2] >= 3 else maps.image[..., 0]

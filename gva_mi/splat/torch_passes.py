@@ -46,7 +46,14 @@ Images = tuple[Tensor | None, ...]  # color, alpha, depth; their gradients or ta
 
 
 class Tensors(NamedTuple):
-    """Differentiable tensors of ``Render``, or their gradients or tangents."""
+    """Differentiable tensors of ``render``, or their gradients or tangents.
+
+    Example:
+        >>> names = Tensors(*Tensors._fields)
+        >>> names[6:], list(names.gaussians())
+        (('background', 'T_camera_world', 'K'),
+         ['means', 'quats', 'scales', 'covars', 'opacities', 'colors'])
+    """
 
     means: Any
     quats: Any  # None, with scales, where covars are given
@@ -65,7 +72,15 @@ class Tensors(NamedTuple):
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a forward pass keeps for its adjoint and tangent."""
+    """What a forward pass keeps for its adjoint and tangent.
+
+    Example:
+        If only colours need gradients, the adjoint leaves out the geometry.
+
+        >>> needs = dict.fromkeys(Tensors._fields, False) | {"colors": True}
+        >>> Drawn(saved=None, screen=None).requested(Tensors(**needs))
+        RequestedGradients(geometry=False, colors=True, camera=False, absolute=False)
+    """
 
     saved: SavedState | None  # None for a batch
     screen: Screen | None
@@ -85,7 +100,18 @@ class Drawn:
 def draw(
     given: Tensors, camera: Camera, options: SplatOptions, harmonics: bool, screen: Screen | None
 ) -> Drawn:
-    """Run the forward pass, and fill the screen; ``harmonics``: the colours are coefficients."""
+    """Run the forward pass, and fill the screen; ``harmonics``: the colours are coefficients.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> from gva_mi.splat.torch_render import tensors_of
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> given = tensors_of(scene.gaussians, scene.background, scene.camera)
+        >>> screen = Screen()
+        >>> drawn = draw(given, scene.camera, scene.options, harmonics=False, screen=screen)
+        >>> drawn.saved.layout.padded, screen.visible.tolist()  # whole tiles of 8 x 4 pixels
+        ((8, 8), [True, True, True, True, True])
+    """
     F = PRECISION[given.means.dtype]
     arrays = {k: to_drjit(x, F) for k, x in given.gaussians().items() if x is not None}
     saved = render_forward(
@@ -107,7 +133,19 @@ def draw(
 def adjoint(
     tensors: Tensors, grads: Images, drawn: Drawn, requested: RequestedGradients
 ) -> Tensors:
-    """Compute dL/dx from dL/dy; None for a gradient that is not requested."""
+    """Compute dL/dx from dL/dy; None for a gradient that is not requested.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> from gva_mi.splat.torch_render import tensors_of
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> given = tensors_of(scene.gaussians, scene.background, scene.camera)
+        >>> drawn = draw(given, scene.camera, scene.options, harmonics=False, screen=None)
+        >>> requested = drawn.requested(Tensors(*(x is not None for x in given)))
+        >>> grad = adjoint(given, (torch.ones(6, 8, 3), None, None), drawn, requested)
+        >>> tuple(grad.means.shape), grad.covars  # not given: quats and scales are
+        ((5, 3), None)
+    """
     _refuse_batches(*grads)
     color, alpha, depth = grads
     saved, screen = drawn.saved, drawn.screen
@@ -141,7 +179,23 @@ def adjoint(
 @exclusive
 @quiet_openmp()
 def tangent(given: Tensors, drawn: Drawn) -> Images:
-    """Compute dy from dx; None is zero."""
+    """Compute dy from dx; None is zero.
+
+    Example:
+        <w, J v> = <Jᵀ w, v>: the sum of all pixels as all means move along (1, 1, 1).
+
+        >>> from gva_mi.splat.scene import random_scene
+        >>> from gva_mi.splat.torch_render import tensors_of
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> given = tensors_of(scene.gaussians, scene.background, scene.camera)
+        >>> drawn = draw(given, scene.camera, scene.options, harmonics=False, screen=None)
+        >>> v = Tensors(**dict.fromkeys(Tensors._fields) | {"means": torch.ones(5, 3)})
+        >>> color, alpha, depth = tangent(v, drawn)
+        >>> requested = drawn.requested(Tensors(*(x is not None for x in given)))
+        >>> grad = adjoint(given, (torch.ones(6, 8, 3), None, None), drawn, requested)
+        >>> torch.allclose(color.sum(), grad.means.sum())
+        True
+    """
     _refuse_batches(*given)
     saved = drawn.saved
     F = saved.inputs.float_type
@@ -165,7 +219,18 @@ def tangent(given: Tensors, drawn: Drawn) -> Images:
 
 
 def images(planes: Planes, saved: SavedState) -> Images:
-    """Return the images that are made, without their padding."""
+    """Return the images that are made, without their padding.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> from gva_mi.splat.torch_render import tensors_of
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> given = tensors_of(scene.gaussians, scene.background, scene.camera)
+        >>> options = SplatOptions(depth=False)
+        >>> saved = draw(given, scene.camera, options, harmonics=False, screen=None).saved
+        >>> [tuple(image.shape) for image in images(saved.planes, saved)]
+        [(6, 8, 3), (6, 8)]
+    """
     layout = saved.layout
     color = _image_of(planes.color, layout, saved.plan.channels)
     rest = [_image_of(plane, layout) for plane in (planes.alpha, planes.depth) if plane is not None]
@@ -328,6 +393,11 @@ def first_two_columns(table: np.ndarray, rows: Tensor | None = None) -> Tensor:
 
     A pair is copied as one complex number, by numpy: torch copies rows of two numbers as slowly as
     long ones, and takes longer to be called.
+
+    Example:
+        >>> table = np.arange(8, dtype=np.float32).reshape(2, 4)
+        >>> first_two_columns(table).tolist(), first_two_columns(table, torch.tensor([1])).tolist()
+        ([[0.0, 1.0], [4.0, 5.0]], [[4.0, 5.0]])
     """
     number = np.complex64 if table.dtype == np.float32 else np.complex128
     pairs = table.view(number)[:, 0]

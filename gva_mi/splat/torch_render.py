@@ -6,13 +6,13 @@ matrices where these are tensors. A :class:`Screen` receives what densification 
 
 With x everything that is differentiated and y the images,
 
-    Render    x -> y               forward
-    Adjoint   x, dL/dy -> dL/dx    backward of Render: linear in dL/dy
-    Tangent   x, dx -> dy          jvp of Render: linear in dx
+    _Forward    x -> y               forward
+    _Adjoint    x, dL/dy -> dL/dx    backward of _Forward: linear in dL/dy
+    _Tangent    x, dx -> dy          jvp of _Forward: linear in dx
 
-Adjoint and Tangent are each other's transpose, so each is the other's derivative with respect to
+_Adjoint and _Tangent are each other's transpose, so each is the other's derivative with respect to
 the argument in which it is linear. Their derivatives with respect to x would be second derivatives
-of the picture, which are not implemented: ``FirstOrder`` stands before x and refuses them.
+of the picture, which are not implemented: ``_FirstOrder`` stands before x and refuses them.
 """
 
 from __future__ import annotations
@@ -54,6 +54,14 @@ def one_by_one(function: type[torch.autograd.Function]) -> type[torch.autograd.F
 
     Where only gradients or tangents are batched, as a Jacobian's rows are, all elements belong to
     the same picture.
+
+    Example:
+        >>> @one_by_one
+        ... class Double(torch.autograd.Function):
+        ...     forward = staticmethod(lambda x: (2 * x,))
+        ...     setup_context = staticmethod(lambda ctx, inputs, output: None)
+        >>> torch.vmap(Double.apply)(torch.tensor([1.0, 2.0]))
+        (tensor([2., 4.]),)
     """
 
     def vmap(info: Any, dims: tuple, *arguments: Any) -> tuple[tuple, tuple]:  # noqa: ANN401
@@ -83,7 +91,7 @@ def _stacked(column: tuple) -> Any:  # noqa: ANN401
 
 
 @one_by_one
-class Render(torch.autograd.Function):
+class _Forward(torch.autograd.Function):
     """Forward pass: from ``Tensors`` and constants to color, alpha, depth and ``Drawn``.
 
     The constants are those of :func:`draw`: camera, options, harmonics and screen.
@@ -111,7 +119,15 @@ class Render(torch.autograd.Function):
 
 
 def keep(ctx: FunctionCtx, tensors: tuple, drawn: Drawn) -> None:
-    """Keep what :func:`pull` and :func:`push` need, in an operation that returns images."""
+    """Keep what :func:`pull` and :func:`push` need, in an operation that returns images.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5).to(torch.float64)
+        >>> ctx = render(scene.gaussians, scene.camera).color.grad_fn  # the operation
+        >>> type(ctx.drawn).__name__, torch.equal(ctx.saved_tensors[0], scene.gaussians.means)
+        ('Drawn', True)
+    """
     ctx.drawn = drawn
     # the kernels read the tensors' memory again: torch raises if it was overwritten
     ctx.save_for_backward(*tensors)
@@ -120,21 +136,42 @@ def keep(ctx: FunctionCtx, tensors: tuple, drawn: Drawn) -> None:
 
 
 def pull(ctx: FunctionCtx, grads: tuple[Tensor | None, ...]) -> tuple[Tensor | None, ...]:
-    """Return the gradients with respect to ``Tensors``, given those of the images."""
+    """Return the gradients with respect to ``Tensors``, given those of the images.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5).to(torch.float64)
+        >>> color = render(scene.gaussians, scene.camera).color
+        >>> grads = Tensors(*pull(color.grad_fn, (torch.ones_like(color), None)))
+        >>> color.sum().backward()  # calls it, too
+        >>> torch.equal(grads.means, scene.gaussians.means.grad)
+        True
+    """
     tensors, drawn, by_images = ctx.saved_tensors, ctx.drawn, _three(grads)
     requested = drawn.requested(Tensors(*ctx.needs_input_grad[:COUNT]))
     if not torch.is_grad_enabled():
         return adjoint(Tensors(*tensors), by_images, drawn, requested)
-    return Adjoint.apply(*FirstOrder.apply(*tensors), *by_images, drawn, requested)
+    return _Adjoint.apply(*_FirstOrder.apply(*tensors), *by_images, drawn, requested)
 
 
 def push(ctx: FunctionCtx, tangents: tuple[Tensor | None, ...]) -> Images:
-    """Return the tangents of the images along tangents of ``Tensors``."""
-    return Tangent.apply(*FirstOrder.apply(*ctx.saved_tensors), *tangents, ctx.drawn)
+    """Return the tangents of the images along tangents of ``Tensors``.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5).to(torch.float64)
+        >>> image = render(scene.gaussians, scene.camera)
+        >>> brighter = dict(background=torch.ones(3).double())
+        >>> tangents = Tensors(**dict.fromkeys(Tensors._fields) | brighter)
+        >>> color, *_ = push(image.color.grad_fn, tangents)
+        >>> torch.allclose(color[..., 0], 1 - image.alpha)  # it shines through
+        True
+    """
+    return _Tangent.apply(*_FirstOrder.apply(*ctx.saved_tensors), *tangents, ctx.drawn)
 
 
 @one_by_one
-class Adjoint(torch.autograd.Function):
+class _Adjoint(torch.autograd.Function):
     """Backward pass: from ``Tensors``, image gradients, ``Drawn`` and a request to gradients."""
 
     @staticmethod
@@ -153,18 +190,18 @@ class Adjoint(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: FunctionCtx, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
-        images = _three(Tangent.apply(*ctx.saved_tensors, *tangents, ctx.drawn))
+        images = _three(_Tangent.apply(*ctx.saved_tensors, *tangents, ctx.drawn))
         by_grads = [x if given else None for x, given in zip(images, ctx.given, strict=True)]
         return *[None] * len(tangents), *by_grads, None, None
 
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
         *_, color, alpha, depth, _, _ = tangents
-        return Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.drawn, ctx.requested)
+        return _Adjoint.apply(*ctx.saved_tensors, color, alpha, depth, ctx.drawn, ctx.requested)
 
 
 @one_by_one
-class Tangent(torch.autograd.Function):
+class _Tangent(torch.autograd.Function):
     """Tangent pass: from ``Tensors``, their tangents and ``Drawn`` to the images' tangents."""
 
     @staticmethod
@@ -184,16 +221,16 @@ class Tangent(torch.autograd.Function):
     @staticmethod
     def backward(ctx: FunctionCtx, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
         requested = ctx.drawn.requested(Tensors(*ctx.given))
-        found = Adjoint.apply(*ctx.saved_tensors, *_three(grads), ctx.drawn, requested)
+        found = _Adjoint.apply(*ctx.saved_tensors, *_three(grads), ctx.drawn, requested)
         by_tangents = [x if given else None for x, given in zip(found, ctx.given, strict=True)]
         return *[None] * len(found), *by_tangents, None
 
     @staticmethod
     def jvp(ctx: FunctionCtx, *tangents: Tensor | None) -> Images:
-        return Tangent.apply(*ctx.saved_tensors, *tangents[COUNT:-1], ctx.drawn)
+        return _Tangent.apply(*ctx.saved_tensors, *tangents[COUNT:-1], ctx.drawn)
 
 
-class FirstOrder(torch.autograd.Function):
+class _FirstOrder(torch.autograd.Function):
     """Pass tensors on, and refuse to be differentiated.
 
     Without it torch would take second derivatives for zero wherever dL/dy is a constant.
@@ -269,14 +306,22 @@ def render(
         >>> round(float(scene.background.grad[0] - (1 - image.alpha.detach()).sum()), 9)
         0.0
     """
-    check(gaussians, background, camera)
+    _check(gaussians, background, camera)
     constants = (camera, options, gaussians.sh is not None, screen)
-    images = Render.apply(*tensors_of(gaussians, background, camera), *constants)
+    images = _Forward.apply(*tensors_of(gaussians, background, camera), *constants)
     return Image(*images[:-1])
 
 
 def tensors_of(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> Tensors:
-    """Collect everything that is differentiated; black where there is no background."""
+    """Collect everything that is differentiated; black where there is no background.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5)
+        >>> tensors = tensors_of(scene.gaussians, None, scene.camera)
+        >>> tensors.background.tolist(), tensors.K  # K: only if the camera is made from tensors
+        ([0.0, 0.0, 0.0], None)
+    """
     g = gaussians
     if background is None:
         background = g.means.new_zeros(g.channels)
@@ -298,7 +343,7 @@ def expected_depth(image: Image) -> Tensor:
     return image.depth / image.alpha.clamp(min=SMALLEST_ALPHA)
 
 
-def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> None:
+def _check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> None:
     """Check everything that the kernels rely on.
 
     Raises:
@@ -331,7 +376,12 @@ def check(gaussians: Gaussians, background: Tensor | None, camera: Camera) -> No
 
 
 def problem_of(tensor: Tensor) -> str | None:
-    """Return what keeps the kernels from reading a tensor, if anything does."""
+    """Return what keeps the kernels from reading a tensor, if anything does.
+
+    Example:
+        >>> problem_of(torch.zeros(3)), problem_of(torch.arange(3))
+        (None, 'must be float32 or float64 on the CPU, got torch.int64 on cpu')
+    """
     if not isinstance(tensor, Tensor):
         return f"must be a torch tensor, got {type(tensor).__name__}"
     if not tensor.is_cpu or tensor.dtype not in PRECISION:

@@ -45,7 +45,22 @@ OCCLUDER_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class Contours:
-    """Samples on the visible edges of one view, each with the jump of the image across it."""
+    """Samples on the visible edges of one view, each with the jump of the image across it.
+
+    Example:
+        A cube of 2 m, whose front is 4 m away, covers 4 x 4 pixels. It comes nearer by 1 m per unit
+        of time: its area grows by 2 / 4 of itself.
+
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> sensor = {"type": "perspective", "fov": 90, "film": film}  # a focal length of 8 px
+        >>> cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 5])}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "cube": cube})
+        >>> integrator = mi.load_dict({"type": "mesh_normals", "channels": "mask"})
+        >>> caster = integrator.view(scene, scene.sensors()[0]).caster
+        >>> nearer = dr.zeros(mi.Vector3f, caster.surface.topology.vertex_count) - [0, 0, 1]
+        >>> dr.sum(Contours.of(caster, density=1).tangent(nearer)[0])
+        [8]
+    """
 
     topology: Topology
     edge: mi.UInt32  # (S,) the edge of each sample

@@ -43,7 +43,14 @@ POINTS_PER_PIXEL = 256
 
 @dataclass(frozen=True)
 class PixelFilter:
-    """The weights between W x H pixels and ``spp`` samples in each."""
+    """The weights between W x H pixels and ``spp`` samples in each.
+
+    Example:
+        >>> box = {"type": "hdrfilm", "width": 2, "height": 1, "rfilter": {"type": "box"}}
+        >>> filter = PixelFilter.of(mi.load_dict(box), spp=2)
+        >>> filter.develop([mi.Float(1, 3, 5, 5)])  # the mean of each pixel's two samples
+        [[2, 5]]
+    """
 
     width: int
     height: int
@@ -278,7 +285,12 @@ def _total(mass: np.ndarray, count: int) -> np.ndarray:
 class Tile:
     """A part of a view on a grid of its own.
 
-    ``Tile(6, 6, 2, 8, 8)`` has 8 x 8 pixels, half as wide as the view's, from (6, 6) on.
+    Example:
+        8 x 8 pixels, half as wide as the view's, from (6, 6) on.
+
+        >>> tile = Tile(left=6, top=6, scale=2, width=8, height=8)
+        >>> tile.left + tile.width / tile.scale  # its right border in the view
+        10.0
     """
 
     left: float  # of its upper left corner, pixels of the view
@@ -301,7 +313,14 @@ class _Grid:
 
 @dataclass(frozen=True)
 class MultiCrop(PixelFilter):
-    """The pixels of all tiles, one tile after the other, as an image of one row."""
+    """The pixels of all tiles, one tile after the other, as an image of one row.
+
+    Example:
+        >>> box = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> crops = MultiCrop.of([Tile(6, 6, 2, 2, 1), Tile(0, 0, 1, 1, 1)], mi.load_dict(box))
+        >>> crops.positions().x, crops.positions().y  # of three pixels, in the view
+        ([6.25, 6.75, 0.5], [6.25, 6.25, 0.5])
+    """
 
     grids: tuple[_Grid, ...]
 

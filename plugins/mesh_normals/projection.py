@@ -206,5 +206,12 @@ def _size_of(size: mi.ScalarVector2u) -> mi.Point2f:
 
 
 def share_on_segment(t: mi.Float, ha: mi.Float, hb: mi.Float) -> mi.Float:
-    """Convert the share of a segment's image to the share of the segment (eq. 5)."""
+    """Convert the share of a segment's image to the share of the segment (eq. 5).
+
+    Example:
+        The middle of the image lies on the nearer half.
+
+        >>> share_on_segment(mi.Float(0.5), ha=mi.Float(1), hb=mi.Float(3))
+        [0.25]
+    """
     return t * ha / (t * ha + (1 - t) * hb)

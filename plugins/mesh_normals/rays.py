@@ -123,7 +123,15 @@ class Channels:
 
 @dataclass(frozen=True)
 class RayHits:
-    """The first hits of rays."""
+    """The first hits of rays.
+
+    Example:
+        A ray that misses does not count, whatever it is given as a depth.
+
+        >>> hits = RayHits(mi.Ray3f(), mi.UInt32(7, 0), mi.Float(4, dr.inf), mi.Bool(True, False))
+        >>> dr.select(hits.hit, hits.depth, 0)
+        [4, 0]
+    """
 
     ray: mi.Ray3f  # (R,)
     face: mi.UInt32  # (R,) 0 where nothing is hit
@@ -133,7 +141,21 @@ class RayHits:
 
 @dataclass(frozen=True)
 class RayCaster:
-    """Casts rays at the meshes of a scene through the pixels of an image."""
+    """Casts rays at the meshes of a scene through the pixels of an image.
+
+    Example:
+        A cube, whose front is 4 m away, in the middle of the image, and nothing in its corner.
+
+        >>> film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+        >>> sensor = {"type": "perspective", "fov": 90, "film": film}  # a focal length of 8 px
+        >>> cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, 5])}
+        >>> scene = mi.load_dict({"type": "scene", "sensor": sensor, "cube": cube})
+        >>> integrator = mi.load_dict({"type": "mesh_normals", "channels": "normal"})
+        >>> caster = integrator.view(scene, scene.sensors()[0]).caster
+        >>> hits = caster.cast(mi.Point2f([8, 1], [8, 1]))
+        >>> hits.hit, hits.depth, caster.values(hits)[2]  # n_z of a surface facing the camera
+        ([True, False], [4, inf], [-1, 0])
+    """
 
     scene: mi.Scene
     surface: MeshSurface

@@ -42,64 +42,64 @@ NAMES = {  # in Camera, SplatOptions and render; here
 }
 
 
-def refuse(problem: str) -> NoReturn:
+def _refuse(problem: str) -> NoReturn:
     """Raise the error of a wrong argument."""
     raise ValueError(f"rasterization(): {problem}")
 
 
-def require_unused(**given: Any) -> None:  # noqa: ANN401
+def _require_unused(**given: Any) -> None:  # noqa: ANN401
     """Refuse the first argument that was given and is not supported."""
     for name, value in given.items():
         if value is not None and value is not False:
-            refuse(f"{name} is not supported here")
+            _refuse(f"{name} is not supported here")
 
 
-def require_modes(render_mode: str, rasterize_mode: str, camera_model: str) -> None:
+def _require_modes(render_mode: str, rasterize_mode: str, camera_model: str) -> None:
     """Check the arguments that are one of a few words."""
     known = {"render_mode": (render_mode, RenderMode)}
     known |= {"rasterize_mode": (rasterize_mode, RasterizeMode)}
     known |= {"camera_model": (camera_model, CameraModel)}
     for name, (value, words) in known.items():
         if value not in get_args(words):
-            refuse(f"{name} must be one of {', '.join(get_args(words))}, got {value!r}")
+            _refuse(f"{name} must be one of {', '.join(get_args(words))}, got {value!r}")
 
 
-def require_tensors(given: dict[str, Tensor], backgrounds: Tensor | None) -> None:
+def _require_tensors(given: dict[str, Tensor], backgrounds: Tensor | None) -> None:
     """Check kinds, devices and dtypes: all float32 or all float64, on the CPU."""
     optional = {} if backgrounds is None else {"backgrounds": backgrounds}
     for name, tensor in (given | optional).items():
         if problem := problem_of(tensor):
-            refuse(f"{name} {problem}")
+            _refuse(f"{name} {problem}")
     dtype = given["means"].dtype
     for name, tensor in given.items():
         if tensor.dtype != dtype:
-            refuse(f"{name} must be {dtype}, as means is, got {tensor.dtype}")
+            _refuse(f"{name} must be {dtype}, as means is, got {tensor.dtype}")
 
 
-def batch_of(given: dict[str, Tensor], sh_degree: int | None) -> tuple[int, ...]:
+def _batch_of(given: dict[str, Tensor], sh_degree: int | None) -> tuple[int, ...]:
     """Check that the shapes fit each other, and return the batch dimensions."""
     means, viewmats, colors = given["means"], given["viewmats"], given["colors"]
     batch, N = tuple(means.shape[:-2]), means.shape[-2] if means.dim() > 1 else 0
     C = viewmats.shape[-3] if viewmats.dim() > 2 else 0
     if C == 0:
-        refuse(f"viewmats must be (..., C, 4, 4) with C > 0, got {tuple(viewmats.shape)}")
+        _refuse(f"viewmats must be (..., C, 4, 4) with C > 0, got {tuple(viewmats.shape)}")
     forms = {"means": (N, 3), "quats": (N, 4), "scales": (N, 3), "opacities": (N,)}
     forms |= {"covars": (N, 3, 3), "viewmats": (C, 4, 4), "Ks": (C, 3, 3)}
     for name, form in forms.items():
         if name in given and tuple(given[name].shape) != batch + form:
-            refuse(f"{name} must be {(*batch, *form)}, got {tuple(given[name].shape)}")
+            _refuse(f"{name} must be {(*batch, *form)}, got {tuple(given[name].shape)}")
     if "covars" in given and not torch.isfinite(given["covars"]).all():
-        refuse("covars must be finite")
+        _refuse("covars must be finite")
     form, axes = ("N, D)", 2) if sh_degree is None else ("N, K, 3)", 3)
     shape = tuple(colors.shape)
     fits = len(shape) >= axes and shape[-axes] == N and shape[:-axes] in (batch, (*batch, C))
     if not fits or (shape[-1] < 1 if sh_degree is None else shape[-1] != 3):
         found = f"{shape} where N is {N} and C {C}"
-        refuse(f"colors must be (..., {form} or (..., C, {form}, got {found}")
+        _refuse(f"colors must be (..., {form} or (..., C, {form}, got {found}")
     return batch
 
 
-def backgrounds_by_view(
+def _backgrounds_by_view(
     backgrounds: Tensor | None, shape: tuple[int, ...], channels: int, mode: RenderMode
 ) -> list[Tensor | None]:
     """Split the backgrounds into one per picture; None where no colours are drawn."""
@@ -108,11 +108,11 @@ def backgrounds_by_view(
         return [None] * count
     if tuple(backgrounds.shape) != (*shape, channels):
         found = f"{(*shape, channels)}, got {tuple(backgrounds.shape)}"
-        refuse(f"backgrounds must be (..., C, D) = {found}")
-    return flat(backgrounds, 1)
+        _refuse(f"backgrounds must be (..., C, D) = {found}")
+    return _flat(backgrounds, 1)
 
 
-def colors_by_view(
+def _colors_by_view(
     colors: Tensor, shape: tuple[int, ...], sh_degree: int | None, mode: RenderMode
 ) -> list[Tensor]:
     """Split the colours, or the coefficients up to ``sh_degree``, into one set per picture."""
@@ -121,20 +121,20 @@ def colors_by_view(
         colors = colors.detach()  # unused: no gradient instead of zeros, as in gsplat
     if sh_degree is not None:
         if sh_degree not in range(MAX_DEGREE + 1):
-            refuse(f"sh_degree must be 0 to {MAX_DEGREE}, got {sh_degree}")
+            _refuse(f"sh_degree must be 0 to {MAX_DEGREE}, got {sh_degree}")
         count = (sh_degree + 1) ** 2
         if colors.shape[-2] < count:
-            refuse(f"sh_degree {sh_degree} needs {count} coefficients, got {colors.shape[-2]}")
+            _refuse(f"sh_degree {sh_degree} needs {count} coefficients, got {colors.shape[-2]}")
         if colors.shape[-2] > count:
             colors = colors[..., :count, :]
     elif "RGB" not in mode:
         colors = colors[..., :1]  # the kernels need one channel
-    parts = flat(colors, axes)
+    parts = _flat(colors, axes)
     shared = colors.dim() - axes < len(shape)  # by all cameras
     return [part for part in parts for _ in range(shape[-1])] if shared else parts
 
 
-def flat(tensor: Tensor, axes: int) -> list[Tensor]:
+def _flat(tensor: Tensor, axes: int) -> list[Tensor]:
     """Split a tensor along all but its last ``axes`` axes.
 
     A single element is a view, whose gradient is not copied. A tensor without other axes is
@@ -242,7 +242,7 @@ def rasterization(
         ((1, 6, 8, 3), (1, 6, 8, 1), (5, 2))
     """
     shutter = getattr(rolling_shutter, "name", rolling_shutter)
-    require_unused(
+    _require_unused(
         distributed=distributed,
         with_ut=with_ut,
         with_eval3d=with_eval3d,
@@ -253,7 +253,7 @@ def rasterization(
         rolling_shutter=None if shutter == "GLOBAL" else shutter,
         viewmats_rs=viewmats_rs,
     )
-    require_modes(render_mode, rasterize_mode, camera_model)
+    _require_modes(render_mode, rasterize_mode, camera_model)
     options = _options(
         blur=eps2d,
         near=near_plane,
@@ -265,14 +265,14 @@ def rasterization(
     shape_of = {"quats": quats, "scales": scales} if covars is None else {"covars": covars}
     given = {"means": means, **shape_of, "opacities": opacities}
     given |= {"colors": colors, "viewmats": viewmats, "Ks": Ks}
-    require_tensors(given, backgrounds)
-    batch = batch_of(given, sh_degree)
+    _require_tensors(given, backgrounds)
+    batch = _batch_of(given, sh_degree)
     shape = (*batch, viewmats.shape[-3])
-    by_view = colors_by_view(colors, shape, sh_degree, render_mode)
-    behind = backgrounds_by_view(backgrounds, shape, by_view[0].shape[-1], render_mode)
+    by_view = _colors_by_view(colors, shape, sh_degree, render_mode)
+    behind = _backgrounds_by_view(backgrounds, shape, by_view[0].shape[-1], render_mode)
     bodies = _gaussians(means, quats, scales, covars, opacities)
     kind, views = "colors" if sh_degree is None else "sh", []
-    for v, (K, viewmat) in enumerate(zip(flat(Ks, 2), flat(viewmats, 2), strict=True)):
+    for v, (K, viewmat) in enumerate(zip(_flat(Ks, 2), _flat(viewmats, 2), strict=True)):
         gaussians = Gaussians(**bodies[v // shape[-1]], **{kind: by_view[v]})
         try:
             camera = Camera.from_matrices(K, viewmat, width, height, camera_model)
@@ -312,13 +312,13 @@ def _gaussians(
     opacities: Tensor,
 ) -> list[dict[str, Tensor | None]]:
     """Split the Gaussians, without their colours, into one set per element of the batch."""
-    parts = {"means": flat(means, 2), "opacities": flat(opacities, 1)}
+    parts = {"means": _flat(means, 2), "opacities": _flat(opacities, 1)}
     absent = dict.fromkeys(("quats", "scales", "covars"))
     if covars is None:
-        parts |= {"quats": flat(quats, 2), "scales": flat(scales, 2)}
+        parts |= {"quats": _flat(quats, 2), "scales": _flat(scales, 2)}
     else:
         rows, columns = torch.triu_indices(3, 3)
-        parts["covars"] = flat(covars[..., rows, columns], 2)
+        parts["covars"] = _flat(covars[..., rows, columns], 2)
     count = len(parts["means"])
     return [absent | {name: part[b] for name, part in parts.items()} for b in range(count)]
 

@@ -3,12 +3,12 @@
 gsplat's users call ``meta["means2d"].retain_grad()`` before backward, register hooks on it, and put
 losses on it. Therefore it is a node of torch's graph between the means and the images:
 
-    means, T_camera_world, K            -> ProjectMeans -> means2d, depths, echo, drawn
-    the tensors, means2d, echo          -> Images       -> images
+    means, T_camera_world, K            -> _ProjectMeans -> means2d, depths, echo, drawn
+    the tensors, means2d, echo          -> _ImagesOf     -> images
 
-The kernels run once, in ProjectMeans. In backward they propagate the images' gradient to the means
+The kernels run once, in _ProjectMeans. In backward they propagate the images' gradient to the means
 and the camera themselves, and the screen receives the gradient with respect to ``means2d``. To
-count it only once, ``echo`` receives it too: ProjectMeans propagates only the difference between
+count it only once, ``echo`` receives it too: _ProjectMeans propagates only the difference between
 the two, which hooks and other losses caused. :mod:`gva_mi.splat.torch_render` is unaware of this.
 """
 
@@ -42,7 +42,15 @@ Values = tuple[Tensor | None, ...]
 
 @dataclass(frozen=True)
 class GsplatView:
-    """The constants of one picture."""
+    """The constants of one picture.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> camera = random_scene(torch.Generator().manual_seed(0)).camera
+        >>> view = GsplatView(camera, SplatOptions(), False, Screen(), packed=False)
+        >>> view.pick(torch.tensor([7, 8, 9]))  # not packed: all rows
+        tensor([7, 8, 9])
+    """
 
     camera: Camera
     options: SplatOptions
@@ -56,12 +64,12 @@ class GsplatView:
 
 
 @one_by_one
-class ProjectMeans(torch.autograd.Function):
+class _ProjectMeans(torch.autograd.Function):
     """Autograd node from means and camera to means2d, depths, echo and the ``Drawn`` picture.
 
     Its inputs are means, T_camera_world, K, an anchor, six other tensors and a ``GsplatView``.
 
-    The others, quats to background, are detached: they get their gradients from ``ImagesOf``. The
+    The others, quats to background, are detached: they get their gradients from ``_ImagesOf``. The
     anchor is one of them that needs a gradient, so that ``means2d`` has a gradient where means and
     camera are frozen; None if there is none.
     """
@@ -112,7 +120,7 @@ class ProjectMeans(torch.autograd.Function):
 
 
 @one_by_one
-class ImagesOf(torch.autograd.Function):
+class _ImagesOf(torch.autograd.Function):
     """Autograd node from ``Tensors``, means2d and echo to the images of a ``Drawn`` picture.
 
     Its last two inputs are that picture and its ``GsplatView``.
@@ -206,6 +214,12 @@ class Meta(UserDict):
     """A dictionary whose functions are called, and replaced by their result, when they are read.
 
     Most programs read a few entries of gsplat's ``meta``, and only in some steps.
+
+    Example:
+        >>> meta = Meta({"width": 8, "radii": lambda: print("computed") or 3})
+        >>> meta["width"], meta["radii"], meta["radii"]
+        computed
+        (8, 3, 3)
     """
 
     def __getitem__(self, name: str) -> Any:  # noqa: ANN401
@@ -216,7 +230,17 @@ class Meta(UserDict):
 
 @dataclass(frozen=True)
 class RenderedView:
-    """One picture whose kernels have run; torch's graph reaches up to ``means2d``."""
+    """One picture whose kernels have run; torch's graph reaches up to ``means2d``.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5).to(torch.float64)
+        >>> view = GsplatView(scene.camera, scene.options, False, Screen(), packed=False)
+        >>> seen = RenderedView.of(scene.gaussians, None, view)
+        >>> (grad,) = torch.autograd.grad(seen.image(seen.means2d).color.sum(), seen.means2d)
+        >>> torch.equal(grad, view.screen.grad)  # as the kernels computed it
+        True
+    """
 
     view: GsplatView
     drawn: Drawn
@@ -232,18 +256,23 @@ class RenderedView:
         means, *others = *tensors.gaussians().values(), tensors.background
         anchor = next((x for x in others if x is not None and x.requires_grad), None)
         detached = [None if x is None else x.detach() for x in others]
-        means2d, depths, echo, drawn = ProjectMeans.apply(
+        means2d, depths, echo, drawn = _ProjectMeans.apply(
             means, *view.camera.tensors, anchor, *detached, view
         )
         return RenderedView(view, drawn, tensors, means2d, depths, echo)
 
     def image(self, means2d: Tensor) -> Image:
         """Return the picture as a function of its part (..., M, 2) of the common ``means2d``."""
-        return Image(*ImagesOf.apply(*self.tensors, means2d, self.echo, self.drawn, self.view))
+        return Image(*_ImagesOf.apply(*self.tensors, means2d, self.echo, self.drawn, self.view))
 
 
 def joined(parts: list[Tensor], shape: tuple[int, ...]) -> Tensor:
-    """Stack to (*shape, ...); a single part is not copied, nor is its gradient."""
+    """Stack to (*shape, ...); a single part is not copied, nor is its gradient.
+
+    Example:
+        >>> joined([torch.zeros(4, 2)] * 6, shape=(2, 3)).shape
+        torch.Size([2, 3, 4, 2])
+    """
     if len(parts) == 1:
         return parts[0].view(*shape, *parts[0].shape)
     return torch.stack(parts).unflatten(0, shape)
@@ -257,7 +286,18 @@ def _joined_rows(parts: list[Tensor], shape: tuple[int, ...], packed: bool) -> T
 
 
 class RenderedViews:
-    """The pictures (..., C) of one call, all of one size."""
+    """The pictures (..., C) of one call, all of one size.
+
+    Example:
+        Two cameras at one place.
+
+        >>> from gva_mi.splat.scene import random_scene
+        >>> scene = random_scene(torch.Generator().manual_seed(0), gaussians=5)
+        >>> view = GsplatView(scene.camera, scene.options, False, Screen(), packed=False)
+        >>> seen = RenderedViews([RenderedView.of(scene.gaussians, None, view)] * 2, (2,), False)
+        >>> len(seen.images()), seen.means2d.shape, seen.meta(torch.ones(5), 16)["n_cameras"]
+        (2, torch.Size([2, 5, 2]), 2)
+    """
 
     def __init__(self, views: Sequence[RenderedView], shape: tuple[int, ...], packed: bool) -> None:
         self.views, self.shape, self.packed = views, shape, packed

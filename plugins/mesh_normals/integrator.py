@@ -53,7 +53,7 @@ from gva_mi_plugins.mesh_normals.pixel_filter import MultiCrop, PixelFilter, Til
 from gva_mi_plugins.mesh_normals.projection import SensorProjection
 from gva_mi_plugins.mesh_normals.rays import Channels, RayCaster
 from gva_mi_plugins.mesh_normals.surface import MeshSurface
-from gva_mi_plugins.mesh_normals.topology import Topology, Welds, meshes_of, without_ellipsoids
+from gva_mi_plugins.mesh_normals.topology import Topology, Welds
 
 
 class MeshNormals(mi.ad.integrators.common.ADIntegrator):
@@ -118,14 +118,14 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         if spp < 1:
             raise ValueError(f"mesh_normals: spp must be at least 1, got {spp}")
         with dr.suspend_grad():
-            meshes = meshes_of(scene) if instanced is None else [instanced]
+            meshes = _meshes_of(scene) if instanced is None else [instanced]
             buffers = [dr.detach(mesh.vertex_positions_buffer()) for mesh in meshes]
             positions = _joined([dr.unravel(mi.Vector3f, x) for x in buffers])
             surface = self._surface(meshes, positions)
             projection = projection or SensorProjection.of(sensor, self.pixel_aspect)
             film = sensor.film()
             filter = MultiCrop.of(tiles, film) if tiles else PixelFilter.of(film, spp)
-            traced = without_ellipsoids(scene) if instanced is None else scene
+            traced = _without_ellipsoids(scene) if instanced is None else scene
             caster = RayCaster(traced, surface, projection, self.channels)
             density = self.edge_density * max((tile.scale for tile in tiles), default=1.0)
             return MeshView.of(caster, filter, density, self.intersections)
@@ -157,7 +157,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
     ) -> mi.TensorXf:
         """Return the derivative of the image (H, W, C) along the parameters' gradients."""
         sensor, spp = _arguments(scene, sensor, spp)
-        buffers = [mesh.vertex_positions_buffer() for mesh in meshes_of(scene)]
+        buffers = [mesh.vertex_positions_buffer() for mesh in _meshes_of(scene)]
         to_world = sensor.world_transform().matrix
         dr.forward_to([x for x in (*buffers, to_world) if dr.grad_enabled(x)])
         moves = [dr.unravel(mi.Vector3f, dr.grad(buffer)) for buffer in buffers]
@@ -182,7 +182,7 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
             grad = view.adjoint(grad_in)
             dr.eval(grad)
         start = 0
-        for mesh in meshes_of(scene):
+        for mesh in _meshes_of(scene):
             count, buffer = mesh.vertex_count(), mesh.vertex_positions_buffer()
             index = dr.arange(mi.UInt32, count) + start
             start += count
@@ -228,6 +228,37 @@ class MeshNormals(mi.ad.integrators.common.ADIntegrator):
         same = np.array_equal(flat, topology.flat) and np.array_equal(longest, topology.longest)
         self._topology = topology if same else Topology.of(welds, flat, longest)
         return replace(surface, topology=self._topology)
+
+
+def _meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
+    """Return a scene's shapes except ellipsoids; all of them must be meshes.
+
+    Raises:
+        ValueError: a shape is no mesh, or there is none.
+    """
+    meshes = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
+    for shape in meshes:
+        if not shape.is_mesh():
+            raise ValueError(
+                "mesh_normals: every shape must be a triangle mesh, "
+                f"'{shape.id()}' is {shape.class_name()}"
+            )
+    if not meshes:
+        raise ValueError("mesh_normals: the scene has no mesh")
+    return meshes
+
+
+def _without_ellipsoids(scene: mi.Scene) -> mi.Scene:
+    """Return a scene for ray tracing: the scene itself, or a new one of its meshes alone.
+
+    A scene with ellipsoids can be used by both plugins. Rays would end at the ellipsoids, so the
+    meshes become a scene of their own. It is built again for every picture, because only the first
+    scene is notified when meshes move.
+    """
+    if not any(shape.is_ellipsoids() for shape in scene.shapes()):
+        return scene
+    meshes = {f"mesh{k}": mesh for k, mesh in enumerate(_meshes_of(scene))}
+    return mi.load_dict({"type": "scene", **meshes})
 
 
 def _arguments(scene: mi.Scene, sensor: mi.Sensor | int, spp: int) -> tuple[mi.Sensor, int]:

@@ -49,7 +49,7 @@ from gva_mi_plugins.mesh_normals.segment_sums import Segments
 AREA_ROUNDING = 2.0**-22
 
 
-class Sides(NamedTuple):
+class _Sides(NamedTuple):
     """The sides of all faces: side ``k`` of face ``f`` is ``3 f + k``."""
 
     ends: np.ndarray  # (3F, 2) points at the ends, in the order in which the face runs
@@ -57,7 +57,7 @@ class Sides(NamedTuple):
     owner: np.ndarray  # (3F,) the face that it is a side of
 
 
-def live_sides(points: np.ndarray, flat: np.ndarray, longest: np.ndarray) -> Sides:
+def _live_sides(points: np.ndarray, flat: np.ndarray, longest: np.ndarray) -> _Sides:
     """Find the sides of faces (side ``k`` of face ``f`` is ``3 f + k``) that belong to edges.
 
     Faces have ``points`` (F, 3); the faces ``flat`` (n,) have no area. ``longest`` are the longest
@@ -67,7 +67,7 @@ def live_sides(points: np.ndarray, flat: np.ndarray, longest: np.ndarray) -> Sid
     ends = np.stack([points, np.roll(points, -1, axis=1)], axis=2).reshape(-1, 2)
     live[(3 * flat[:, None] + np.arange(3)).ravel()] = False
     if len(longest) == 0:
-        return Sides(ends, live, owner)
+        return _Sides(ends, live, owner)
     edge = [tuple(side) for side in np.sort(ends, axis=1).tolist()]
     at: dict[tuple[int, int], list[int]] = {}  # live sides of each edge
     for side in np.flatnonzero(live).tolist():
@@ -83,7 +83,7 @@ def live_sides(points: np.ndarray, flat: np.ndarray, longest: np.ndarray) -> Sid
                 ends[other] = ends[other, ::-1]
             live[other], owner[other] = True, owner[side]
             at.setdefault(edge[other], []).append(other)
-    return Sides(ends, live, owner)
+    return _Sides(ends, live, owner)
 
 
 # Normals of a file within 1 degree are one normal. Chosen: files round them to few digits.
@@ -98,7 +98,7 @@ UNIT_LENGTH_TOLERANCE = 1e-2  # of a file's normals; longer or shorter ones are 
 SMALLEST_LENGTH = 1e-30  # divisor in the place of 0; any vector of a mesh is longer
 
 
-def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return, for each vertex of a smooth mesh, the vertex whose shading normal it shares, (V,).
 
     ``points`` (V,) is, for each vertex, the first vertex at its place.
@@ -127,7 +127,7 @@ def shared_normals(mesh: mi.Mesh, faces: np.ndarray, points: np.ndarray) -> np.n
     return share
 
 
-def points_inward(mesh: mi.Mesh, faces: np.ndarray) -> bool:
+def _points_inward(mesh: mi.Mesh, faces: np.ndarray) -> bool:
     """Return whether normals point against the winding: flipped, or by a mirrored file."""
     normals = None if mesh.has_face_normals() else _file_normals(mesh, faces)
     if normals is None:
@@ -180,7 +180,7 @@ def _by_angle(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return _unit(np.stack(total, axis=1))
 
 
-class MeshKey(NamedTuple):
+class _MeshKey(NamedTuple):
     """What identifies a mesh and its faces, wherever the vertices are."""
 
     registered: int  # number in Mitsuba's registry of shapes
@@ -191,9 +191,17 @@ class MeshKey(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Welds:
-    """Which vertices of a mesh are one, and which way its normals point."""
+    """Which vertices of a mesh are one, and which way its normals point.
 
-    key: MeshKey
+    Example:
+        A cube has three vertices at each corner, with a normal each.
+
+        >>> welds = Welds.of(mi.load_dict({"type": "cube"}), earlier={})
+        >>> len(np.unique(welds.points)), len(np.unique(welds.normals))
+        (8, 24)
+    """
+
+    key: _MeshKey
     buffer: mi.UInt32  # the faces; kept, so that no other buffer gets its index
     faces: np.ndarray  # (F, 3) vertices
     points: np.ndarray  # (V,) the first vertex at each vertex's place
@@ -201,17 +209,17 @@ class Welds:
     inward: bool  # normals point against the winding
 
     @staticmethod
-    def of(mesh: mi.Mesh, earlier: Mapping[MeshKey, Welds]) -> Welds:
+    def of(mesh: mi.Mesh, earlier: Mapping[_MeshKey, Welds]) -> Welds:
         """Read a mesh as it is now; return its ``earlier`` object if that still holds."""
         registered = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]
         buffer, count, facets = mesh.faces_buffer(), mesh.vertex_count(), mesh.has_face_normals()
-        key = MeshKey(registered, buffer.index, count, facets)
+        key = _MeshKey(registered, buffer.index, count, facets)
         known = earlier.get(key)
         faces = np.array(buffer).reshape(-1, 3).astype(np.int64) if known is None else known.faces
         positions = np.array(mesh.vertex_positions_buffer()).reshape(-1, 3)
         points = _first_at_place(positions, None if known is None else known.points)
-        normals = points if facets else shared_normals(mesh, faces, points)
-        found = Welds(key, buffer, faces, points, normals, points_inward(mesh, faces))
+        normals = points if facets else _shared_normals(mesh, faces, points)
+        found = Welds(key, buffer, faces, points, normals, _points_inward(mesh, faces))
         return known if known is not None and found._agrees(known) else found
 
     def _agrees(self, other: Welds) -> bool:
@@ -243,7 +251,15 @@ NO_FACES = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class Topology:
-    """The part of the meshes that most often stays the same while their vertices move."""
+    """The part of the meshes that most often stays the same while their vertices move.
+
+    Example:
+        >>> topology = Topology.of([Welds.of(mi.load_dict({"type": "cube"}), {})])
+        >>> topology.face_count, topology.is_closed
+        (12, True)
+        >>> dr.width(topology.crease), dr.count(topology.crease)  # 6 edges are diagonals of sides
+        (18, [12])
+    """
 
     welds: tuple[Welds, ...]  # of each mesh
     first_face: mi.UInt32  # of the mesh with a given number in Mitsuba's registry of shapes
@@ -309,39 +325,8 @@ class Topology:
             corners_of_point=Segments.by_owner(corners.points.reshape(-1), V),
             corners_of_normal=corners_of_normal,
             faces_of_normal=Segments(corners_of_normal.start, corners_of_normal.items // 3),
-            **_edges(corners, live_sides(corners.points, flat, longest)),
+            **_edges(corners, _live_sides(corners.points, flat, longest)),
         )
-
-
-def meshes_of(scene: mi.Scene) -> list[mi.Mesh]:
-    """Return a scene's shapes except ellipsoids; all of them must be meshes.
-
-    Raises:
-        ValueError: a shape is no mesh, or there is none.
-    """
-    meshes = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
-    for shape in meshes:
-        if not shape.is_mesh():
-            raise ValueError(
-                "mesh_normals: every shape must be a triangle mesh, "
-                f"'{shape.id()}' is {shape.class_name()}"
-            )
-    if not meshes:
-        raise ValueError("mesh_normals: the scene has no mesh")
-    return meshes
-
-
-def without_ellipsoids(scene: mi.Scene) -> mi.Scene:
-    """Return a scene for ray tracing: the scene itself, or a new one of its meshes alone.
-
-    A scene with ellipsoids can be used by both plugins. Rays would end at the ellipsoids, so the
-    meshes become a scene of their own. It is built again for every picture, because only the first
-    scene is notified when meshes move.
-    """
-    if not any(shape.is_ellipsoids() for shape in scene.shapes()):
-        return scene
-    meshes = {f"mesh{k}": mesh for k, mesh in enumerate(meshes_of(scene))}
-    return mi.load_dict({"type": "scene", **meshes})
 
 
 def _first_faces(welds: Sequence[Welds]) -> mi.UInt32:
@@ -405,8 +390,8 @@ def _columns(array: np.ndarray, of: type | None = None) -> tuple:
     return tuple(of(np.ascontiguousarray(column)) for column in array.T)
 
 
-def _edges(corners: _Corners, sides_of_faces: Sides) -> dict[str, object]:
-    """Return the fields of edges, from the sides of faces as :func:`live_sides` finds them."""
+def _edges(corners: _Corners, sides_of_faces: _Sides) -> dict[str, object]:
+    """Return the fields of edges, from the sides of faces as :func:`_live_sides` finds them."""
     ends, live, owner = sides_of_faces
     tail, head = np.arange(3), np.array([1, 2, 0])
     points = corners.points

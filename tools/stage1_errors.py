@@ -46,7 +46,7 @@ from gva_mi.subject.folder import POSES
 from gva_mi.subject.ground_truth import load_ground_truth
 
 LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l; chosen: up to 0.8 s
-WEIGHT_ROUNDS = 12  # updates of the weights; chosen
+WEIGHT_ROUNDS = 12  # updates of the weights; chosen by eye
 SLOW_FLOOR = 0.2  # least slow part, relative to the whole error; chosen: a resting joint errs, too
 
 

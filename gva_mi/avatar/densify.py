@@ -27,7 +27,7 @@ from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.splat import Screen
 
 SPLIT_SHRINK = 1.6  # factor by which the halves of a split are smaller, as in 3DGS
-MIN_OPACITY = 0.05  # below it a Gaussian is removed; chosen; 3DGS has 0.005
+MIN_OPACITY = 0.05  # below it a Gaussian is removed; chosen by eye; 3DGS has 0.005
 MAX_SCALE = 0.1  # metres; above it a Gaussian is removed; chosen: larger than any part of a person
 
 

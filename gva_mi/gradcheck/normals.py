@@ -40,7 +40,8 @@ TOLERANCES = {"mask": 0.03, "interior": 0.05, "boundary": 0.05}
 WEIGHTINGS = 16  # linear functions of the image; chosen: enough that not all are small at once
 # Standard deviation of their blur, as a share of the image's width. Chosen: about a limb's width.
 BLUR_WIDTH = 0.025
-DIFFERENCE_STEP = 1e-5  # metres or radians: the step of differences; chosen for float64
+# Step of the differences, metres or radians. Chosen: rounding leaves 1e-16 / 1e-5.
+DIFFERENCE_STEP = 1e-5
 POSES: dict[str, dict[str, tuple[float, float, float]]] = {  # axis-angles of joints, radians
     "free": {
         "left_shoulder": (0, 0, -0.7), "left_elbow": (0, -0.5, 0),

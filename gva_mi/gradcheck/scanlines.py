@@ -15,6 +15,8 @@ computed in float64 without rays or steps: contours may lie arbitrarily close to
    ``|m_y| / Δ``. Weighted by ``m_x²`` and ``m_y²``, a breakpoint counts ``Δ |m_x|`` or ``Δ |m_y|``,
    and rows or columns meet every curve. Only the lines are sampled.
 
+Eq. 3 is the boundary term of Reynolds' transport theorem; its evaluation on lines is ours.
+
 Nothing is shared with ``mesh_normals``. Images have a box filter and five channels, (H, W, 5):
 normal in camera space, mask, depth.
 """

@@ -63,7 +63,7 @@ PROBED_ENTRIES = 6
 # Step of the central differences, in the input's units. Chosen: rounding leaves 1e-16 / 1e-6, and a
 # longer step would reach the cut-offs.
 DIFFERENCE_STEP = 1e-6
-# Factors of the step; chosen. Inputs in metres move the picture by hundreds of pixels a unit. With
+# Factors of the step. Chosen: inputs in metres move the picture by hundreds of pixels a unit. With
 # a step so much shorter, the alpha of a pixel outside the excluded band (1e-4 around its cut-off)
 # does not reach the cut-off.
 STEP_FACTORS = {"means": 0.02, "scales": 0.02, "T_camera_world": 0.02}

@@ -14,7 +14,7 @@ OUTLINE = (1.0, 0.25, 0.1)  # orange
 BODY_COLOR = (0.35, 0.65, 1.0)
 CLAY = (0.72, 0.76, 0.80)
 MESH_OPACITY = 0.45  # of the shaded mesh over the picture; chosen: both can be recognised
-AMBIENT_LIGHT = 0.25  # share of the light that does not depend on the normal; chosen
+AMBIENT_LIGHT = 0.25  # share of the light that does not depend on the normal; chosen by eye
 
 
 @torch.no_grad()

@@ -81,7 +81,7 @@ _PALM = tuple(k for k, name in enumerate(hand_names("left")) if not name.endswit
 # fingers. The first square, from the body's landmarks, has this side over the hand's length.
 _PALM_MARGIN, _FINGERWARD_SHIFT = 2.0, 0.1
 _HAND_MARGIN = 2.0
-# Of the diameter of the circle around the person. Both chosen.
+# Of the diameter of the circle around the person. Both chosen by eye.
 _WRIST_DISTANCE = 0.15  # a hand farther from its wrist is another hand, or no hand
 _LEAST_HAND_LENGTH = 0.08  # of a hand that points at the camera
 

@@ -34,7 +34,7 @@ LEAST_DETECTION_SCORE = 0.5
 _SAME_BOX_IOU = 0.3  # detections whose boxes overlap by more are one person
 _ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))  # stride of a grid, pixels; anchors in each cell
 
-# All chosen. Lengths are relative to the radius of the circle around the person.
+# All chosen by eye. Lengths are relative to the radius of the circle around the person.
 LEAST_PRESENCE = 0.5  # probability, by the body network, that a square shows a person
 PEOPLE_LIMIT = 6  # people that are searched for in a picture, which bounds the time
 _SEARCH_EVERY = 5  # pictures: in every fifth one others are searched for
@@ -48,7 +48,7 @@ _PAINT = 128  # 8-bit grey that hides known people from the detector
 _PAINT_MARGIN = 0.1  # around the landmarks
 _LOST_SQUARE = 5.0  # side of the square in which a lost person is searched for
 
-# How the followed person is recognised among others; all chosen.
+# How the followed person is recognised among others; all chosen by eye.
 _COLOR_BINS = 4  # of each channel, in the histogram of the torso
 _COLOR_MEMORY, _SPEED_MEMORY = 0.9, 0.7  # shares of old colours and speed kept in each picture
 _FREE_STEP = 1.0  # distance from the expected place that costs as much as other colours,

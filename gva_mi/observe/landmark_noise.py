@@ -56,13 +56,14 @@ from gva_mi.core.errors import InputError
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 
 REFERENCE_HEIGHT = 1.7  # metres of a person, whose pixels are S; chosen: an average person
-# Error of a landmark of the body, and of a hand, as a share of S; chosen.
+# Error of a landmark of the body, and of a hand, as a share of S; chosen by eye.
 BODY_SHARE, HAND_SHARE = 0.012, 0.004
-SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen
+SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen by eye
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
-# Least correlation time of the network's errors, seconds; chosen.
+# Least correlation time of the network's errors, seconds; chosen: three frames of 30 a second.
 LANDMARK_CORRELATION_SECONDS = 0.1
-# All points of the face, or of a hand, count as so many independent points; chosen.
+# All points of the face, or of a hand, count as so many independent points. Chosen
+# between 1, since they err together, and their number.
 POINTS_OF_GROUP = 3.0
 # Standard deviation along a limb, relative to across it. Chosen by the poses of twelve rendered
 # videos, for shoulders and hips as well: bones of the fitted body may be too long or too short.

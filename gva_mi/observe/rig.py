@@ -24,8 +24,8 @@ from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel, columns_of
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
-# Landmarks that are joints: the joint, and the standard deviation of the offset, metres (chosen). A
-# name without a side stands for both.
+# Landmarks that are joints: the joint, and the standard deviation of the offset, metres, chosen by
+# eye. A name without a side stands for both.
 _JOINTS = {
     "shoulder": ("shoulder", 0.020), "elbow": ("elbow", 0.015), "wrist": ("wrist", 0.012),
     "hip": ("hip", 0.020), "knee": ("knee", 0.015), "ankle": ("ankle", 0.012),
@@ -46,7 +46,7 @@ _FACE = {
     "nose": (0.0, -0.65), "eye_inner": (0.28, 0.0), "eye": (0.5, 0.0), "eye_outer": (0.75, 0.0),
     "mouth": (0.4, -1.15),
 }  # fmt: skip
-# Standard deviations of offsets, metres; chosen.
+# Standard deviations of offsets, metres; chosen by eye.
 _FACE_SPREAD, _EAR_SPREAD, _FOOT_SPREAD = 0.015, 0.030, 0.015
 _KNUCKLE_SPREAD, _TIP_SPREAD = 0.006, 0.005
 _FINGER_NAMES = ("thumb", "index", "middle", "ring", "pinky")

@@ -49,11 +49,11 @@ LIMBS: Mapping[str, Sequence[str]] = MappingProxyType(  # the joints whose motio
 _MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # mirrors an axis-angle in the plane x = 0
 # Of fix_front_back: the landmarks that are compared, and its constants.
 LIMB_POINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-LIMB_SPEED = 0.9  # σ, heights of the person a second, of limbs in the picture; chosen
+LIMB_SPEED = 0.9  # σ, heights of the person a second, of limbs in the picture; chosen by eye
 BACK_FRAME_NATS = 0.3  # a, nats; chosen small, because mistakes last and a frame says little
-SEEN_FACE_NATS = 5.0  # f, nats, of a frame with a face; chosen
-FRONTAL_WIDTH = 0.12  # of shoulders and hips at which c is 1, heights of the person; chosen
-STATE_ROUNDS = 5  # updates of states and p, at most; chosen
+SEEN_FACE_NATS = 5.0  # f, nats, of a frame with a face; chosen: odds of 150 to 1
+FRONTAL_WIDTH = 0.12  # of shoulders and hips at which c is 1, heights of the person; by eye
+STATE_ROUNDS = 5  # updates of states and p, at most: they end when nothing changes
 
 
 def fix_swaps(

@@ -45,12 +45,12 @@ SOLE_HEIGHT = 0.012  # metres above the lowest vertex; chosen: what still touche
 CORRELATED_FRAMES = 6.0  # m of eq. 3: errors of heights are correlated. Chosen, as for angles
 SLOPE_SIGMA = 0.15  # of the slopes s; chosen: how far people are from upright on average
 HEEL_SIGMA = 0.015  # metres, of the difference between the levels c; chosen: heels of usual shoes
-SMALLEST_UNEVENNESS, LARGEST_UNEVENNESS = 0.004, 0.08  # metres, range of σ; chosen
+SMALLEST_UNEVENNESS, LARGEST_UNEVENNESS = 0.004, 0.08  # metres, range of σ; by eye
 SMALLEST_LIFT = 0.05  # metres, least λ; chosen: a swinging foot clears the ground
 SMALLEST_SHARE = 0.05  # least share of standing points, and of swinging ones; chosen: neither is 0
-SMALLEST_STEP_CHANGE = 0.001  # metres, least standard deviation of changes of steps; chosen
+SMALLEST_STEP_CHANGE = 0.001  # metres, least deviation of changes of steps; chosen: not zero
 TURN_PER_FRAME = 0.2  # radians: by so much a step may bend in a frame; chosen: a turntable's turn
-EM_ROUNDS = 40  # rounds of expectation maximisation; chosen
+EM_ROUNDS = 40  # rounds of expectation maximisation; chosen by eye
 
 _LEG_JOINTS = [JOINTS.index("pelvis")] + [
     JOINTS.index(f"{side}_{name}")

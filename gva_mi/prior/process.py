@@ -62,12 +62,12 @@ from gva_mi.prior.error_model import (
 )
 from gva_mi.prior.frame_matrices import FrameMatrices
 
-MAP_ROUNDS = 8  # solves of eq. 2; chosen
+MAP_ROUNDS = 8  # solves of eq. 2; chosen: half of them before any step may count as a jump
 SPEED_FLOOR = 0.02  # least speed of a joint in a frame, relative to its error; chosen: not zero
-EXCURSION_FRAMES = 8  # h of corrected poses; chosen
-STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h of stage 1, the largest result counts; chosen
-WINDOW_FRAMES = 4.0  # standard deviation of the Gaussian window of the mean in eq. 4; chosen
-SPEED_MEDIAN_FRAMES = 10  # frames to each side, of the running median of speeds; chosen
+EXCURSION_FRAMES = 8  # h of corrected poses; chosen by eye
+STAGE1_EXCURSION_FRAMES = (4, 8, 16)  # h of stage 1, the largest result counts; chosen by eye
+WINDOW_FRAMES = 4.0  # standard deviation of the Gaussian window of the mean in eq. 4; chosen by eye
+SPEED_MEDIAN_FRAMES = 10  # frames to each side, of the running median of speeds; by eye
 
 
 def excursions(changes: Tensor, span: int) -> Tensor:

@@ -35,13 +35,13 @@ from gva_mi.subject.cameras import depths
 from gva_mi.subject.crop import Box, Extent
 from gva_mi.subject.video import FrameWithoutPicture
 
-HAND_PIXELS = 44  # length of a hand in close-ups, if the video has as many; chosen
-BORDER_SHARE = 0.5  # of a part's length, added on each side (2); chosen
+HAND_PIXELS = 44  # length of a hand in close-ups, if the video has as many; chosen by eye
+BORDER_SHARE = 0.5  # of a part's length, added on each side (2); by eye
 SMALLEST_CLOSE_UP_SIDE = 8  # pixels; chosen: a smaller close-up is at the edge of the image
 # Least ratio of a close-up's scale to that of the person's image. Chosen: below, it adds nothing.
 SMALLEST_CLOSE_UP_GAIN = 1.25
 STORED_UNIT = 127  # length of a stored normal, of int8
-# c of eq. 4 of image_evidence, for hands in masks of videos, share of the area; chosen.
+# c of eq. 4 of image_evidence, for hands in masks of videos, share of the area; chosen by eye.
 HAND_ROBUST_SCALE = 0.1
 
 

@@ -23,7 +23,7 @@ from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.refine.close_ups import FinePicture, WeightedView, close_ups, parts_of
 from gva_mi.refine.image_evidence import MaskAndNormals
 
-# Losses of a clip from which helper processes pay; they take 4 s to start. Chosen.
+# Losses of a clip from which helper processes pay; they take 4 s to start. Chosen by eye.
 SHARED_LOSSES = 1000
 
 

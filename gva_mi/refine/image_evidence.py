@@ -53,8 +53,8 @@ from gva_mi.subject.crop import (
 )
 from gva_mi.subject.video import FrameWithoutPicture, Video
 
-SILHOUETTE_ALONE = 3.0  # factor on λ1 in frames without normals; chosen
-EVIDENCE_CROP_MARGIN = 0.15  # added on each side of the box around the person, share of it; chosen
+SILHOUETTE_ALONE = 3.0  # factor on λ1 in frames without normals, by eye
+EVIDENCE_CROP_MARGIN = 0.15  # on each side of the box around the person, share of it; by eye
 _BODY_NAME = "its stage-1 body"  # how messages call the body that a camera does not see
 _NORMAL_CHANNELS = torch.tensor([1.0, 1.0, 1.0, 0.0])  # which channels of a rendering are normals
 

@@ -44,9 +44,9 @@ from gva_mi.refine.corrections import Corrections
 from gva_mi.refine.vector_adam import VectorAdam, turn_rates
 from gva_mi.splat import Camera
 
-EARLY_PRIOR_WEIGHT = 0.2  # factor on the prior before it is inferred from corrections; chosen
-SECOND_INFERENCE = 1.5  # the prior is inferred again after so many ``learn`` passes; chosen
-CONSTANT_TURN_SHARE = 0.5  # of the ``learn`` passes, that penalise turns of all frames; chosen
+EARLY_PRIOR_WEIGHT = 0.2  # factor on the prior before it is inferred from corrections; by eye
+SECOND_INFERENCE = 1.5  # the prior is inferred again after so many ``learn`` passes; by eye
+CONSTANT_TURN_SHARE = 0.5  # of the ``learn`` passes, that penalise turns of all frames; by eye
 
 # Types of options that several fits of poses have, with their ranges.
 Passes = Annotated[int, Within(1, 10_000)]

@@ -67,10 +67,10 @@ from gva_mi.refine.vector_adam import lever_arms
 STEPS_A_PASS = 16
 FINGER_JOINTS = GROUPS["fingers"]
 FOOT_WEIGHT = 0.1  # λc of each foot; chosen small: shoes differ from the body
-LANDMARK_WEIGHT = 0.015  # λl, for one nat; chosen
-HEIGHT_WEIGHT = 1e3  # λh, for one square metre; chosen
-BETAS_WEIGHT = 0.01  # λβ, for one squared standard deviation; chosen
-# First steps of the unknowns that all frames share; chosen.
+LANDMARK_WEIGHT = 0.015  # λl, for one nat; chosen by eye
+HEIGHT_WEIGHT = 1e3  # λh, for one square metre; chosen: 1 mm costs 0.001
+BETAS_WEIGHT = 0.01  # λβ, for one squared standard deviation; chosen by eye
+# First steps of the unknowns that all frames share; chosen by eye.
 CLOTH_STEP = 0.003  # metres
 BETAS_STEP = 0.05  # standard deviations
 LANDMARK_STEP = 0.001  # metres, of the landmarks' offsets
@@ -291,7 +291,7 @@ class ClothedPerson:
         return energy
 
 
-SMOOTHNESS = 1.6e-4  # a, for one (1/m)²; chosen
+SMOOTHNESS = 1.6e-4  # a, for one (1/m)²; chosen by eye
 # b and c, for one square metre. Chosen: cloth may stand off by decimetres, and hardly enters.
 SMALLNESS, OUTWARDNESS = 10.0, 400.0
 

@@ -25,7 +25,7 @@ from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.refine.optimize import Faces, PersonSize
 from gva_mi.refine.vector_adam import VectorAdam, lever_arms, turn_rates
 
-DECAY = 0.1  # final learning rates, relative to the initial ones; chosen
+DECAY = 0.1  # final learning rates, relative to the initial ones; chosen: poses settle
 FRAMES_A_JOB = 16  # frames are independent; chosen so that jobs are not too small
 
 

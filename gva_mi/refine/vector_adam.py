@@ -16,8 +16,10 @@ from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.body.smplx import Rest
 from gva_mi.core.cpu import sqrt
 
-MOMENT_DECAY = (0.9, 0.99)  # β1 and β2, the decay of ``m`` and ``v``; chosen
-EPSILON = 1e-12  # ε, of a gradient's length; chosen
+# β1 and β2, the decay of ``m`` and ``v``. Chosen: β1 is Adam's, and β2 averages over a hundred
+# steps, where Adam's 0.999 averages over a thousand.
+MOMENT_DECAY = (0.9, 0.99)
+EPSILON = 1e-12  # ε, of a gradient's length; chosen: a shorter one counts as zero
 
 
 @dataclass

@@ -8,6 +8,8 @@ to check the kernels (:mod:`gva_mi.gradcheck`), on small pictures.
     alpha = min(alpha_max, o exp(-d^T Sigma'^-1 d / 2))
     antialiased: o sqrt(det(Sigma' - blur I) / det Sigma') replaces o
     color = sum_i T_i alpha_i c_i + T background
+
+The sources are those of the kernels (:mod:`gva_mi.splat.kernels`).
 """
 
 from __future__ import annotations

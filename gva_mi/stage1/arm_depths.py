@@ -38,8 +38,8 @@ from gva_mi.stage1.unknowns import Stage1State
 CHEST = JOINTS.index("spine3")
 ARMS = (("shoulder", "elbow"), ("elbow", "wrist"))
 DIRECTION_COUNT = 1000  # N; chosen: six degrees apart
-MODE_SPEEDS = (0.5, 5.0)  # v_r of rest and of motion, rad/s; chosen
-MODE_SECONDS = (2.0, 0.7)  # mean duration of a rest and of a motion; chosen
+MODE_SPEEDS = (0.5, 5.0)  # v_r of rest and of motion, rad/s; chosen by eye
+MODE_SECONDS = (2.0, 0.7)  # mean duration of a rest and of a motion; chosen by eye
 
 
 def with_arm_depths(

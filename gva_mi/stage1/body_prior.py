@@ -40,18 +40,20 @@ POSE_SIGMA = {
     "collar": 0.15, "shoulder": 1.2, "elbow": 1.2, "wrist": WRIST_SIGMA, "hip": HIP_SIGMA,
     "knee": 1.0, "ankle": 0.35, "foot": 0.2, "jaw": None, "eye_smplhf": None,
 }  # fmt: skip
-FINGER_SIGMA = 0.5  # the same of a finger's joints, radians; chosen
-RELAXED_ARM = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent; chosen
-RELAXED_FINGER = {1: 0.25, 2: 0.4, 3: 0.27}  # bend of a finger's joints, radians; chosen
+FINGER_SIGMA = 0.5  # the same of a finger's joints, radians; chosen by eye
+RELAXED_ARM = {"shoulder": 0.9, "elbow": 0.2}  # radians down, and bent; chosen by eye
+RELAXED_FINGER = {1: 0.25, 2: 0.4, 3: 0.27}  # bend of a finger's joints, radians; by eye
 BETA_SIGMA = 0.35  # of betas; chosen below 1: landmarks know lengths, not girths
-AVERAGE_HEIGHT = 1.70  # metres, of a person of unknown height; chosen
-HEIGHT_SIGMA = 0.005  # metres, of the fitted height about the given or average one; chosen
-# Metres, of the camera's height above the floor: about a given height, and about 0 without; chosen.
+AVERAGE_HEIGHT = 1.70  # metres, of a person of unknown height; chosen: an average adult
+HEIGHT_SIGMA = 0.005  # metres, of the fitted height about the given or average one; it hardly moves
+# Metres, of the camera's height above the floor: about a given height, chosen by eye, and
+# about 0 without: nothing is known.
 KNOWN_CAMERA_HEIGHT_SIGMA, UNKNOWN_CAMERA_HEIGHT_SIGMA = 0.02, 10.0
-ASYMMETRY = 0.3  # standard deviation of the difference of left and right offsets, relative; chosen
-UNKNOWN_FOCAL_SIGMA = 0.15  # of the logarithm of an unknown focal length; chosen
+ASYMMETRY = 0.3  # standard deviation of the difference of left and right offsets, relative; by eye
+# Of the logarithm of an unknown focal length. Chosen: ln(28 mm / 24 mm), the range of phones.
+UNKNOWN_FOCAL_SIGMA = 0.15
 # Without lines: standard deviations of the direction up aside and in depth, and its mean in depth,
-# radians; chosen.
+# radians; chosen by eye.
 UP_SIGMA, LOOKS_DOWN = (0.04, 0.15), 0.07
 
 

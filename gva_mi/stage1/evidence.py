@@ -39,10 +39,10 @@ from gva_mi.stage1.leaning import MASS_SHARES, SHARE_SIGMA, Leaning, upright_at_
 from gva_mi.stage1.posed_points import PointSet, PosedPoints
 from gva_mi.stage1.unknowns import Stage1State, Unknowns
 
-METRIC_SIGMA = 0.1  # σ_m, metres; chosen
-TRUNK_SIGMA, BALANCE_SIGMA = 0.2, 0.05  # σ_u and σ_b, radians; chosen
-NEAREST_DEPTH = 0.2  # metres; nearer points are projected as if they were there; chosen
-# w, σ and λ of eq. 2 of gva_mi.prior.ground: share, metres, metres; chosen.
+METRIC_SIGMA = 0.1  # σ_m, metres; chosen by eye
+TRUNK_SIGMA, BALANCE_SIGMA = 0.2, 0.05  # σ_u and σ_b, radians; chosen by eye
+NEAREST_DEPTH = 0.2  # metres; nearer points are projected as if there; chosen: people are farther
+# w, σ and λ of eq. 2 of gva_mi.prior.ground: share, metres, metres; chosen by eye.
 STANDING_SHARE, GROUND_SIGMA, MEAN_LIFT = 0.7, 0.02, 0.12
 SOLE_COUNT = 4  # points of the soles after the landmarks; then follow the joints that have mass
 

@@ -45,12 +45,12 @@ from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 NO_FACE = (
     "this body model has no movable face: head, jaw and expression follow the body landmarks alone"
 )
-# σ of eq. 2: on the face (metres) and in the picture (pixels), which add up; chosen.
+# σ of eq. 2: on the face (metres) and in the picture (pixels), which add up; by eye.
 POINT_SIGMA_METRES, POINT_SIGMA_PIXELS = 0.003, 0.8
-INDEPENDENT_POINTS = 6.0  # n: all 51 points count as so many independent ones; chosen
-OFFSET_SIGMA = 0.006  # σ_o, metres; chosen
-CLOSED_SHARE = 0.05  # of the frames with a face, in which the mouth is closed; chosen
-GAUSS_NEWTON_STEPS = 6  # chosen
+INDEPENDENT_POINTS = 6.0  # n: all 51 points count as so many independent ones; by eye
+OFFSET_SIGMA = 0.006  # σ_o, metres; chosen by eye
+CLOSED_SHARE = 0.05  # of the frames with a face, in which the mouth is closed; chosen by eye
+GAUSS_NEWTON_STEPS = 6  # chosen by eye
 FITTED_EXPRESSIONS = 10  # coefficients that are fitted, at most: SMPL-X's usual number
 
 
@@ -61,7 +61,7 @@ class FaceProcess(NamedTuple):
     seconds: float  # c
 
 
-# Of δ (radians), τ (metres), ρ (radians) and ψ (standard deviations); chosen.
+# Of δ (radians), τ (metres), ρ (radians) and ψ (standard deviations); chosen by eye.
 HEAD_TURN, HEAD_PLACE = FaceProcess(0.15, 0.5), FaceProcess(0.03, 1.0)
 JAW_OPEN, EXPRESSION = FaceProcess(0.2, 0.3), FaceProcess(1.0, 0.4)
 _LIPS = (

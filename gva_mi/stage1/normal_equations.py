@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 FRAMES_AT_ONCE = 32  # frames whose derivatives are in memory at once; chosen to limit memory
-DIAGONAL_FLOOR = 1e-6  # added to the diagonal, for unknowns that nothing determines; chosen
+DIAGONAL_FLOOR = 1e-6  # added to the diagonal, for unknowns that nothing determines; by eye
 
 
 @dataclass

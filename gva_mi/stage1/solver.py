@@ -56,11 +56,12 @@ from gva_mi.subject.lens import centred, in_pixels
 # Focal length of an unknown camera, mm of 35 mm film: main cameras of phones have 24 to 28.
 PHONE_FOCAL_35MM = 26.0
 KNOWN_FOCAL_SIGMA = 1e-4  # of the logarithm of a known focal length; chosen: it hardly moves
-START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # Levenberg-Marquardt steps, at most; chosen
-CONVERGED_DECREASE = 1e-4  # relative decrease of the energy that ends the steps; chosen
-# Levenberg-Marquardt damping, relative to the diagonal: first, and range; chosen.
+START_STEPS, BODY_STEPS, HAND_STEPS = 8, 30, 15  # Levenberg-Marquardt steps, at most; by eye
+CONVERGED_DECREASE = 1e-4  # relative decrease of the energy that ends the steps; by eye
+# Levenberg-Marquardt damping, relative to the diagonal: first, as in Numerical Recipes, and
+# range. Chosen: from Gauss-Newton's steps to hardly any.
 FIRST_DAMPING, SMALLEST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
-# Factors on the damping after a step that lowers the energy, and after one that does not; chosen.
+# Factors on the damping after a step that lowers the energy, and after one that does not; by eye.
 DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = 0.2, 6.0
 # Frames to each side, of the running median of person sizes. Chosen: a few outliers do not count.
 PERSON_SIZE_MEDIAN_FRAMES = 5

@@ -30,21 +30,22 @@ import numpy as np
 
 from gva_mi.subject.landmarks import Landmarks
 
-SAMPLED_FRAMES = 6  # frames of the video that are searched; chosen
-BLUR_PIXELS = 1.2  # standard deviation of the blur before gradients; chosen
-EDGE_CONTRAST = 0.01  # least gradient of an edge, share of the range of brightness a pixel; chosen
-LARGEST_SLOPE = 0.4  # of a vertical line, |dx/dy|; chosen
-PIECES_OF_HEIGHT = 16  # a piece of an edge is this fraction of the picture's height; chosen
-FILLED_SHARE = 0.8  # least share of a piece's rows that have an edge; chosen
-STRAIGHTNESS_PIXELS = 0.4  # largest standard deviation of a piece from its line; chosen
-LANDMARKS_MARGIN = 0.12  # added around the landmarks, share of the person's height; chosen
-VERTICAL_SHARE, SLOPE_SIGMA = 0.3, 0.006  # q and σ of eq. 2; chosen
-U_GRID, W_GRID = np.linspace(-0.36, 0.36, 181), np.linspace(-0.6, 0.4, 101)  # chosen
-# Nats a frame by which eq. 2 must exceed its value without vertical lines; chosen.
+# All are chosen by eye, unless a reason is given.
+SAMPLED_FRAMES = 6  # frames of the video that are searched
+BLUR_PIXELS = 1.2  # standard deviation of the blur before gradients
+EDGE_CONTRAST = 0.01  # least gradient of an edge, share of the range of brightness a pixel
+LARGEST_SLOPE = 0.4  # of a vertical line, |dx/dy|
+PIECES_OF_HEIGHT = 16  # a piece of an edge is this fraction of the picture's height
+FILLED_SHARE = 0.8  # least share of a piece's rows that have an edge
+STRAIGHTNESS_PIXELS = 0.4  # largest standard deviation of a piece from its line
+LANDMARKS_MARGIN = 0.12  # added around the landmarks, share of the person's height
+VERTICAL_SHARE, SLOPE_SIGMA = 0.3, 0.006  # q and σ of eq. 2
+U_GRID, W_GRID = np.linspace(-0.36, 0.36, 181), np.linspace(-0.6, 0.4, 101)
+# Nats a frame by which eq. 2 must exceed its value without vertical lines.
 FOUND_NATS = 15.0
-EM_STEPS = 20  # chosen
-PIECES_OF_LINE = 4.0  # pieces of one line err together: so many count as one; chosen
-SMALLEST_SIGMA = 0.006  # least standard deviation of u and w, however many the lines; chosen
+EM_STEPS = 20  # of expectation maximisation, from the best place of the grid
+PIECES_OF_LINE = 4.0  # pieces of one line err together: so many count as one
+SMALLEST_SIGMA = 0.006  # least standard deviation of u and w, however many the lines
 
 
 class PersonBox(NamedTuple):

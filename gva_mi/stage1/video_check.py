@@ -24,7 +24,7 @@ from gva_mi.subject.problems import Problem, doubt
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
-# All limits are chosen.
+# All limits are chosen by eye.
 SECTORS = 36  # directions around the person
 WELL_SEEN_DEGREES = 30  # to either side of the camera, which a frame shows well
 SEEN_DEGREES = 60  # to either side of the camera, which a frame shows at all

@@ -208,6 +208,8 @@ def _size_of(size: mi.ScalarVector2u) -> mi.Point2f:
 def share_on_segment(t: mi.Float, ha: mi.Float, hb: mi.Float) -> mi.Float:
     """Convert the share of a segment's image to the share of the segment (eq. 5).
 
+    By Blinn, "Hyperbolic Interpolation", 1992.
+
     Example:
         The middle of the image lies on the nearer half.
 

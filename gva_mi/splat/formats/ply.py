@@ -39,7 +39,7 @@ TYPES = {  # each has two names
 _FORMAT = "binary_little_endian 1.0"
 _GEOMETRY = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 _OPTIONAL = {"nx", "ny", "nz", "scale_2"}
-_LOGIT_MARGIN = 1e-7  # distance of opacities to 0 and 1, whose logits are infinite: chosen
+_LOGIT_MARGIN = 1e-7  # of opacities to 0 and 1, whose logits are infinite: float32's spacing there
 
 
 def save_ply(path: Path, gaussians: Gaussians) -> None:

@@ -14,9 +14,8 @@ from gva_mi.splat.axes import with_axes
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 
-_SMALLEST = (
-    1e-12  # bound of scales (m), whose logarithm is stored, and of quaternion lengths: chosen
-)
+# Bound of scales (m), whose logarithm is stored, and of quaternion lengths; below any Gaussian's.
+_SMALLEST = 1e-12
 
 
 @dataclass(frozen=True)

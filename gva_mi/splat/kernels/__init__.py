@@ -24,4 +24,10 @@ Below them:
 ===============  ===================================================================
 
 :mod:`gva_mi.jit` has records in memory, kernels that are traced once, and the lock.
+
+Sources: the forward equations are 3D Gaussian splatting (Kerbl et al., 2023) after EWA splatting
+(Zwicker et al., 2001), with the lenses and cut-offs of gsplat 1.5.3 (Ye et al., "gsplat: An
+Open-Source Library for Gaussian Splatting", 2024). ``antialiased`` is Mip-Splatting's 2D filter (Yu
+et al., 2024), the sums of absolute gradients are AbsGS's (Ye et al., 2024). The factor of (6), the
+adjoint and the tangent are derived here.
 """

@@ -63,7 +63,6 @@ from gva_mi.synthetic.person.surface import PersonSurface
 from gva_mi.synthetic.pictures.cameras import camera_around
 from gva_mi.synthetic.pictures.phone_video import PHONE_VIDEO, write_phone_video
 from gva_mi.synthetic.pictures.render import Moment, Renderer
-from gva_mi.synthetic.pictures.room import Room
 from gva_mi.synthetic.staging import Staging, lowered
 
 
@@ -107,13 +106,11 @@ def make_subject(
     drawn_on = options.drawn_on(body)
     subject = options.subject_on(drawn_on)
     staging = Staging(options, drawn_on, subject)
-    with (
-        atomic_dir(Path(out), replaced) as folder,
-        _rendering(subject, staging.room(), options.light, options.workers) as rendered,
-    ):
+    renderer = partial(Renderer, subject, staging.room(), options.light)
+    with atomic_dir(Path(out), replaced) as folder, _rendering(renderer, options.workers) as draw:
 
         def render(jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
-            for result in rendered(jobs):
+            for result in draw(jobs):
                 if progress is not None:
                     progress(next(done), total)
                 yield result
@@ -234,9 +231,8 @@ class _SubjectContents:
         write_video(folder / VIDEO, colors)
         if options.scene == "room":
             fps = Fraction(options.frames) / Fraction(motions.ROUND_SECONDS)
-            write_phone_video(
-                folder / PHONE_VIDEO, colors, fps, options.random(SubjectStream.PHONE_VIDEO)
-            )
+            rng = options.random(SubjectStream.PHONE_VIDEO)
+            write_phone_video(folder / PHONE_VIDEO, colors, fps, rng)
             write_json(truth.folder / "person.json", {"height_m": staging.height})
         pipeline.write(folder)
 
@@ -249,7 +245,7 @@ class _SubjectContents:
         pose = motions.novel(options.novel_poses, expressions, rng)  # static: nothing lags behind
         pose = lowered(pose, staging.points(pose)[..., 1].min(1))
         cameras = [camera_around(points, options.size) for points in staging.points(pose)]
-        self._write_truth(folder, [pose], cameras, SubjectStream.NOVEL_POSE)
+        self._write(folder, [pose], cameras, SubjectStream.NOVEL_POSE)
 
     def write_novel_views(self, folder: Path, views: int) -> list[int]:
         """Write some frames of the video from other sides and heights; return which."""
@@ -264,12 +260,10 @@ class _SubjectContents:
             azimuth = rng.choice([-1, 1]) * rng.uniform(0.4, 2.6)
             elevation = rng.uniform(-0.05, 0.45)
             cameras.append(camera_around(points, options.size, azimuth, elevation))
-        self._write_truth(folder, poses, cameras, SubjectStream.NOVEL_VIEW)
+        self._write(folder, poses, cameras, SubjectStream.NOVEL_VIEW)
         return seen
 
-    def _write_truth(
-        self, folder: Path, poses: list[Pose], cameras: list[Camera], stream: int
-    ) -> None:
+    def _write(self, folder: Path, poses: list[Pose], cameras: list[Camera], stream: int) -> None:
         """Write exact pictures, masks, normals, cameras and poses."""
         for _ in self.render(self._jobs(folder, self.staging.still(poses, cameras), stream)):
             pass
@@ -279,20 +273,18 @@ class _SubjectContents:
 
 
 @contextmanager
-def _rendering(
-    subject: PersonSurface, room: Room | None, light: str, workers: int
-) -> Iterator[Render]:
+def _rendering(make: Callable[[], Renderer], workers: int) -> Iterator[Render]:
     """Yield a function that renders jobs, writes their files and yields results in order.
 
-    ``light`` is one of LIGHTS; one of ``workers`` is this process.
+    Each of the ``workers`` makes a renderer; a single one is this process.
 
     Raises:
         InputError: a worker process died.
     """
     if workers == 1:
-        yield partial(map, partial(_render_job, Renderer(subject, room, light)))
+        yield partial(map, partial(_render_job, make()))
         return
-    with worker_processes(workers, _start_worker, subject, room, light) as pool:
+    with worker_processes(workers, _start_worker, make) as pool:
         yield partial(in_order, pool, _render_in_worker, ahead=2 * workers)
 
 
@@ -300,9 +292,8 @@ def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
     """Render one picture and write its files; return its colour, 8-bit (H, W, 3)."""
     random, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
     samples, errors = job.samples // len(job.moments), job.errors
-    true = renderer.expose(
-        job.moments, samples, int(random.generate_state(1)[0]), shown=errors is not None
-    )
+    seed = int(random.generate_state(1)[0])
+    true = renderer.expose(job.moments, samples, seed, shown=errors is not None)
     stored = np.round(true.color * 255).astype(np.uint8)
     SubjectWriter(job.folder).frame(job.index, stored)
     exact = job.folder if errors is None else job.folder / TRUTH
@@ -316,9 +307,9 @@ def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
 _renderer: Renderer | None = None  # of a worker process
 
 
-def _start_worker(subject: PersonSurface, room: Room | None, light: str) -> None:
+def _start_worker(make: Callable[[], Renderer]) -> None:
     global _renderer
-    _renderer = Renderer(subject, room, light)
+    _renderer = make()
 
 
 def _render_in_worker(job: RenderJob) -> np.ndarray:

@@ -7,6 +7,7 @@ from enum import IntEnum
 from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.anny import anny_body
 from gva_mi.body.smplx import BodyModel, load_body
@@ -55,9 +56,8 @@ class SynthOptions:
     # A phone held by hand, in a room, or one that circles once around the person on white: with
     # error model none.
     camera: Literal["stands", "held", "circles"] = "stands"
-    scene: Literal["white", "room"] = (
-        "white"  # what is behind the person; a room also has phone.mp4
-    )
+    # What is behind the person; a room also has phone.mp4.
+    scene: Literal["white", "room"] = "white"
     error_model: str = "bursts"  # error model of poses, masks and normals; none: exact
     error_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
     figure: PythonOnly[Literal["own", "stretched", "anny"]] = "own"  # body of the person
@@ -72,10 +72,8 @@ class SynthOptions:
 
     def __post_init__(self) -> None:
         if self.frames * self.size**2 > VIDEO_PIXELS:
-            found = f"{self.frames} of {self.size}x{self.size}"
-            raise InputError(
-                f"synth: a video must have at most {VIDEO_PIXELS:,} pixels, got {found}"
-            )
+            got = f"{self.frames} of {self.size}x{self.size}"
+            raise InputError(f"synth: a video must have at most {VIDEO_PIXELS:,} pixels, got {got}")
         choices = {"subject": (None, *NAMED), "error_model": (NO_ERRORS, *ERROR_MODELS)} | {
             name: get_args(hint)
             for name, hint in get_type_hints(SynthOptions).items()
@@ -96,9 +94,8 @@ class SynthOptions:
             raise InputError(f"synth: --camera {self.camera} needs --scene {needed}")
         moments = EXPOSURE_MOMENTS if self.shutter > 0 else 1
         if round((self.samples / moments) ** 0.5) ** 2 * moments != self.samples:
-            number = "a square number"
-            if self.shutter > 0:
-                number = f"{EXPOSURE_MOMENTS} times a square number with a shutter"
+            times = f"{moments} times a square number with a shutter"
+            number = times if self.shutter > 0 else "a square number"
             raise InputError(f"synth: samples must be {number}, got {self.samples}")
 
     def drawn_on(self, body: BodyModel) -> BodyModel:
@@ -141,6 +138,6 @@ class SynthOptions:
         named = () if self.subject is None else (NAMED[self.subject].seed,)
         return (self.seed_of_errors if errors else self.seed, stream, *named)
 
-    def random(self, stream: int, errors: bool = False) -> np.random.Generator:
+    def random(self, stream: int, errors: bool = False) -> Generator:
         """Return the generator of a stream, see :meth:`entropy`."""
         return np.random.default_rng(self.entropy(stream, errors))

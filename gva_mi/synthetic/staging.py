@@ -50,10 +50,8 @@ class Staging:
 
     def _performed(self, t: np.ndarray) -> Pose:
         joints = self.body.rest(self.subject.shape).joints.numpy()
-        options, expressions = self.options, self.body.num_expressions
-        return motions.perform(
-            options.motion, t, joints, expressions, options.random(SubjectStream.MOTION)
-        )
+        rng, expressions = self.options.random(SubjectStream.MOTION), self.body.num_expressions
+        return motions.perform(self.options.motion, t, joints, expressions, rng)
 
     def poses_at(self, t: np.ndarray) -> list[Pose]:
         """Return the poses at moments (T,), and those one step, two steps, ... before."""
@@ -107,10 +105,8 @@ class Staging:
         if share == 0:
             yield from self.still(self.poses, self.cameras)
             return
-        t, steps = (
-            motions.times(self.options.frames),
-            (np.arange(EXPOSURE_MOMENTS) + 0.5) / EXPOSURE_MOMENTS,
-        )
+        t = motions.times(self.options.frames)
+        steps = (np.arange(EXPOSURE_MOMENTS) + 0.5) / EXPOSURE_MOMENTS
         opens, closes = (self.poses_at(t + 0.5 * side * share) for side in (-1, 1))
         cameras = [self.cameras_at(t + (step - 0.5) * share) for step in steps]
         for k in range(len(t)):

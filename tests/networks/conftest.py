@@ -34,7 +34,7 @@ def rendered_person(built_in_body):
     from gva_mi.splat import Camera, look_at
     from gva_mi.synthetic.person.identity import SyntheticPerson
     from gva_mi.synthetic.person.surface import draw_surface
-    from gva_mi.synthetic.pictures.render import Renderer
+    from gva_mi.synthetic.pictures.render import Moment, Renderer
 
     drawn = SyntheticPerson.draw(101, built_in_body.num_betas)
     person = draw_surface(built_in_body, drawn, bare=True)
@@ -47,7 +47,7 @@ def rendered_person(built_in_body):
         pose.rotations[0, JOINTS.index(name)] = pose.rotations.new_tensor(turn)
     vertices = person.skinned(built_in_body, pose)[0]
     camera = Camera(1000, 1000, 240, 330, look_at((0, 0.1, 4.2), (0, -0.2, 0)), 480, 600)
-    seen = Renderer(person)(vertices, camera, 4)
+    seen = Renderer(person).expose([Moment(vertices, camera)], 4, 0)
     joints = built_in_body(pose, person.shape).joints[0].numpy()
     picture = (255 * seen.color).round().astype(np.uint8)
     places = dict(zip(JOINTS, camera.project(joints), strict=True))

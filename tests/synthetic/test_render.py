@@ -17,7 +17,7 @@ UP = np.array([0, 0.7, 0], np.float32)
 
 @pytest.fixture(scope="module")
 def picture(ball):
-    return Renderer(ball)(ball.vertices, CAMERA, 16, 0)
+    return Renderer(ball).expose([Moment(ball.vertices, CAMERA)], 16, 0)
 
 
 def rays(camera):
@@ -47,7 +47,7 @@ def test_side_light_comes_from_the_left_and_the_sky_from_everywhere(ball, monkey
     ahead = Camera(70, 70, 32, 30, look_at((0, 0, 3.0), (0, 0, 0)), 64, 60)
     halves = {}
     for light in ("usual", "side", "ambient"):
-        seen = Renderer(ball, light=light)(ball.vertices, ahead, 16, 0)
+        seen = Renderer(ball, light=light).expose([Moment(ball.vertices, ahead)], 16, 0)
         inside = seen.mask == 1
         color = np.where(inside, seen.color.mean(-1), np.nan)
         halves[light] = np.nanmean(color[:, :32]), np.nanmean(color[:, 32:])
@@ -108,7 +108,7 @@ def test_a_room_surrounds_person_and_camera_and_keeps_its_furniture_away(room, b
 
 def test_a_room_is_behind_the_person_and_does_not_change_the_silhouette(renderer, ball):
     inside = renderer(ball.vertices + UP, PHONE, 16, 0)
-    white = Renderer(ball)(ball.vertices + UP, PHONE, 16, 0)
+    white = Renderer(ball).expose([Moment(ball.vertices + UP, PHONE)], 16, 0)
     for name in ("mask", "normals", "depth"):
         assert np.array_equal(getattr(inside, name), getattr(white, name)), name
     beside = inside.color[inside.mask == 0]
@@ -129,7 +129,8 @@ def test_the_person_throws_a_shadow_on_the_floor(ball):
         np.zeros((0, 3), int), np.zeros(0, int), (plain,) * 6, (1.0, 1.0, 1.0),
     )  # fmt: skip
     render = Renderer(ball, bare)
-    near, far = (render(ball.vertices + [0, y, 0], PHONE, 16, 0).color for y in (0.51, 9))
+    at = lambda y: Moment(ball.vertices + [0, y, 0], PHONE)
+    near, far = (render.expose([at(y)], 16, 0).color for y in (0.51, 9))
     column, row = np.floor(PHONE.project(np.array([0.0, 0, 0.3]))).astype(int)
     below = (slice(row - 1, row + 2), slice(column - 2, column + 3))
     assert near[below].mean() < 0.85 * far[below].mean()

@@ -10,7 +10,7 @@ from gva_mi.synthetic.person.level_sets import BodySurface, vertex_normals
 from gva_mi.synthetic.person.surface import draw_surface
 from gva_mi.synthetic.person.texture import Material
 from gva_mi.synthetic.pictures.cameras import camera_around
-from gva_mi.synthetic.pictures.render import Renderer
+from gva_mi.synthetic.pictures.render import Moment, Renderer
 
 
 def person(body, seed):
@@ -51,7 +51,7 @@ def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body, dress
     pose = motions.perform("turn", np.array([0.1]), None, 10, np.random.default_rng(0))
     surface = subject.skinned(body, pose)[0]
     camera = camera_around(surface, 96)
-    seen = Renderer(subject)(surface, camera, 4)
+    seen = Renderer(subject).expose([Moment(surface, camera)], 4, 0)
     x, y = np.floor(camera.project(body(pose, subject.shape).vertices[0].double().numpy())).T
     assert maximum_filter(seen.mask, 3)[y.astype(int), x.astype(int)].min() > 0
     v, u = np.mgrid[:96, :96] + 0.5

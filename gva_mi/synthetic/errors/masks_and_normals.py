@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.kinematics import joint_places, joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES, Pose, Shape
@@ -85,12 +86,7 @@ class Confusion:
 
 
 def confusions(
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    camera: Camera,
-    noise: MaskErrors,
-    rng: np.random.Generator,
+    body: BodyModel, pose: Pose, shape: Shape, camera: Camera, noise: MaskErrors, rng: Generator
 ) -> list[Confusion]:
     """Draw in which of T frames feet are lost and on which side a bag hangs."""
     frames, rest = len(pose), body.rest(shape).joints
@@ -98,17 +94,16 @@ def confusions(
     R, joints = T_world_rest[..., :3, :3].numpy(), joint_places(T_world_rest, rest.double()).numpy()
     lost = {side: runs(rng, frames, noise.lost_feet, LOST_FOOT_FRAMES) for side in SIDES}
     bags = _bags(joints, R[:, 0], camera, noise.bag, SIDES[rng.integers(2)])
-    found = []
-    for k in range(frames):
-        feet = [side for side in SIDES if lost[side][k]]
-        found.append(Confusion(tuple(_foot(joints[k], camera, s) for s in feet), bags[k]))
-    return found
+    return [
+        Confusion(tuple(_foot(joints[k], camera, s) for s in SIDES if lost[s][k]), bags[k])
+        for k in range(frames)
+    ]
 
 
 def noisy_mask(
     mask: np.ndarray,
     noise: MaskErrors,
-    rng: np.random.Generator,
+    rng: Generator,
     confusion: Confusion = Confusion(),  # noqa: B008 (frozen)
 ) -> np.ndarray:
     """Degrade a mask (H, W) in [0, 1]."""
@@ -135,7 +130,7 @@ def noisy_mask(
 
 
 def noisy_normals(
-    normals: np.ndarray, mask: np.ndarray, noise: NormalErrors, rng: np.random.Generator
+    normals: np.ndarray, mask: np.ndarray, noise: NormalErrors, rng: Generator
 ) -> np.ndarray:
     """Degrade normals (H, W, 3) in camera space inside a mask (H, W)."""
     from scipy.ndimage import distance_transform_edt, gaussian_filter
@@ -146,10 +141,8 @@ def noisy_normals(
     blurred = np.stack(channels, axis=-1)
     length = np.linalg.norm(blurred, axis=-1)
     # Where the mask extends past the surface, use the nearest normal.
-    rows, columns = distance_transform_edt(
-        length < 1e-3, return_distances=False, return_indices=True
-    )
-    blurred = blurred[rows, columns] / np.maximum(length[rows, columns], 1e-9)[..., None]
+    near = distance_transform_edt(length < 1e-3, return_distances=False, return_indices=True)
+    blurred = blurred[*near] / np.maximum(length[*near], 1e-9)[..., None]
     axes = [_field(rng, mask.shape, noise.tilt_length * pixel) for _ in range(3)]
     turned = blurred + noise.tilt / np.sqrt(2) * np.cross(np.stack(axes, -1), blurred)
     if noise.flat:
@@ -161,7 +154,7 @@ def noisy_normals(
     return (turned * (mask > 0.5)[..., None]).astype(np.float32)
 
 
-def _field(rng: np.random.Generator, shape: tuple[int, int], length: float) -> np.ndarray:
+def _field(rng: Generator, shape: tuple[int, int], length: float) -> np.ndarray:
     """Draw a smooth random image of unit variance that varies over ``length`` pixels."""
     from scipy.ndimage import zoom
 

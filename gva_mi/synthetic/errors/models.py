@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.synthetic.errors.masks_and_normals import MaskErrors, NormalErrors
 from gva_mi.synthetic.errors.poses import CameraTilt, JointFactors, Outliers, PoseErrors
@@ -47,12 +48,11 @@ def draw_errors(error_model: str, seed: int) -> ErrorParameters | None:
     """Draw the errors of a video's estimates from one of ERROR_MODELS; None for NO_ERRORS."""
     if error_model == NO_ERRORS:
         return None
-    return ERROR_MODELS[error_model](
-        np.random.default_rng((seed, zlib.crc32(error_model.encode())))
-    )
+    rng = np.random.default_rng((seed, zlib.crc32(error_model.encode())))
+    return ERROR_MODELS[error_model](rng)
 
 
-def _mixed(rng: np.random.Generator) -> ErrorParameters:
+def _mixed(rng: Generator) -> ErrorParameters:
     """Draw errors of any persistence and any size, without bias or further outliers."""
     part = lambda: float(rng.lognormal(0, 0.3))
     calm = rng.uniform(0.6, 1.0)
@@ -83,7 +83,7 @@ def _changed(errors: ErrorParameters, part: str, **changes: object) -> ErrorPara
     return replace(errors, **{part: replace(getattr(errors, part), **changes)})
 
 
-def _white(rng: np.random.Generator) -> ErrorParameters:
+def _white(rng: Generator) -> ErrorParameters:
     errors = _mixed(rng)
     usual, large = (lambda: rng.uniform(0.85, 1.15)), (lambda: rng.uniform(1.3, 1.55))
     sizes = JointFactors(usual(), usual(), large(), usual(), large())
@@ -94,12 +94,12 @@ def _white(rng: np.random.Generator) -> ErrorParameters:
     )  # fmt: skip
 
 
-def _draw_lean(rng: np.random.Generator) -> CameraTilt:
+def _draw_lean(rng: Generator) -> CameraTilt:
     legs, trunk, arms = np.radians(rng.uniform((2, 0, 0), (6, 3, 4)))
     return CameraTilt(float(legs), float(trunk), float(arms))
 
 
-def _outliers(rng: np.random.Generator) -> ErrorParameters:
+def _outliers(rng: Generator) -> ErrorParameters:
     errors = _mixed(rng)
     outliers = Outliers(
         lost=rng.uniform(0.08, 0.25), swapped=rng.uniform(0.03, 0.1),
@@ -109,14 +109,14 @@ def _outliers(rng: np.random.Generator) -> ErrorParameters:
     return _changed(errors, "pose", outliers=outliers)
 
 
-def _masks(rng: np.random.Generator) -> ErrorParameters:
+def _masks(rng: Generator) -> ErrorParameters:
     return _changed(
         _mixed(rng), "mask", grown=rng.choice([-1, 1]) * rng.uniform(1, 3),
         lost_feet=rng.uniform(0.1, 0.35), bag=rng.uniform(0.06, 0.13),
     )  # fmt: skip
 
 
-def _normals(rng: np.random.Generator) -> ErrorParameters:
+def _normals(rng: Generator) -> ErrorParameters:
     return _changed(
         _mixed(rng), "normal", blur=rng.uniform(2, 6), flat=rng.uniform(0.1, 0.4),
         turn=tuple(np.radians(rng.normal(size=3) * 4).tolist()),
@@ -124,7 +124,7 @@ def _normals(rng: np.random.Generator) -> ErrorParameters:
     )  # fmt: skip
 
 
-def _anything(rng: np.random.Generator) -> ErrorParameters:
+def _anything(rng: Generator) -> ErrorParameters:
     errors, parts = _mixed(rng), ("shape", "outliers", "focal", "masks", "normals")
     shape, outliers, focal, masks, normals = (ERROR_MODELS[part](rng) for part in parts)
     lean, has = _draw_lean(rng), rng.random(6) < 0.5
@@ -138,20 +138,17 @@ def _anything(rng: np.random.Generator) -> ErrorParameters:
     return ErrorParameters(errors.pose, mask, normal)
 
 
-ERROR_MODELS: Mapping[str, Callable[[np.random.Generator], ErrorParameters]] = {
+ERROR_MODELS: Mapping[str, Callable[[Generator], ErrorParameters]] = {
     BURSTS: lambda rng: ErrorParameters(),
     "white": _white,
-    "slow": lambda rng: _changed(
-        _mixed(rng), "pose", memory=rng.uniform(15, 20), white=rng.uniform(0, 0.05)
-    ),
+    "slow": lambda rng: _changed(_mixed(rng), "pose", memory=rng.uniform(15, 20),
+                                 white=rng.uniform(0, 0.05)),
     "mixed": _mixed,
     "lean": lambda rng: _changed(_mixed(rng), "pose", lean=_draw_lean(rng)),
-    "shape": lambda rng: _changed(
-        _mixed(rng), "pose", betas=rng.uniform(0.2, 0.5), depth_follows=True
-    ),
+    "shape": lambda rng: _changed(_mixed(rng), "pose", betas=rng.uniform(0.2, 0.5),
+                                  depth_follows=True),
     "outliers": _outliers,
-    "focal": lambda rng: _changed(
-        _mixed(rng), "pose", focal=float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.1))
-    ),
+    "focal": lambda rng: _changed(_mixed(rng), "pose",
+                                  focal=float(rng.choice([-1, 1]) * rng.uniform(0.04, 0.1))),
     "masks": _masks, "normals": _normals, "anything": _anything,
 }  # fmt: skip

@@ -80,17 +80,13 @@ class Pipeline:
             self.body, self.near.pose, self.near.shape, self.cameras[0], errors.mask,
             options.random(SubjectStream.SEGMENTATION_ERRORS, errors=True),
         )  # fmt: skip
-        rng, share = (
-            options.random(SubjectStream.MISSING_NORMALS, errors=True),
-            errors.normal.missing,
-        )
-        missing = runs(rng, len(confused), share, MISSING_NORMALS_FRAMES)
+        rng = options.random(SubjectStream.MISSING_NORMALS, errors=True)
+        missing = runs(rng, len(confused), errors.normal.missing, MISSING_NORMALS_FRAMES)
         exact = options.error_model == BURSTS
+        frames = enumerate(zip(self.cameras, confused, missing, strict=True))
         return [
             PictureErrors(errors, camera, (*seed, k), seen, bool(gone), exact)
-            for k, (camera, seen, gone) in enumerate(
-                zip(self.cameras, confused, missing, strict=True)
-            )
+            for k, (camera, seen, gone) in frames
         ]
 
     def write(self, folder: Path) -> None:
@@ -126,13 +122,12 @@ def write_estimates(
     ``samples`` are the rays per pixel of the ground truth; ``rendered`` are mask (H, W) and normals
     (H, W, 3) to degrade instead of its files.
     """
-    truth = rendered
-    if truth is None:  # 8 bits hold the mask, a fraction of the rays, exactly
+    if rendered is None:  # 8 bits hold the mask, a fraction of the rays, exactly
         stored = read_image(folder / TRUTH / MASKS / frame_name(index), 1)
         hits = np.round(stored * (samples / 255))
         maps = NormalMaps(folder / TRUTH / NORMALS, "perspective", None)
-        truth = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
-    write_pictures(folder, index, *errors.apply(*truth))
+        rendered = (hits / samples).astype(np.float32), maps.read(index, errors.camera)
+    write_pictures(folder, index, *errors.apply(*rendered))
 
 
 def write_pictures(folder: Path, index: int, mask: np.ndarray, normals: np.ndarray | None) -> None:

@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.random import Generator
 from torch import Tensor
 
 from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, SIDES, Pose, Shape
@@ -112,12 +113,7 @@ class PoseErrors:
 
 
 def noisy_poses(
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    camera: Camera,
-    noise: PoseErrors,
-    rng: np.random.Generator,
+    body: BodyModel, pose: Pose, shape: Shape, camera: Camera, noise: PoseErrors, rng: Generator
 ) -> tuple[Pose, Shape]:
     """Draw stage-1 poses of a video from the ground truth.
 
@@ -159,7 +155,7 @@ def sideways(pose: Pose, camera: Camera) -> np.ndarray:
     return np.abs(facing @ camera.T_camera_world[0, :3])
 
 
-def _sizes(noise: PoseErrors, frames: int, rng: np.random.Generator) -> np.ndarray:
+def _sizes(noise: PoseErrors, frames: int, rng: Generator) -> np.ndarray:
     """Draw the root mean square error of each joint's rotation per frame, radians, (55, T)."""
     part = {name: part for part, names in JOINTS_OF_PART.items() for name in names}
     sizes = []
@@ -191,8 +187,8 @@ def estimated_camera(camera: Camera, noise: PoseErrors) -> Camera:
 def tilted(rotations: np.ndarray, camera: Camera, lean: CameraTilt) -> np.ndarray:
     """Tilt rotations (T, 55, 3), axis-angle relative to the parent, toward the camera."""
     parts = {"hip": -lean.legs, "shoulder": -lean.arms, "spine1": lean.trunk}
-    angles = {k: parts.get(name.split("_")[-1], 0) for k, name in enumerate(JOINTS)}
-    angles = {k: angle for k, angle in angles.items() if angle != 0}
+    of = lambda name: parts.get(name.split("_")[-1], 0)
+    angles = {k: of(name) for k, name in enumerate(JOINTS) if of(name) != 0}
     if not angles:
         return rotations
     R = to_matrices(rotations)
@@ -232,7 +228,7 @@ def placed(
     return (P - t) @ R - estimated_pelvis.double().numpy()
 
 
-def lose_hands(rotations: np.ndarray, share: float, rng: np.random.Generator) -> None:
+def lose_hands(rotations: np.ndarray, share: float, rng: Generator) -> None:
     """Replace hands by the mean hand in some frames, in place in ``rotations`` (T, 55, 3)."""
     for side, hand in HANDS.items():
         lost = runs(rng, len(rotations), share, LOST_FRAMES)[:, None, None]
@@ -248,7 +244,7 @@ def mean_hand(side: str) -> np.ndarray:
     return rotations
 
 
-def swap_legs(rotations: np.ndarray, share: float, rng: np.random.Generator) -> None:
+def swap_legs(rotations: np.ndarray, share: float, rng: Generator) -> None:
     """Swap the legs in some frames, in place in ``rotations`` (T, 55, 3)."""
     where = runs(rng, len(rotations), share, SWAPPED_FRAMES)
     left, right = ([JOINTS.index(f"{side}_{name}") for name in LEG] for side in SIDES)
@@ -256,9 +252,7 @@ def swap_legs(rotations: np.ndarray, share: float, rng: np.random.Generator) -> 
     rotations[np.ix_(where, left + right)] = mirrored
 
 
-def spoil_frames(
-    rotations: np.ndarray, sizes: np.ndarray, share: float, rng: np.random.Generator
-) -> None:
+def spoil_frames(rotations: np.ndarray, sizes: np.ndarray, share: float, rng: Generator) -> None:
     """Add large errors to all joints in some frames, in place in ``rotations`` (T, 55, 3).
 
     ``sizes`` (55, T) are the usual root mean square errors, radians.
@@ -268,7 +262,7 @@ def spoil_frames(
     rotations[where] += (SPOILT_FACTOR * sizes.T[..., None] * error)[where]
 
 
-def jumps(frames: int, outliers: Outliers, rng: np.random.Generator) -> np.ndarray:
+def jumps(frames: int, outliers: Outliers, rng: Generator) -> np.ndarray:
     """Draw displacements (T, 3) in camera axes, metres, constant over runs of frames."""
     away = runs(rng, frames, outliers.jumps, JUMP_FRAMES)
     run = np.cumsum(np.diff(away, prepend=False) & away)  # its number, within a run
@@ -276,7 +270,7 @@ def jumps(frames: int, outliers: Outliers, rng: np.random.Generator) -> np.ndarr
     return where[run] * away[:, None]
 
 
-def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0.0) -> np.ndarray:
+def curve(rng: Generator, frames: int, memory: float, white: float = 0.0) -> np.ndarray:
     """Draw a random curve (T, 3) of root mean square length 1.
 
     ``memory`` is the standard deviation, in frames, of the window that smooths its slow part, and
@@ -294,7 +288,7 @@ def curve(rng: np.random.Generator, frames: int, memory: float, white: float = 0
 
 
 def bumps(
-    rng: np.random.Generator, frames: int, calm: float, top: float, every: float, length: float
+    rng: Generator, frames: int, calm: float, top: float, every: float, length: float
 ) -> np.ndarray:
     """Draw a curve (T,) that rises from ``calm`` at least half of the way to ``top`` at random.
 
@@ -311,7 +305,7 @@ def bumps(
     return curve
 
 
-def runs(rng: np.random.Generator, frames: int, share: float, length: float) -> np.ndarray:
+def runs(rng: Generator, frames: int, share: float, length: float) -> np.ndarray:
     """Draw runs of frames, (T,) bool, of mean ``length``, that cover a ``share`` of all frames."""
     start = share / (length * max(1 - share, 0.1))  # probability per frame
     inside = np.zeros(frames, dtype=bool)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.gestures import GESTURES, AxisAngle, put_hand
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND
@@ -85,7 +86,7 @@ GESTURING: Mapping[str, Action] = {  # of a standing person: arms and trunk alon
 
 
 def act(
-    rotations: np.ndarray, t: np.ndarray, actions: Mapping[str, Action], rng: np.random.Generator
+    rotations: np.ndarray, t: np.ndarray, actions: Mapping[str, Action], rng: Generator
 ) -> None:
     """Blend actions into rotations (T, 55, 3) at moments (T,), in place.
 

@@ -154,9 +154,8 @@ def _height(path: Path, legs: list[Leg], pelvis: np.ndarray, t: np.ndarray) -> n
         hip = R_root @ (leg.hip - pelvis)
         aside = hip[:, [0, 2]] + place - foot.ankle[:, [0, 2]]
         square = (WALKING_EXTENSION * leg.length) ** 2 - (aside**2).sum(1)
-        highest = np.minimum(
-            highest, foot.ankle[:, 1] + np.sqrt(np.maximum(square, 0.01)) - hip[:, 1]
-        )
+        above = np.sqrt(np.maximum(square, 0.01))
+        highest = np.minimum(highest, foot.ankle[:, 1] + above - hip[:, 1])
     window = HEIGHT_SMOOTHING * len(t)
     lowest = minimum_filter1d(highest, 2 * round(2 * window) + 1, mode="wrap")
     return gaussian_filter1d(lowest, window, mode="wrap") - path.low(t)
@@ -175,23 +174,20 @@ def _stepping(path: Path, leg: Leg, t: np.ndarray, phase: float) -> _Foot:
     """Return a foot at moments (T,) that lands at ``phase`` of every cycle."""
     cycle, u = np.divmod(t * path.cycles - phase, 1.0)
     now = (cycle + phase + STANCE_SHARE / 2) / path.cycles  # the middle of this stance
-    (here, yaw), (there, next_yaw) = (
-        _print(path, leg, when) for when in (now, now + 1 / path.cycles)
-    )
-    (behind, _) = _print(path, leg, now - 1 / path.cycles)
+    prints = (_print(path, leg, now + k / path.cycles) for k in (-1, 0, 1))
+    (behind, _), (here, yaw), (there, next_yaw) = prints
     # Pitch at landing and leaving grows with the length of the steps before and after.
     long = lambda a, b: np.minimum(np.linalg.norm(b - a, axis=1) / (2 * LONG_STEP), 1.2)
     strike, leave = STRIKE_PITCH * long(behind, here), LEAVE_PITCH * long(here, there)
+    next_strike = STRIKE_PITCH * long(here, there)
     stand = np.clip(u / STANCE_SHARE, 0, 1)
     swing = np.clip((u - STANCE_SHARE) / (1 - STANCE_SHARE), 0, 1)
     smooth = swing * swing * (3 - 2 * swing)
     pitch = strike * (1 - np.clip(stand / 0.22, 0, 1)) ** 2
     pitch = pitch + leave * np.clip((stand - 0.45) / 0.55, 0, 1) ** 1.5
-    pitch = np.where(
-        u < STANCE_SHARE, pitch, leave + (STRIKE_PITCH * long(here, there) - leave) * smooth
-    )
+    pitch = np.where(u < STANCE_SHARE, pitch, leave + (next_strike - leave) * smooth)
     begin = _pivoted(leg, here, yaw, np.where(u < STANCE_SHARE, pitch, leave))
-    end = _pivoted(leg, there, next_yaw, STRIKE_PITCH * long(here, there))
+    end = _pivoted(leg, there, next_yaw, next_strike)
     ankle = begin + smooth[:, None] * (end - begin)
     far = np.linalg.norm(there - here, axis=1) / (2 * LONG_STEP)
     ankle[:, 1] += SWING_HEIGHT * np.minimum(0.4 + far, 1) * np.sin(np.pi * swing) ** 2

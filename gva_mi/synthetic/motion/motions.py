@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, Pose
@@ -28,10 +29,8 @@ A_POSE_ANGLE = 0.98  # rad, of the arms below the T-pose; chosen: arms are free 
 SIGNED_SIDES = (("left", 1.0), ("right", -1.0))
 
 
-def perform(
-    name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: np.random.Generator
-) -> Pose:
-    """Evaluate one of ``MOTIONS`` at moments t (T,), in rounds.
+def perform(name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng: Generator) -> Pose:
+    """Evaluate a motion, an option of a subject, at moments t (T,), in rounds.
 
     All start from a turn in the A-pose, slightly swaying, while hands and face go through gestures.
     Steps depend on the length of the legs of ``joints`` (55, 3), the body at rest, metres. The
@@ -56,7 +55,7 @@ def before(t: np.ndarray, steps: int) -> np.ndarray:
     return t - steps * LAG_TIME_STEP / ROUND_SECONDS
 
 
-def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
+def novel(count: int, expressions: int, rng: Generator) -> Pose:
     """Draw ``count`` poses that no video shows: gestures, steps, arms raised and in front.
 
     Returns:
@@ -81,7 +80,7 @@ def novel(count: int, expressions: int, rng: np.random.Generator) -> Pose:
     return Pose.of_arrays(rotations, np.zeros((count, 3)), expression)
 
 
-def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def turning(t: np.ndarray, rng: Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return rotations (T, 55, 3) and translations (T, 3) of one turn at constant speed."""
     frames = len(t)
     rotations = np.zeros((frames, 55, 3))
@@ -116,17 +115,15 @@ def turning(t: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
     return rotations, transl
 
 
-def slow_wave(t: np.ndarray, size: float, rng: np.random.Generator) -> np.ndarray:
+def slow_wave(t: np.ndarray, size: float, rng: Generator) -> np.ndarray:
     """Draw a slow random function of time (T,)."""
-    return sum(
-        rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform())) for k in (1, 2)
-    )
+    wave = lambda k: rng.normal(0, size / k) * np.sin(2 * np.pi * (k * t + rng.uniform()))
+    return wave(1) + wave(2)
 
 
 def with_face(
-    rotations: np.ndarray, transl: np.ndarray, t: np.ndarray, expressions: int,
-    rng: np.random.Generator,
-) -> Pose:  # fmt: skip
+    rotations: np.ndarray, transl: np.ndarray, t: np.ndarray, expressions: int, rng: Generator
+) -> Pose:
     """Add a face that speaks and looks around, and return the pose."""
     opened = 0.5 - 0.5 * np.cos(2 * np.pi * (6 * t + rng.uniform()))  # six words a round
     speaks = np.clip(0.6 + slow_wave(t, 0.5, rng), 0, 1)
@@ -152,9 +149,7 @@ def _blend_between(names: Sequence[str], at: np.ndarray) -> np.ndarray:
     return (1 - t) * keys[index % len(keys)] + t * keys[(index + 1) % len(keys)]
 
 
-def _still(
-    t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: np.random.Generator
-) -> Path:
+def _still(t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: Generator) -> Path:
     """Stand with fixed feet, sway a little, and gesture."""
     act(rotations, t, GESTURING, rng)
     facing = rng.uniform(-0.12, 0.12)
@@ -169,9 +164,7 @@ def _still(
     )
 
 
-def _half(
-    t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: np.random.Generator
-) -> Path:
+def _half(t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: Generator) -> Path:
     """Turn half round in small steps, and back again."""
     direction, facing = rng.choice([-1.0, 1.0]), rng.uniform(-0.3, 0.3)
     return Path(
@@ -183,9 +176,7 @@ def _half(
     )
 
 
-def _walk(
-    t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: np.random.Generator
-) -> Path:
+def _walk(t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: Generator) -> Path:
     """Walk around an oval of some metres: toward the camera, across its view, and away."""
     direction, start = rng.choice([-1.0, 1.0]), rng.uniform(0, 1)
     radii = np.array([rng.uniform(0.95, 1.15), rng.uniform(0.75, 0.95)])
@@ -220,9 +211,7 @@ def _walk(
     )
 
 
-def _dance(
-    t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: np.random.Generator
-) -> Path:
+def _dance(t: np.ndarray, rotations: np.ndarray, joints: np.ndarray, rng: Generator) -> Path:
     """Dance: fast arms, quick wide steps, a twisting and bouncing trunk, while turning once."""
     direction, cycles = rng.choice([-1.0, 1.0]), 8
     beat = lambda t, k=1.0, phase=0.0: np.sin(FULL_TURN * (k * cycles * t + phase))
@@ -253,7 +242,7 @@ def _dance(
     )
 
 
-def _waves(rng: np.random.Generator, count: int) -> Callable[[np.ndarray], np.ndarray]:
+def _waves(rng: Generator, count: int) -> Callable[[np.ndarray], np.ndarray]:
     """Draw ``count`` slow random functions of time, (T,) to (T, count), of unit size."""
     seed = int(rng.integers(2**31))
 
@@ -264,10 +253,9 @@ def _waves(rng: np.random.Generator, count: int) -> Callable[[np.ndarray], np.nd
     return waves
 
 
-ON_FOOT: Mapping[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.random.Generator], Path]] = {
+ON_FOOT: Mapping[str, Callable[[np.ndarray, np.ndarray, np.ndarray, Generator], Path]] = {
     "still": _still,
     "half": _half,
     "walk": _walk,
     "dance": _dance,
 }
-MOTIONS: tuple[str, ...] = ("turn", "everyday", *ON_FOOT)

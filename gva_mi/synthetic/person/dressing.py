@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.synthetic.person.garments import CLOTH_CELL, shirt, shoe, skirt, trousers
@@ -60,16 +61,14 @@ class Piece:
     crease: float = 0.0  # m, height of its creases
 
 
-def dress(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator
-) -> tuple[list[Piece], SkirtCone | None]:
+def dress(rest: RestBody, outfit: Outfit, rng: Generator) -> tuple[list[Piece], SkirtCone | None]:
     """Return clothes and hair, and the cone of a skirt; ``rng`` draws folds and locks."""
     pieces, cone = _clothes(rest, outfit, rng)
     return [*pieces, _hair(rest, outfit, rng, pieces[0].mesh)], cone
 
 
 def _clothes(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator
+    rest: RestBody, outfit: Outfit, rng: Generator
 ) -> tuple[list[Piece], SkirtCone | None]:
     """Make top, bottom and shoes, in this order; also return the cone of a skirt."""
     vertices, joints, loose, cone = rest.vertices, rest.joints, outfit.loose, None
@@ -98,7 +97,7 @@ def _clothes(
     return pieces, cone
 
 
-def _hair(rest: RestBody, outfit: Outfit, rng: np.random.Generator, top: RestMesh) -> Piece:
+def _hair(rest: RestBody, outfit: Outfit, rng: Generator, top: RestMesh) -> Piece:
     """Make the hair; long hair falls over the shirt."""
     below = BodySurface(top.vertices, top.faces, vertex_normals(top.vertices, top.faces))
     mesh = hair_mesh(rest, outfit, rng, below)
@@ -159,18 +158,14 @@ def hang_from_hips(points: np.ndarray, rest: RestBody) -> csr_array:
     hip, knee = rest.joints["left_hip"], rest.joints["left_knee"]
     middle = rest.joints["pelvis"][0]
     half = 2 * SKIRT_BLEND * abs(hip[0] - middle)
-    thighs = THIGH_WEIGHT * smoothstep(
-        hip[1] - points[:, 1], SKIRT_WAIST, 0.75 * (hip[1] - knee[1])
-    )
+    hem = 0.75 * (hip[1] - knee[1])
+    thighs = THIGH_WEIGHT * smoothstep(hip[1] - points[:, 1], SKIRT_WAIST, hem)
     left = smoothstep(points[:, 0] - middle, -half, half)
     shares = np.stack([thighs * left, thighs * (1 - left)], axis=1)
     moved = [rest.weights[:, JOINTS.index(f"{side}_hip")] for side in SIDES]
     groups = [np.argsort(-weights, kind="stable")[:THIGH_VERTICES] for weights in moved]
-    entries = (
-        np.full(2 * THIGH_VERTICES, 1 / THIGH_VERTICES),
-        (np.repeat([0, 1], THIGH_VERTICES), np.concatenate(groups)),
-    )
+    equal, at = np.full(2 * THIGH_VERTICES, 1 / THIGH_VERTICES), np.concatenate(groups)
+    entries = equal, (np.repeat([0, 1], THIGH_VERTICES), at)
     legs = csr_array(shares) @ csr_array(entries, shape=(2, len(rest.vertices)))
-    return (
-        diags_array(1 - thighs) @ follow_nearest(points, rest.vertices, SKIRT_SMOOTHING) + legs
-    ).tocsr()
+    nearest = follow_nearest(points, rest.vertices, SKIRT_SMOOTHING)
+    return (diags_array(1 - thighs) @ nearest + legs).tocsr()

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.synthetic.person.identity import Outfit
 from gva_mi.synthetic.person.level_sets import (
@@ -63,7 +64,7 @@ def _with_opening(
 
 
 def shirt(
-    grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: np.random.Generator
+    grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: Generator
 ) -> RestMesh:
     """Model a shirt from ``loose``, ``sleeve`` and ``hem`` of the outfit."""
     sleeve, pelvis, neck = outfit.sleeve, joints["pelvis"], joints["neck"]
@@ -74,10 +75,8 @@ def shirt(
     draped = d * (1 - trunk) + trunk * _drape(d, grid)
     uncut = draped - _shirt_stand_off(grid, joints, trunk, outfit, rng)
 
-    if sleeve <= 1:
-        end = shoulder[0] + sleeve * (elbow[0] - shoulder[0])
-    else:
-        end = elbow[0] + (sleeve - 1) * (wrist[0] - elbow[0])
+    start, stop, share = (elbow, wrist, sleeve - 1) if sleeve > 1 else (shoulder, elbow, sleeve)
+    end = start[0] + share * (stop[0] - start[0])
     field = _with_opening(uncut, uncut, np.abs(x) - end)
     field = _with_opening(field, uncut, (pelvis[1] - outfit.hem) - y)
     field = smax(field, _neckline(grid, joints), 0.015)
@@ -86,7 +85,7 @@ def shirt(
 
 
 def _shirt_stand_off(
-    grid: VoxelGrid, joints: Joints, trunk: np.ndarray, outfit: Outfit, rng: np.random.Generator
+    grid: VoxelGrid, joints: Joints, trunk: np.ndarray, outfit: Outfit, rng: Generator
 ) -> np.ndarray:
     """Return a shirt's distance from the body, metres: it grows toward hem and cuffs, with folds.
 
@@ -121,17 +120,15 @@ def _neckline(grid: VoxelGrid, joints: Joints) -> np.ndarray:
 def trousers(grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit) -> RestMesh:
     """Model trousers, or shorts if the outfit's ``length`` is below 1; ``flare`` widens the hem."""
     loose, length = outfit.flare, outfit.length
-    pelvis, hip, knee, ankle = (
-        joints[n] for n in ("pelvis", "left_hip", "left_knee", "left_ankle")
-    )
+    pelvis = joints["pelvis"]
+    hip, knee, ankle = (joints[f"left_{n}"] for n in ("hip", "knee", "ankle"))
     y = grid.y
     below = smoothstep(hip[1] - y, 0.02, 0.25)
     calf = below * np.ones(grid.shape, dtype=np.float32)
     draped = d * (1 - calf) + calf * _drape(d, grid)
     top = pelvis[1] + 0.75 * (joints["spine1"][1] - pelvis[1])
-    at_knee = knee[1] if length <= 1 else ankle[1]
-    start = hip[1] if length <= 1 else knee[1]
-    end = start + (length - (0 if length <= 1 else 1)) * (at_knee - start)
+    start, stop, share = (knee, ankle, length - 1) if length > 1 else (hip, knee, length)
+    end = start[1] + share * (stop[1] - start[1])
     uncut = draped - (0.009 + loose * smoothstep(hip[1] - y, 0.05, hip[1] - end))
     field = smax(_with_opening(uncut, uncut, end - y), y - top)
     field = smax(field, np.abs(grid.x) - 0.42 * joints["left_elbow"][0] - 0.1)
@@ -148,7 +145,7 @@ def _between_legs(grid: VoxelGrid, d: np.ndarray) -> np.ndarray:
 
 
 def skirt(
-    grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: np.random.Generator
+    grid: VoxelGrid, d: np.ndarray, joints: Joints, outfit: Outfit, rng: Generator
 ) -> tuple[RestMesh, SkirtCone]:
     """Model a skirt as an elliptic cone with pleats that deepen toward the hem.
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.synthetic.person.identity import Outfit
 from gva_mi.synthetic.person.level_sets import (
@@ -70,11 +71,9 @@ class _Head:
     def grid(self, ends: float) -> VoxelGrid:
         """Return a grid around the head, down to where the hair ends."""
         reach = np.array([self.half[0] + 0.09, 0, self.half[2] + 0.10])
-        return VoxelGrid.around(
-            [self.middle[0] - reach[0], ends - 0.03, self.middle[2] - reach[2]],
-            [self.middle[0] + reach[0], self.top + 0.06, self.middle[2] + reach[2]],
-            HAIR_CELL,
-        )
+        low, high = self.middle - reach, self.middle + reach
+        low[1], high[1] = ends - 0.03, self.top + 0.06
+        return VoxelGrid.around(low, high, HAIR_CELL)
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class _Locks:
     locks: np.ndarray  # in [-1, 1], thickness around the head
 
     @staticmethod
-    def draw(head: _Head, grid: VoxelGrid, rng: np.random.Generator) -> _Locks:
+    def draw(head: _Head, grid: VoxelGrid, rng: Generator) -> _Locks:
         x, y, z = grid.x - head.middle[0], grid.y, grid.z - head.middle[2]
         angle = np.arctan2(z, x)
         locks = sum(
@@ -100,9 +99,7 @@ class _Locks:
         return _Locks(x, y, z, fall, np.maximum(head.eyes[1] - y, 0), locks)
 
 
-def hair_mesh(
-    rest: RestBody, outfit: Outfit, rng: np.random.Generator, shirt: BodySurface
-) -> RestMesh:
+def hair_mesh(rest: RestBody, outfit: Outfit, rng: Generator, shirt: BodySurface) -> RestMesh:
     """Model the hair of a head: "short" follows the skull, a "bob" hangs to the jaw, "long" hair
     falls over the ``shirt`` to the shoulder blades. ``rng`` draws locks and parting.
     """

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
+from numpy.random import Generator
 
 Color = tuple[float, float, float]  # linear albedo
 Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
@@ -33,7 +34,7 @@ def linear(*srgb: int) -> Color:
     return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
 
 
-def palette(rng: np.random.Generator, colors: Sequence[Color]) -> Color:
+def palette(rng: Generator, colors: Sequence[Color]) -> Color:
     """Draw one of the colours, slightly varied."""
     color = np.array(colors[rng.integers(len(colors))])
     return tuple(float(c) for c in np.clip(color * rng.uniform(0.85, 1.15, 3), 0.01, 0.85))
@@ -105,7 +106,7 @@ class SyntheticPerson:
         return SyntheticPerson(seed, betas, skin, hair, iris, top, bottom, shoes, outfit)
 
 
-def _draw_outfit(rng: np.random.Generator) -> Outfit:
+def _draw_outfit(rng: Generator) -> Outfit:
     sleeve = float(rng.choice([rng.uniform(0.45, 0.75), rng.uniform(1.6, 1.9)]))
     hem, loose = float(rng.uniform(0.08, 0.17)), float(rng.uniform(0.012, 0.026))
     bottom = str(rng.choice(["trousers", "trousers", "shorts", "skirt"]))
@@ -121,7 +122,7 @@ def _draw_outfit(rng: np.random.Generator) -> Outfit:
     return Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
 
 
-def foreign_outfit(outfit: Outfit, rng: np.random.Generator) -> Outfit:
+def foreign_outfit(outfit: Outfit, rng: Generator) -> Outfit:
     """Change an outfit to one unlike the others: thick soles, mostly wide trousers."""
     outfit = replace(outfit, sole=float(rng.uniform(0.01, 0.05)))
     if rng.random() < 0.7:

@@ -21,6 +21,7 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.body.pose import JOINTS, PARENTS, SIDES
 from gva_mi.body.smplx import BodyModel
@@ -61,7 +62,7 @@ class BodyStretch:
     thickness: Mapping[str, float]
 
     @staticmethod
-    def draw(rng: np.random.Generator) -> BodyStretch:
+    def draw(rng: Generator) -> BodyStretch:
         """Draw proportions, left and right nearly alike."""
         length, thickness = {}, {}
         for spread, _, joints in SEGMENTS:

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.random import Generator
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
@@ -141,7 +142,7 @@ def draw_surface(body: BodyModel, person: SyntheticPerson, bare: bool = False) -
 
 
 def _joined(
-    rest: RestBody, pieces: list[Piece], look: Look, shape: Shape, rng: np.random.Generator
+    rest: RestBody, pieces: list[Piece], look: Look, shape: Shape, rng: Generator
 ) -> PersonSurface:
     """Join the visible skin and all pieces to one surface."""
     from scipy.sparse import csr_array, vstack
@@ -150,9 +151,8 @@ def _joined(
     skin = rest.faces[~covered(rest.vertices, cloth)[rest.faces].all(1)]
     used, skin = np.unique(skin, return_inverse=True)
     skin = skin.reshape(-1, 3)
-    of_skin = csr_array(
-        (np.ones(len(used)), (np.arange(len(used)), used)), shape=(len(used), len(rest.vertices))
-    )
+    ones = np.ones(len(used)), (np.arange(len(used)), used)
+    of_skin = csr_array(ones, shape=(len(used), len(rest.vertices)))
     meshes = [piece.mesh for piece in pieces]
     bound = vstack([of_skin, *(piece.binding for piece in pieces)])
     starts = np.cumsum([len(used), *(len(mesh.vertices) for mesh in meshes)])
@@ -179,10 +179,7 @@ def _joined(
 
 
 def creases(
-    vertices: np.ndarray,
-    amplitude: np.ndarray,
-    joints: Mapping[str, np.ndarray],
-    rng: np.random.Generator,
+    vertices: np.ndarray, amplitude: np.ndarray, joints: Mapping[str, np.ndarray], rng: Generator
 ) -> tuple[Crease, ...]:
     """Place the creases of all joints at random on vertices (N, 3), rest pose, metres.
 

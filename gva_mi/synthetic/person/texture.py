@@ -278,11 +278,8 @@ def value_noise(p: Array) -> Array:
     f = p - cell
     f = f * f * (3 - 2 * f)
     corner = lambda dx, dy, dz: hash01(cell.x + dx, cell.y + dy, cell.z + dz)
-    plane = lambda dz: dr.lerp(
-        dr.lerp(corner(0, 0, dz), corner(1, 0, dz), f.x),
-        dr.lerp(corner(0, 1, dz), corner(1, 1, dz), f.x),
-        f.y,
-    )
+    edge = lambda dy, dz: dr.lerp(corner(0, dy, dz), corner(1, dy, dz), f.x)
+    plane = lambda dz: dr.lerp(edge(0, dz), edge(1, dz), f.y)
     return dr.lerp(plane(0), plane(1), f.z) * 2 - 1
 
 

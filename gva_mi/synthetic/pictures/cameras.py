@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.splat import Camera, look_at
 
@@ -42,12 +43,10 @@ def camera_around(
     away = np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
     centre = np.array([0.515, 0.485]) * size
     free = (0.485 - MARGIN_ON_WHITE) * size
-    distance = 2.0
+    distance, focal = 2.0, FOCAL_ON_WHITE * size
     for _ in range(30):  # move until it just fits; converges geometrically
         T_camera_world = look_at(middle + distance * away, middle)
-        camera = Camera(
-            FOCAL_ON_WHITE * size, FOCAL_ON_WHITE * size, *centre, T_camera_world, size, size
-        )
+        camera = Camera(focal, focal, *centre, T_camera_world, size, size)
         reach = np.abs(camera.project(points) - centre).max() / free
         distance *= max(reach, 0.2)
         if abs(reach - 1) < 1e-4:
@@ -83,7 +82,7 @@ class PhoneCamera:
         return Camera(focal, focal, half, half, T, self.size, self.size)
 
     @staticmethod
-    def draw(rng: np.random.Generator, points: np.ndarray, size: int) -> PhoneCamera:
+    def draw(rng: Generator, points: np.ndarray, size: int) -> PhoneCamera:
         """Draw a phone that sees all points (T, n, 3) of a person."""
         flat = points.reshape(-1, 3)
         middle = (flat.min(0) + flat.max(0)) / 2 * [1, 0, 1]
@@ -104,22 +103,14 @@ class PhoneCamera:
         return placed
 
 
-def held_by_hand(
-    rng: np.random.Generator,
-) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+def held_by_hand(rng: Generator) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
     """Draw how a hand moves (3,), m, and turns (3,), rad, a phone: functions of a moment, s."""
 
-    def waves(size: float, *hertz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return (
-            rng.normal(0, size / 2, (3, 4)),
-            rng.uniform(*hertz, (3, 4)),
-            rng.uniform(size=(3, 4)),
-        )
+    def wave(size: float, *hertz: float) -> Callable[[float], np.ndarray]:
+        reach, rate = rng.normal(0, size / 2, (3, 4)), rng.uniform(*hertz, (3, 4))
+        phase = rng.uniform(size=(3, 4))
+        return lambda t: (reach * np.sin(2 * np.pi * (rate * t + phase))).sum(1)
 
-    sway, drift, tremor = (
-        waves(HAND_SWAY, 0.1, 0.6),
-        waves(HAND_DRIFT, 0.1, 0.7),
-        waves(HAND_TREMOR, 4, 9),
-    )
-    at = lambda wave, t: (wave[0] * np.sin(2 * np.pi * (wave[1] * t + wave[2]))).sum(1)
-    return lambda t: (at(sway, t), at(drift, t) + at(tremor, t))
+    sway, drift = wave(HAND_SWAY, 0.1, 0.6), wave(HAND_DRIFT, 0.1, 0.7)
+    tremor = wave(HAND_TREMOR, 4, 9)
+    return lambda t: (sway(t), drift(t) + tremor(t))

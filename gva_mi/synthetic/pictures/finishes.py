@@ -12,11 +12,12 @@ between cells. Colours are linear albedo.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
+from numpy.random import Generator
 
 from gva_mi.synthetic.person.identity import Color, linear, palette
 from gva_mi.synthetic.person.texture import hash01, value_noise
@@ -41,17 +42,12 @@ class Finish:
 
     def mean_color(self) -> Color:
         """Return the average colour, for indirect light."""
-        return tuple(
-            float((1 - self.share) * a + self.share * b)
-            for a, b in zip(self.color, self.other, strict=True)
-        )
+        mix = lambda a, b: float((1 - self.share) * a + self.share * b)
+        return tuple(map(mix, self.color, self.other))
 
     def row(self) -> list[float]:
         """Return the parameters as numbers, one for each of COLUMNS."""
-        return [
-            *self.color, *self.other, self.share, *self.cell, self.shift, self.joint, self.vary,
-            *self.grain, self.rough,
-        ]  # fmt: skip
+        return np.hstack(astuple(self)).tolist()
 
 
 COLUMNS = (  # of a row
@@ -73,11 +69,8 @@ def finish_color(table: Array, number: Array, u: Array, v: Array) -> Array:
     u_shifted = u + of("shift") * row * of("cell u")
     column = dr.floor(u_shifted / of("cell u"))
     picked = hash01(column, row, salt)
-    color = dr.select(
-        picked < of("share"),
-        mi.Color3f(of("other r"), of("other g"), of("other b")),
-        mi.Color3f(of("r"), of("g"), of("b")),
-    )
+    other, usual = (mi.Color3f(*(of(name + c) for c in "rgb")) for name in ("other ", ""))
+    color = dr.select(picked < of("share"), other, usual)
     color *= 1 + of("vary") * (2 * hash01(column, row, salt + 57) - 1)
     x, y = u_shifted - column * of("cell u"), v - row * of("cell v")
     edge = dr.minimum(dr.minimum(x, of("cell u") - x), dr.minimum(y, of("cell v") - y))
@@ -100,18 +93,18 @@ _BOOKS = [linear(*c) for c in ((150, 48, 44), (44, 70, 110), (206, 190, 150), (5
                                (220, 160, 60), (40, 40, 46))]  # fmt: skip
 
 
-def wood(rng: np.random.Generator) -> Finish:
+def wood(rng: Generator) -> Finish:
     """Draw a wood with its grain along v."""
     return Finish(palette(rng, _WOODS), grain=(70, 4), rough=float(rng.uniform(0.15, 0.35)))
 
 
-def paint(rng: np.random.Generator, like: Sequence[Color] = ()) -> Finish:
+def paint(rng: Generator, like: Sequence[Color] = ()) -> Finish:
     """Draw the paint of a wall; its colour is one of ``like`` now and then."""
     color = palette(rng, like) if len(like) and rng.random() < 0.25 else palette(rng, _PAINTS)
     return Finish(color, grain=(6, 6), rough=float(rng.uniform(0.02, 0.06)))
 
 
-def cloth(rng: np.random.Generator, like: Sequence[Color] = ()) -> Finish:
+def cloth(rng: Generator, like: Sequence[Color] = ()) -> Finish:
     """Draw the cloth of a sofa; its colour is one of ``like`` now and then."""
     color = palette(rng, like) if len(like) and rng.random() < 0.3 else palette(rng, _CLOTHS)
     plain = Finish(color, grain=(220, 220), rough=0.18)
@@ -121,22 +114,15 @@ def cloth(rng: np.random.Generator, like: Sequence[Color] = ()) -> Finish:
     return replace(plain, other=palette(rng, _CLOTHS), share=0.45, cell=(width, ENDLESS_CELL))
 
 
-def books(rng: np.random.Generator) -> Finish:
+def books(rng: Generator) -> Finish:
     """Draw the backs of a row of books."""
     first, second = (palette(rng, _BOOKS) for _ in range(2))
     width = float(rng.uniform(0.022, 0.04))
-    return Finish(
-        first,
-        other=second,
-        share=0.5,
-        cell=(width, ENDLESS_CELL),
-        joint=0.004,
-        vary=0.6,
-        rough=0.05,
-    )
+    cell = (width, ENDLESS_CELL)
+    return Finish(first, second, share=0.5, cell=cell, joint=0.004, vary=0.6, rough=0.05)
 
 
-def poster(rng: np.random.Generator) -> Finish:
+def poster(rng: Generator) -> Finish:
     """Draw a picture on a wall: patches of two colours."""
     side = float(rng.uniform(0.04, 0.2))
     first, second = palette(rng, _BOOKS), palette(rng, _PAINTS)
@@ -146,14 +132,14 @@ def poster(rng: np.random.Generator) -> Finish:
     )  # fmt: skip
 
 
-def doors(rng: np.random.Generator) -> Finish:
+def doors(rng: Generator) -> Finish:
     """Draw the front of a cupboard: doors or drawers."""
     cell = (float(rng.uniform(0.35, 0.6)), float(rng.choice([0.25, 0.4, ENDLESS_CELL])))
     whole = wood(rng) if rng.random() < 0.6 else paint(rng)
     return replace(whole, cell=cell, joint=0.008, vary=0.03)
 
 
-def floor(rng: np.random.Generator) -> Finish:
+def floor(rng: Generator) -> Finish:
     """Draw a floor: planks, tiles or a carpet."""
     kind = rng.choice(["planks", "tiles", "carpet"])
     if kind == "planks":
@@ -170,7 +156,7 @@ def floor(rng: np.random.Generator) -> Finish:
     return Finish(palette(rng, _CARPETS), grain=(160, 160), rough=float(rng.uniform(0.15, 0.4)))
 
 
-def wall(rng: np.random.Generator, like: Sequence[Color] = ()) -> Finish:
+def wall(rng: Generator, like: Sequence[Color] = ()) -> Finish:
     """Draw a wall: painted, with wallpaper, or of bricks."""
     kind = rng.choice(["paint", "paint", "stripes", "paper", "bricks"])
     plain = paint(rng, like)

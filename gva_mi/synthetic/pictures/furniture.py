@@ -12,17 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.synthetic.person.identity import Color, linear
-from gva_mi.synthetic.pictures.finishes import (
-    Finish,
-    books,
-    cloth,
-    doors,
-    paint,
-    poster,
-    wood,
-)
+from gva_mi.synthetic.pictures.finishes import Finish, books, cloth, doors, paint, poster, wood
 
 
 @dataclass(frozen=True)
@@ -50,14 +43,14 @@ def box(low: Sequence[float], high: Sequence[float], finish: Finish) -> Solid:
     return Solid(np.array(vertices), np.array(uv), np.array(faces), finish)
 
 
-def cupboard(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def cupboard(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw a cupboard or a chest of drawers, with a few things on a low one."""
     width, height, depth = rng.uniform(0.6, 1.4), rng.uniform(0.6, 2.1), rng.uniform(0.35, 0.55)
     piece = [box((0, 0.06, 0), (width, height, depth), doors(rng))]
     return piece + (things(rng, width, height, depth, like) if height < 1.3 else [])
 
 
-def shelf(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def shelf(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw an open shelf with books."""
     width, rows, depth, board = rng.uniform(0.6, 1.2), int(rng.integers(3, 7)), 0.28, 0.02
     timber, step = wood(rng), 0.34
@@ -72,7 +65,7 @@ def shelf(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
     return piece
 
 
-def table(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def table(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw a table with things on it."""
     width, height, depth = rng.uniform(0.8, 1.5), rng.uniform(0.68, 0.78), rng.uniform(0.5, 0.6)
     timber = wood(rng)
@@ -83,7 +76,7 @@ def table(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
     return piece + things(rng, width, height, depth, like)
 
 
-def sofa(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def sofa(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw a sofa or an armchair with cushions."""
     width, depth, seat, arm = rng.uniform(0.8, 1.9), 0.75, 0.42, 0.16
     cover = cloth(rng, like)
@@ -99,7 +92,7 @@ def sofa(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
     return piece
 
 
-def plant(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def plant(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw a plant in a pot."""
     count, height = 220, rng.uniform(0.9, 1.6)
     middle = np.array([0.25, 0, 0.25])
@@ -120,7 +113,7 @@ def plant(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
     ]
 
 
-def door(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
+def door(rng: Generator, like: Sequence[Color]) -> list[Solid]:
     """Draw a closed door with its frame."""
     width, frame = 0.86, paint(rng)
     leaf = wood(rng) if rng.random() < 0.5 else paint(rng)
@@ -134,7 +127,7 @@ def door(rng: np.random.Generator, like: Sequence[Color]) -> list[Solid]:
 
 
 def things(
-    rng: np.random.Generator, width: float, height: float, depth: float, like: Sequence[Color]
+    rng: Generator, width: float, height: float, depth: float, like: Sequence[Color]
 ) -> list[Solid]:
     """Draw a few things that lie on a piece of these measures."""
     found = []
@@ -146,7 +139,7 @@ def things(
     return found
 
 
-def picture(rng: np.random.Generator) -> list[Solid]:
+def picture(rng: Generator) -> list[Solid]:
     """Draw a picture in a frame; x and y start at its lower left corner."""
     width, height, edge = rng.uniform(0.3, 0.9), rng.uniform(0.3, 0.7), 0.03
     return [

@@ -12,6 +12,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator
 
 from gva_mi.core.atomic import atomic_write
 
@@ -24,7 +25,7 @@ ENCODER = {"threads": "1", "mbtree": "0", "preset": "veryfast"}
 
 
 def write_phone_video(
-    path: Path, pictures: Iterable[np.ndarray], fps: Fraction, rng: np.random.Generator
+    path: Path, pictures: Iterable[np.ndarray], fps: Fraction, rng: Generator
 ) -> None:
     """Write pictures (H, W, 3) 8-bit, of even sides, as an .mp4 of H.264 with BT.709 colours."""
     import av

@@ -100,9 +100,8 @@ class Renderer:
         emission = INDIRECT_LIGHT * np.array([subject.look.mean_color(p) for p in Material])
         if room is not None:  # its furniture follows the subject, in one mesh
             faces = np.concatenate([faces, room.faces + len(vertices)])
-            material = np.concatenate(
-                [material, (room.finish + PERSON_MATERIALS).astype(np.uint32)]
-            )
+            numbers = (room.finish + PERSON_MATERIALS).astype(np.uint32)
+            material = np.concatenate([material, numbers])
             rest = np.concatenate([rest, np.pad(room.uv, ((0, 0), (0, 1)))])
             tint = np.concatenate([tint, np.ones_like(room.vertices)])
             colors = [finish.mean_color() for finish in room.finishes]
@@ -123,14 +122,8 @@ class Renderer:
         self._emission = mi.Float(emission.ravel().astype(np.float32))
         dr.eval(self._material, self._rest, self._tint, self._emission)
 
-    def __call__(
-        self, vertices: np.ndarray, camera: Camera, samples: int = 16, seed: int = 0
-    ) -> Rendering:
-        """Render the subject's vertices (N, 3), metres: see :meth:`expose`."""
-        return self.expose([Moment(vertices, camera)], samples, seed)
-
     def expose(
-        self, moments: Sequence[Moment], samples: int = 16, seed: int = 0, shown: bool = True
+        self, moments: Sequence[Moment], samples: int, seed: int, shown: bool = True
     ) -> Rendering:
         """Render the subject as an exposure sees it.
 
@@ -289,10 +282,8 @@ class Renderer:
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
         emission = dr.gather(mi.Color3f, self._emission, material, active & blocked)
         if self._room is None:
-            sky = dr.lerp(
-                mi.Color3f(*GROUND_RADIANCE), mi.Color3f(*SKY_RADIANCE), 0.5 + 0.5 * direction.y
-            )
-            return dr.select(blocked, emission, sky)
+            ground, sky = mi.Color3f(*GROUND_RADIANCE), mi.Color3f(*SKY_RADIANCE)
+            return dr.select(blocked, emission, dr.lerp(ground, sky, 0.5 + 0.5 * direction.y))
         # Every direction that nothing blocks gives the mean of all, which leaves little to chance.
         below, above = (mi.Color3f(c.tolist()) for c in self._room.ambient)
         return dr.select(blocked, emission, dr.lerp(below, above, 0.5 + n.y / 3))
@@ -302,20 +293,15 @@ def primary_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Return rays through image points (pixels), and their length per metre of depth."""
     import mitsuba as mi
 
-    number = lambda x: dr.opaque(mi.Float, x)
-    direction = mi.Vector3f(
-        (x - number(camera.cx)) / number(camera.fx),
-        (y - number(camera.cy)) / number(camera.fy),
-        1.0,
-    )
+    number = lambda value: dr.opaque(mi.Float, value)
+    x = (x - number(camera.cx)) / number(camera.fx)
+    direction = mi.Vector3f(x, (y - number(camera.cy)) / number(camera.fy), 1.0)
     per_depth = dr.norm(direction)
     T_world_camera = np.linalg.inv(camera.T_camera_world)
     R = [[number(float(T_world_camera[i, j])) for j in range(3)] for i in range(3)]
-    turned = mi.Vector3f(
-        *(R[i][0] * direction.x + R[i][1] * direction.y + R[i][2] * direction.z for i in range(3))
-    )
-    eye = mi.Point3f(*(number(float(x)) for x in T_world_camera[:3, 3]))
-    return mi.Ray3f(eye, turned / per_depth), per_depth
+    turned = (r[0] * direction.x + r[1] * direction.y + r[2] * direction.z for r in R)
+    eye = mi.Point3f(*(number(float(c)) for c in T_world_camera[:3, 3]))
+    return mi.Ray3f(eye, mi.Vector3f(*turned) / per_depth), per_depth
 
 
 class Strata:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
+from numpy.random import Generator
 
 from gva_mi.splat import Camera
 from gva_mi.synthetic.person.identity import Color, SyntheticPerson
@@ -66,10 +67,7 @@ class Room:
 
 
 def draw_room(
-    rng: np.random.Generator,
-    person: SyntheticPerson,
-    points: np.ndarray,
-    cameras: Sequence[Camera],
+    rng: Generator, person: SyntheticPerson, points: np.ndarray, cameras: Sequence[Camera]
 ) -> Room:
     """Draw a room that holds a person's points (..., 3) of all frames, and all cameras.
 
@@ -91,9 +89,7 @@ def draw_room(
     join = lambda parts: np.concatenate([*parts])
     bright = np.mean([papered.mean_color(), finishes[2].mean_color()])
     gain = EXPOSURE_GAIN * np.clip(0.35 / bright, 0.5, 2.5) ** 0.5 * rng.uniform(0.85, 1.15)
-    gain = min(gain, EXPOSURE_GAIN * BRIGHT_ALBEDO / max(person.skin)) * (
-        1 + rng.normal(0, 0.03, 3)
-    )
+    gain = min(gain, EXPOSURE_GAIN * BRIGHT_ALBEDO / max(person.skin))
     return Room(
         low, high,
         join(solid.vertices for solid in solids).astype(np.float32),
@@ -101,16 +97,12 @@ def draw_room(
         join(solid.faces + k for solid, k in zip(solids, starts, strict=False)),
         np.repeat(BOX_SIDES + np.arange(len(solids)), [len(solid.faces) for solid in solids]),
         (*finishes, *(solid.finish for solid in solids)),
-        tuple(float(c) for c in gain),
+        tuple((gain * (1 + rng.normal(0, 0.03, 3))).tolist()),
     )  # fmt: skip
 
 
 def _furnished(
-    rng: np.random.Generator,
-    low: np.ndarray,
-    high: np.ndarray,
-    eyes: np.ndarray,
-    like: Sequence[Color],
+    rng: Generator, low: np.ndarray, high: np.ndarray, eyes: np.ndarray, like: Sequence[Color]
 ) -> list[Solid]:
     """Draw furniture along the four walls, none where a camera stands."""
     middle, found = (low + high) / 2, []
@@ -132,10 +124,8 @@ def _furnished(
             start = at
             at += width + rng.uniform(0.05, 0.9)
             place = (eyes - corner) @ np.stack([x, z], axis=1)
-            near = (np.abs(place[:, 0] - start - width / 2) < width / 2 + 0.3) & (
-                place[:, 1] < LARGEST_DEPTH + 0.3
-            )
-            if near.any() or rng.random() < 0.15:
+            beside = np.abs(place[:, 0] - start - width / 2) < width / 2 + 0.3
+            if (beside & (place[:, 1] < LARGEST_DEPTH + 0.3)).any() or rng.random() < 0.15:
                 continue
             if top < 1.2 and rng.random() < 0.7:
                 hung = picture(rng)
@@ -158,7 +148,6 @@ def smoothly_lit(room: np.ndarray) -> np.ndarray:
     """
     from scipy.ndimage import uniform_filter
 
-    light, albedo = (
-        uniform_filter(x, (LIGHT_WINDOW, LIGHT_WINDOW, 1)) for x in np.split(room, 2, axis=-1)
-    )
+    window = LIGHT_WINDOW, LIGHT_WINDOW, 1
+    light, albedo = (uniform_filter(x, window) for x in np.split(room, 2, axis=-1))
     return room[..., 3:] * light / np.maximum(albedo, 1e-6)

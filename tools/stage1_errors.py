@@ -83,9 +83,7 @@ def solver_errors(subject: Path) -> dict[str, SolvedTrack]:
     moves = (truth.pose.transl - pose.transl + pelvis) @ stage1.R_camera_world.T
     turned, moved = stage1.steps(pose)
     joints = {name: (turns[:, list(g)], turned[:, list(g)]) for name, g in GROUPS.items()}
-    axes = {
-        name: (moves[:, list(a), None], moved[:, list(a), None]) for name, a in PLACE_AXES.items()
-    }
+    axes = {k: (moves[:, list(a), None], moved[:, list(a), None]) for k, a in PLACE_AXES.items()}
     return {name: SolvedTrack(*tracks) for name, tracks in (joints | axes).items()}
 
 

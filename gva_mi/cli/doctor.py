@@ -116,6 +116,5 @@ def _weights() -> Iterator[Component]:
     if weights.vgg16:
         vgg = f"{weights.vgg16}; a fit uses it only with gva-mi fit --vgg16 FILE"
     yield Component("VGG16", vgg)
-    yield Component(
-        "LPIPS", "on VGG16" if weights.of_lpips else "none; rand_vgg is reported instead"
-    )
+    lpips = "on VGG16" if weights.of_lpips else "none; rand_vgg is reported instead"
+    yield Component("LPIPS", lpips)

@@ -133,10 +133,8 @@ def _of_video(
 ) -> Motion:
     """Return the motion of one person in a video."""
     person = nth_person(options.person)
-    with bar("motion") as progress:
-        found = motion_of_video(
-            video, known, body.model, person=person, lens=lens, progress=progress
-        )
+    with bar("motion") as shown:
+        found = motion_of_video(video, known, body.model, person=person, lens=lens, progress=shown)
     solved, fps = found.solved, found.pictures.fps
     motion = motion_of_poses(str(video), solved.pose, solved.shape, fps, body, options)
     return replace(motion, notes=(*motion.notes, *found.notes))

@@ -77,9 +77,8 @@ def part_of_progress(
     """
     if progress is None:
         return None
-    return lambda done, of, **figures: progress(
-        before + steps * done // max(1, of), total, **figures
-    )
+    now = lambda done, of: before + steps * done // max(1, of)
+    return lambda done, of, **figures: progress(now(done, of), total, **figures)
 
 
 def listed(frames: Sequence[int]) -> str:

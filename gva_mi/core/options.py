@@ -71,11 +71,7 @@ class Within:
             raise InputError(f"{where}: {name} must be {self}, got {number}")
 
 
-class _Mark:
-    """The mark of a field that is :data:`PythonOnly`."""
-
-
-_PYTHON_ONLY = _Mark()
+_PYTHON_ONLY = object()  # marks a field that is :data:`PythonOnly`
 PythonOnly = Annotated[T, _PYTHON_ONLY]  # set from Python alone, not by an option of a command
 
 Share = Annotated[float, Within(0, 1)]
@@ -126,9 +122,8 @@ def require_ranges(where: str, options: object) -> None:
 @functools.cache
 def python_only(kind: type) -> frozenset[str]:
     """Return the names of a dataclass's fields that only Python sets."""
-    return frozenset(
-        name for name, hint in _hints(kind).items() if _PYTHON_ONLY in get_args(hint)[1:]
-    )
+    marked = lambda hint: _PYTHON_ONLY in get_args(hint)[1:]
+    return frozenset(name for name, hint in _hints(kind).items() if marked(hint))
 
 
 def ranges(hint: Any) -> Iterator[tuple[Any, Within]]:  # noqa: ANN401

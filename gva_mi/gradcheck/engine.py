@@ -141,12 +141,9 @@ class Check:
             allowed: the greatest error.
         """
         probe = self.probes[name]
+        pairs = lambda v: zip(self.weights.values(), moves(v), strict=True)
         found = [
-            sum(
-                float((w * d.double()).sum())
-                for w, d in zip(self.weights.values(), moves(v), strict=True)
-            )
-            for v in probe.directions()
+            sum(float((w * d.double()).sum()) for w, d in pairs(v)) for v in probe.directions()
         ]
         values = torch.tensor(found, dtype=torch.float64)
         row = Comparison.of(method, name, values, probe.along(self.truth[name]), allowed)

@@ -62,10 +62,6 @@ class PinholeLens:
         """Return the distances (N,) of points from the camera's plane."""
         return (x - self.camera.position) @ self.rotation[:, 2]
 
-    def scale(self, x: np.ndarray) -> np.ndarray:
-        """Return the divisors (N,) of the pixel positions."""
-        return self.depth(x)
-
     def nearness(self, x: np.ndarray) -> np.ndarray:
         """Return (N,) a measure that grows toward the camera, affine on the image of a plane."""
         return 1 / self.depth(x)
@@ -149,11 +145,10 @@ def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> n
     load_plugins()
     scene = mesh.scene()
     p = mesh.vertices[mesh.faces]  # (F, 3, 3)
-    moved = [
-        (mesh.at(s)[mesh.faces], mesh.corner_normals(s) @ lens.rotation) for s in (step, -step)
-    ]
+    corners = lambda s: (mesh.at(s)[mesh.faces], mesh.corner_normals(s) @ lens.rotation)
+    moved = [corners(step), corners(-step)]
     flat = p.reshape(-1, 3)
-    q, scale = lens.project(flat).reshape(-1, 3, 2), lens.scale(flat).reshape(-1, 3)
+    q, depth = lens.project(flat).reshape(-1, 3, 2), lens.depth(flat).reshape(-1, 3)
     e1, e2 = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
     doubled = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
     image = np.zeros((math.prod(lens.size), 5))
@@ -164,7 +159,7 @@ def interior(mesh: MovingMesh, lens: PinholeLens, step: float, points: int) -> n
         at = lens.project(x)
         o, d = lens.rays(at)
         seen = _reached(scene, o, d, x) & ((at >= 0) & (at < lens.size)).all(1)
-        area = doubled * scale.prod(1) / lens.scale(x) ** 3 / (2 * points)
+        area = doubled * depth.prod(1) / lens.depth(x) ** 3 / (2 * points)
         ahead, behind = (_shade(lens, o[seen], d[seen], c[seen], n[seen]) for c, n in moved)
         change = (ahead - behind) / (2 * step) * area[seen, None]
         np.add.at(image, at[seen].astype(np.int64) @ [1, lens.size[0]], change)

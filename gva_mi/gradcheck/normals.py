@@ -180,7 +180,6 @@ def _weightings(size: int) -> list[np.ndarray]:
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None])
     blur = np.exp(-2 * (np.pi * BLUR_WIDTH * size * frequency) ** 2)[..., None]
     noise = [generator.normal(size=(size, size, 4)) for _ in range(WEIGHTINGS)]
-    smooth = [
-        np.fft.irfft2(np.fft.rfft2(n, axes=(0, 1)) * blur, (size, size), (0, 1)) for n in noise
-    ]
+    blurred = (np.fft.rfft2(field, axes=(0, 1)) * blur for field in noise)
+    smooth = (np.fft.irfft2(field, (size, size), (0, 1)) for field in blurred)
     return [field / field.std() for field in smooth]

@@ -105,7 +105,6 @@ class _FlatMesh:
     q: tuple[np.ndarray, np.ndarray, np.ndarray]  # (V, 2) pixels: now, after, before
     nearness: tuple[np.ndarray, np.ndarray, np.ndarray]  # (V,): now, after, before
     depth: np.ndarray  # (V,)
-    scale: np.ndarray  # (V,)
     normals: np.ndarray  # (F, 3, 3) unit, camera space
 
     @staticmethod
@@ -118,7 +117,6 @@ class _FlatMesh:
             tuple(lens.project(x) for x in (now, after, before)),
             tuple(lens.nearness(x) for x in (now, after, before)),
             lens.depth(now),
-            lens.scale(now),
             mesh.corner_normals(0.0) @ lens.rotation,
         )
 
@@ -204,7 +202,7 @@ class _FlatMesh:
         corner = self.q[0][vertex]
         sides = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
         b = np.linalg.solve(sides, (q - corner[:, 0])[..., None])[..., 0]
-        b = np.column_stack([1 - b.sum(1), b]) / self.scale[vertex]
+        b = np.column_stack([1 - b.sum(1), b]) / self.depth[vertex]
         b /= b.sum(1, keepdims=True)
         n = np.einsum("sk,skc->sc", b, self.normals[face])
         n /= np.linalg.norm(n, axis=1, keepdims=True)

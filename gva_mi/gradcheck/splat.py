@@ -165,10 +165,8 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
         moved = leaves(_last_digit(scene.inputs(), generator))
         other = gradients(drawn(reference.render, scene, moved), moved, check.weights.values())
     rounding = {k: Comparison.of("", k, other[k], g, 0).error for k, g in check.truth.items()}
-    off = [
-        (image.detach().double() - true).abs()
-        for image, true in zip(images, check.images.values(), strict=True)
-    ]
+    pairs = zip(images, check.images.values(), strict=True)
+    off = [(image.detach().double() - true).abs() for image, true in pairs]
     off, band = torch.stack([off[0].amax(dim=-1), *off[1:]]).amax(dim=0), check.band
     count = len(scene.gaussians)
     subject = f"{count} Gaussians, {band.numel()} pixels"

@@ -103,12 +103,10 @@ class HandNetwork:
             body: the body in it.
             before: the hands in the picture before.
         """
-        found = {}
+        found, reach = {}, _WRIST_DISTANCE * 2 * body.radius
         see = partial(self._see, image)
         for side in SIDES:
-            near_wrist = lambda hand, side=side: (
-                _from_wrist(hand, body, side) < _WRIST_DISTANCE * 2 * body.radius
-            )
+            near_wrist = lambda hand, side=side: _from_wrist(hand, body, side) < reach
             hand = found_again(see, before.get(side), _square_at_wrist(body, side), near_wrist)
             if hand is not None:
                 hand = with_mirrored(see, hand)
@@ -144,13 +142,9 @@ def _square_around_hand(points: np.ndarray) -> TurnedSquare:
     return TurnedSquare((x, y), _PALM_MARGIN * float(extent.max()), turned.angle)
 
 
-def _body_point(body: SeenBody, side: str, part: str) -> np.ndarray:
-    return body.points[BODY_LANDMARKS.index(f"{side}_{part}")]
-
-
 def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
     """Return where the body's own landmarks place a hand."""
-    wrist, index, pinky = (_body_point(body, side, part) for part in ("wrist", "index", "pinky"))
+    wrist, index, pinky = (_at(body, f"{side}_{part}") for part in ("wrist", "index", "pinky"))
     middle = (2 * index + pinky) / 3
     length = max(2 * float(np.linalg.norm(middle - wrist)), _LEAST_HAND_LENGTH * 2 * body.radius)
     up = (middle - wrist) / max(float(np.linalg.norm(middle - wrist)), 1e-6)
@@ -160,7 +154,7 @@ def _square_at_wrist(body: SeenBody, side: str) -> TurnedSquare:
 
 def _from_wrist(hand: SeenPart, body: SeenBody, side: str) -> float:
     """Return how far the hand's wrist is from the body's, pixels."""
-    return float(np.linalg.norm(hand.points[_WRIST] - _body_point(body, side, "wrist")))
+    return float(np.linalg.norm(hand.points[_WRIST] - _at(body, f"{side}_wrist")))
 
 
 def _one_each(found: dict[str, SeenPart], body: SeenBody) -> dict[str, SeenPart]:

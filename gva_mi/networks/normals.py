@@ -83,10 +83,7 @@ class NormalNetwork:
         self.spec = replace(spec, size=tuple(fixed) if sides else spec.size)
 
     def see(
-        self,
-        image: np.ndarray,
-        mask: np.ndarray,
-        box: np.ndarray,
+        self, image: np.ndarray, mask: np.ndarray, box: np.ndarray
     ) -> tuple[CropBox, np.ndarray]:
         """Estimate normals of a picture (H, W, 3) 8-bit, of a mask (H, W) with a box (4,).
 
@@ -99,9 +96,8 @@ class NormalNetwork:
         fill = np.round(255 * mean)
         if self.spec.convention == "icon":
             image = np.round(image * mask[..., None] + fill * (1 - mask[..., None]))
-        shown = crop.resized(
-            image.astype(np.uint8), self.spec.size, tuple(fill.astype(int).tolist())
-        )
+        color = tuple(fill.astype(int).tolist())
+        shown = crop.resized(image.astype(np.uint8), self.spec.size, color)
         planes = ((shown / 255 - mean) / std).astype(np.float32).transpose(2, 0, 1)[None]
         inputs = {self._picture.name: planes}
         width, height = self.spec.size
@@ -121,10 +117,8 @@ class NormalNetwork:
         planes = answer.ndim == 4 and answer.shape[:2] == (1, 3)
         rows = answer.ndim == 4 and (answer.shape[0], answer.shape[3]) == (1, 3)
         if not (planes or rows) or answer.dtype.kind != "f":
-            raise InputError(
-                f"{self.path}: answers with {answer.dtype} {answer.shape}; "
-                f"expected {_EXPECTED_NETWORK}"
-            )
+            found = f"{answer.dtype} {answer.shape}"
+            raise InputError(f"{self.path}: answers with {found}; expected {_EXPECTED_NETWORK}")
         normals = (answer[0].transpose(1, 2, 0) if planes else answer[0]).astype(np.float32)
         normals = np.where(np.isfinite(normals).all(-1, keepdims=True), normals, 0)
         if normals.min() >= 0 and _from_unit(2 * normals - 1) < _from_unit(normals):
@@ -155,10 +149,7 @@ def _session(path: Path) -> InferenceSession:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # its messages come as an InputError
     try:
-        session = onnxruntime.InferenceSession(
-            str(path), options, providers=["CPUExecutionProvider"]
-        )
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # noqa: BLE001 (as above)
         reason = f"no ONNX network ({reason_of(error)})"
         raise InputError(f"{path}: {reason}; expected {_EXPECTED_NETWORK}") from None
-    return session

@@ -72,9 +72,8 @@ class PersonDetector:
         Only ``squares`` of the picture are searched. People who fill less than a fifth of a square
         are missed. The most certain person comes first.
         """
-        scores, boxes, points = (
-            np.concatenate(x) for x in zip(*(self._see(image, s) for s in squares), strict=True)
-        )
+        seen = zip(*(self._see(image, square) for square in squares), strict=True)
+        scores, boxes, points = map(np.concatenate, seen)
         order = np.argsort(-scores, kind="stable")
         order = order[scores[order] >= LEAST_DETECTION_SCORE]
         people = []
@@ -87,9 +86,7 @@ class PersonDetector:
             people.append(TurnedSquare.upright(hips, top, 2 * SQUARE_MARGIN * radius))
         return people
 
-    def _see(
-        self, image: np.ndarray, square: TurnedSquare
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _see(self, image: np.ndarray, square: TurnedSquare) -> tuple[np.ndarray, ...]:
         """Return scores (2254,), boxes (2254, 4) and the points (2254, 2, 2) in the picture."""
         out = self._network(2 * square.cut(image, self._network.size, edge=False) - 1)
         values = out["Identity"].astype(np.float64) / self._network.size
@@ -102,10 +99,8 @@ class PersonDetector:
 
 def squares_over(image: np.ndarray, side: float) -> list[TurnedSquare]:
     """Return squares over a whole picture (H, W, 3), of which neighbours share a half or more."""
-    height, width = image.shape[:2]
-    return [
-        TurnedSquare((x, y), side) for y in _middles(height, side) for x in _middles(width, side)
-    ]
+    rows, columns = (_middles(length, side) for length in image.shape[:2])
+    return [TurnedSquare((x, y), side) for y in rows for x in columns]
 
 
 def _middles(length: int, side: float) -> list[float]:
@@ -141,9 +136,7 @@ def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
 class PersonTracker:
     """Finds one person in picture after picture."""
 
-    def __init__(
-        self, detector: PersonDetector, network: BodyNetwork, person: int | None = None
-    ) -> None:
+    def __init__(self, detector: PersonDetector, network: BodyNetwork, person: int | None) -> None:
         """Follow the N-th ``person`` from the left; without it, the largest and most central.
 
         The person is chosen in the first picture that shows anybody, or N people.
@@ -211,9 +204,8 @@ class PersonTracker:
         for body in seen:
             _paint_over(rest, body)
         while len(seen) < PEOPLE_LIMIT:
-            looks = (
-                self._look(rest, x) for x in self._detector.find(rest, squares)[:_DETECTIONS_TRIED]
-            )
+            detected = self._detector.find(rest, squares)[:_DETECTIONS_TRIED]
+            looks = (self._look(rest, square) for square in detected)
             others = (x for x in looks if x is not None and not any(_is_same(x, y) for y in seen))
             body = next(others, None)
             if body is None:
@@ -266,9 +258,8 @@ class PersonTracker:
                 continue
             moved = np.linalg.norm(body.hips - self._expected) / last.radius
             grown = abs(np.log(body.radius / last.radius))
-            resemblance = likeness - float(moved + grown) / (
-                _FREE_STEP + _FREE_DRIFT * self._unseen
-            )
+            free = _FREE_STEP + _FREE_DRIFT * self._unseen
+            resemblance = likeness - float(moved + grown) / free
             if resemblance > least:
                 least, found = resemblance, (body, colours)
         if found is None:
@@ -285,9 +276,8 @@ def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:
     corners = body.points[_TORSO]
     limit = np.array(image.shape[1::-1])
     left, top = np.floor(corners.min(0)).astype(int).clip(0, limit - 1)
-    right, bottom = np.maximum(
-        np.ceil(corners.max(0)).astype(int).clip(0, limit), (left + 1, top + 1)
-    )
+    end = np.ceil(corners.max(0)).astype(int).clip(0, limit)
+    right, bottom = np.maximum(end, (left + 1, top + 1))
     step = max(1, (bottom - top) // 32)
     pixels = image[top:bottom:step, left:right:step].reshape(-1, 3) // (256 // _COLOR_BINS)
     codes = pixels.astype(int) @ (_COLOR_BINS * _COLOR_BINS, _COLOR_BINS, 1)

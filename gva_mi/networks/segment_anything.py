@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch.nn.functional import grid_sample, interpolate
 
 from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import read_json
@@ -31,15 +32,11 @@ EXPECTED_WEIGHTS = (
     "a folder as transformers saves it (config.json, model.safetensors), such as "
     "facebook/sam-vit-base or facebook/sam2.1-hiera-tiny of the Hugging Face hub"
 )
-TRANSFORMERS_CLASSES = {
-    "sam": "SamModel",
-    "sam2": "Sam2Model",
-    "sam2_video": "Sam2Model",
-}  # by config.json
+# By config.json.
+TRANSFORMERS_CLASSES = {"sam": "SamModel", "sam2": "Sam2Model", "sam2_video": "Sam2Model"}
 
-BOX_MARGIN = (
-    0.15  # of the box's longer side, on each side. Chosen: it shows what is around the person
-)
+# Of the box's longer side, on each side. Chosen: it shows what is around the person.
+BOX_MARGIN = 0.15
 # RGB in [0, 1] of ImageNet's pictures: the network's input is normalised by them.
 _IMAGENET_MEAN, _IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 _FILL_COLOR = tuple(round(255 * x) for x in _IMAGENET_MEAN)  # 8-bit; zero after normalisation
@@ -71,9 +68,7 @@ class MaskGuess:
         # grid_sample counts from −1 at one border to 1 at the other.
         place = np.stack(np.meshgrid(x, y), axis=-1) * (2 / self.crop.width) - 1
         grid = torch.from_numpy(place.astype(np.float32))[None]
-        moved = torch.nn.functional.grid_sample(
-            self.logits[None, None] + _CERTAIN_LOGIT, grid, align_corners=False
-        )
+        moved = grid_sample(self.logits[None, None] + _CERTAIN_LOGIT, grid, align_corners=False)
         return moved[0, 0] - _CERTAIN_LOGIT
 
 
@@ -103,9 +98,8 @@ class SegmentAnything:
         about = read_json(path / "config.json", EXPECTED_WEIGHTS)
         kind = about.get("model_type") if isinstance(about, dict) else None
         if not isinstance(kind, str) or kind not in TRANSFORMERS_CLASSES:
-            raise InputError(
-                f"{path}: holds a network of the kind {kind}; expected {EXPECTED_WEIGHTS}"
-            )
+            found = f"a network of the kind {kind}"
+            raise InputError(f"{path}: holds {found}; expected {EXPECTED_WEIGHTS}")
         try:
             network = getattr(transformers, TRANSFORMERS_CLASSES[kind]).from_pretrained(
                 path, local_files_only=True, use_safetensors=True, dtype=torch.float32
@@ -120,9 +114,8 @@ class SegmentAnything:
     def find(self, image: np.ndarray, prompt: Prompt, before: MaskGuess | None = None) -> MaskGuess:
         """Segment the person in a picture (H, W, 3) 8-bit, given the frame before's mask."""
         crop = CropBox.round_box(prompt.box, BOX_MARGIN)
-        seen = torch.from_numpy(
-            crop.resized(image, self.size, _FILL_COLOR).astype(np.float32) / 255
-        )
+        shown = crop.resized(image, self.size, _FILL_COLOR).astype(np.float32)
+        seen = torch.from_numpy(shown / 255)
         seen = (seen - torch.tensor(_IMAGENET_MEAN)) / torch.tensor(_IMAGENET_STD)
         embeddings = self.network.get_image_embeddings(seen.permute(2, 0, 1)[None])
         logits, scores = self._guess(embeddings, crop, prompt, None)
@@ -177,9 +170,8 @@ def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:
 
 def _in_picture(logits: torch.Tensor, crop: CropBox, shape: tuple[int, int]) -> np.ndarray:
     """Convert a crop's logits to the picture's mask (H, W) bool."""
-    whole = torch.nn.functional.interpolate(
-        logits[None, None], (crop.height, crop.width), mode="bilinear", align_corners=False
-    )[0, 0]
+    size = crop.height, crop.width
+    whole = interpolate(logits[None, None], size, mode="bilinear", align_corners=False)[0, 0]
     mask = np.zeros(shape, bool)
     left, top = max(0, crop.left), max(0, crop.top)
     right, bottom = min(shape[1], crop.right), min(shape[0], crop.bottom)

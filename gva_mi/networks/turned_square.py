@@ -57,11 +57,9 @@ class TurnedSquare:
         corners = self.to_picture(np.array([[0, 0], [1, 0], [0, 1], [1, 1]]))
         low = np.floor(corners.min(0)).astype(int) - 2
         high = np.ceil(corners.max(0)).astype(int) + 2
-        (x0, y0), (x1, y1) = low, high
-        height, width = image.shape[:2]
+        sides = np.array(image.shape[1::-1])
         # Take at least one pixel of the picture, even if the square lies outside it.
-        left, right = np.clip((x0, x1), (0, 1), (width - 1, width))
-        top, bottom = np.clip((y0, y1), (0, 1), (height - 1, height))
+        (left, top), (right, bottom) = low.clip(0, sides - 1), high.clip(1, sides)
         seen = Image.fromarray(np.ascontiguousarray(image[top:bottom, left:right]))
         shrink = max(1.0, self.side / size)  # picture's pixels in one of the network's
         small = (max(1, round(seen.width / shrink)), max(1, round(seen.height / shrink)))

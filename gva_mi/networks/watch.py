@@ -78,11 +78,9 @@ def _row(
     body: SeenBody | None, hands: dict[str, SeenPart], face: SeenPart | None
 ) -> tuple[np.ndarray, ...]:
     """Return one picture's row of each array of :class:`Landmarks`."""
-    pixels, metric = (
-        np.full((len(LANDMARK_NAMES), 2), np.nan),
-        np.full((len(LANDMARK_NAMES), 3), np.nan),
-    )
-    confidence, spread = np.zeros(len(LANDMARK_NAMES)), np.zeros(len(LANDMARK_NAMES))
+    count = len(LANDMARK_NAMES)
+    pixels, metric = np.full((count, 2), np.nan), np.full((count, 3), np.nan)
+    confidence, spread = np.zeros(count), np.zeros(count)
     if body is not None:
         n = len(BODY_LANDMARKS)
         pixels[:n], metric[:n] = body.points[:n], body.metric[:n]

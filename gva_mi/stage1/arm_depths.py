@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.core.cpu import sqrt
@@ -54,11 +53,7 @@ def with_arm_depths(
             bones' lengths; its offsets are of the P landmarks.
         dt: seconds between frames.
     """
-    offsets = pad(state.offsets, (0, 0, 0, len(evidence.points.rest) - len(names)))
-    posed = PosedPoints.of(
-        evidence.points, state.rotations, state.pelvis_position, state.betas, offsets
-    )
-    model = DirectionModel.of(dt)
+    posed, model = evidence.posed(state), DirectionModel.of(dt)
     gain, depths = evidence.gain.clone(), evidence.depths.clone()
     precision = evidence.depth_precision.clone()
     for bone, ends in _bones(evidence, names):

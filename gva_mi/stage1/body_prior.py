@@ -69,9 +69,7 @@ PELVIS_MOTION = MotionSigma(8.0, 1.5)  # of the pelvis position, m/s² and m/s
 TRUNK_MOTION = MotionSigma(8.0, 10.0)  # of the trunk's joint rotations, rad/s² and rad/s
 LIMB_MOTION = MotionSigma(120.0, 10.0)  # of the limbs' joint rotations, rad/s² and rad/s
 FINGER_MOTION = MotionSigma(40.0, 6.0)  # of the fingers' joint rotations, rad/s² and rad/s
-_TRUNK = [
-    k for k, name in enumerate(JOINTS) if name.startswith(("pelvis", "spine", "neck", "head"))
-]
+_TRUNK = [k for k, n in enumerate(JOINTS) if n.startswith(("pelvis", "spine", "neck", "head"))]
 
 
 class PriorRows(NamedTuple):
@@ -137,9 +135,8 @@ class BodyPrior:
         own = some(3 * len(joints))
         own[:, first:] = torch.eye(3 * len(joints))
         weights = self.precision[joints].flatten() / correlated
-        yield PriorRows(
-            (r - self.relaxed[joints]).flatten(1), weights, own, own.new_zeros(len(own), shared)
-        )
+        apart = (r - self.relaxed[joints]).flatten(1)
+        yield PriorRows(apart, weights, own, own.new_zeros(len(own), shared))
 
         angles = angles_of(self.anatomy, self.unknowns.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
@@ -149,9 +146,8 @@ class BodyPrior:
             by_shared[:, self.unknowns.angle_offsets_column :] = -torch.eye(len(A))
         varying = torch.tensor([self.anatomy.spreads[q].varying for q in angles]).double()
         weights = torch.deg2rad(varying) ** -2 / correlated
-        yield PriorRows(
-            r.flatten(1) @ A.T - state.angle_offsets[angles], weights, by_frame, by_shared
-        )
+        apart = r.flatten(1) @ A.T - state.angle_offsets[angles]
+        yield PriorRows(apart, weights, by_frame, by_shared)
 
         mine = self.anatomy.bends[:, joints].flatten(1).any(1)
         bends = self.anatomy.bends[mine][:, joints].double().flatten(1)
@@ -201,13 +197,10 @@ class SharedPrior:
         spread = [torch.full_like(found[0], BETA_SIGMA)]
         if self.unknowns.camera:
             up, deviations = self._up(state)
-            above = state.floor[None] - (self.camera_height or 0.0)
-            known = (
-                UNKNOWN_CAMERA_HEIGHT_SIGMA
-                if self.camera_height is None
-                else KNOWN_CAMERA_HEIGHT_SIGMA
-            )
-            found += [state.log_focal_scale[None], state.up - up, above]
+            height, known = self.camera_height, KNOWN_CAMERA_HEIGHT_SIGMA
+            if height is None:
+                height, known = 0.0, UNKNOWN_CAMERA_HEIGHT_SIGMA
+            found += [state.log_focal_scale[None], state.up - up, state.floor[None] - height]
             spread += [state.up.new_tensor([self.focal_sigma, *deviations, known])]
         offsets, angles = list(self.unknowns.offsets), list(self.unknowns.angle_offsets)
         found += [self._sides() @ state.offsets[offsets].flatten(), state.angle_offsets[angles]]
@@ -318,8 +311,19 @@ class Smoothness:
         for k, (steps, (a, v)) in enumerate(self._groups(state)):
             columns = slice(3 * k, 3 * k + 3)
             equations.add_steps(steps, 1 / (v * self.dt) ** 2, columns)
-            if len(steps) > 1:
-                self._add_bends(steps, a, equations, columns)
+            if len(steps) < 2:
+                continue
+            bends, scale = steps.diff(dim=0), (a * self.dt**2) ** 2
+            square = bends.square().sum(-1, keepdim=True) / scale
+            w = (STUDENT_DOF + 3) / (STUDENT_DOF + square) / scale
+            diagonal = equations.frames.diagonal(dim1=1, dim2=2)[:, columns]
+            for start, part in ((0, 1.0), (1, -2.0), (2, 1.0)):
+                some = slice(start, start + len(bends))
+                diagonal[some] += part**2 * w
+                equations.pull[some, columns] -= part * w * bends
+            equations.next[:-2, columns] -= 2 * w
+            equations.next[1:-1, columns] -= 2 * w
+            equations.second[:-2, columns] += w
 
     def _groups(self, state: Stage1State) -> Iterator[tuple[Tensor, MotionSigma]]:
         """Yield the steps (T - 1, 3) of every three columns, and their standard deviations."""
@@ -332,18 +336,3 @@ class Smoothness:
                 yield steps, FINGER_MOTION
             else:
                 yield steps, TRUNK_MOTION if joint in _TRUNK else LIMB_MOTION
-
-    def _add_bends(
-        self, steps: Tensor, a: float, equations: NormalEquations, columns: slice
-    ) -> None:
-        bends, scale = steps.diff(dim=0), (a * self.dt**2) ** 2
-        square = bends.square().sum(-1, keepdim=True) / scale
-        w = (STUDENT_DOF + 3) / (STUDENT_DOF + square) / scale
-        diagonal = equations.frames.diagonal(dim1=1, dim2=2)[:, columns]
-        for start, part in ((0, 1.0), (1, -2.0), (2, 1.0)):
-            some = slice(start, start + len(bends))
-            diagonal[some] += part**2 * w
-            equations.pull[some, columns] -= part * w * bends
-        equations.next[:-2, columns] -= 2 * w
-        equations.next[1:-1, columns] -= 2 * w
-        equations.second[:-2, columns] += w

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel
@@ -103,13 +104,15 @@ class LandmarkEvidence:
         )
         return replace(self, **{name: getattr(self, name)[some] for name in names})
 
+    def posed(self, state: Stage1State) -> PosedPoints:
+        """Pose the points; soles and joints with mass have no offsets."""
+        offsets = pad(state.offsets, (0, 0, 0, len(self.points.rest) - len(state.offsets)))
+        place = state.pelvis_position
+        return PosedPoints.of(self.points, state.rotations, place, state.betas, offsets)
+
     def rows(self, state: Stage1State, derive: bool) -> Iterator[EvidenceRows]:
         """Yield the terms at a state of the same frames; with ``derive`` also their derivatives."""
-        P = self.pixels.shape[1]
-        offsets = torch.nn.functional.pad(state.offsets, (0, 0, 0, len(self.points.rest) - P))
-        posed = PosedPoints.of(
-            self.points, state.rotations, state.pelvis_position, state.betas, offsets
-        )
+        posed = self.posed(state)
         D = self._derivatives(posed) if derive else None
         if self.starting:
             yield self._metric(posed, D)
@@ -214,7 +217,7 @@ class LandmarkEvidence:
         """Return eq. 4 and 5."""
         first, (up, by_up) = self.pixels.shape[1] + SOLE_COUNT, state.upward()
         leaning = Leaning.of(posed.X[:, first:], up, BALANCE_SIGMA)
-        costs = torch.nn.functional.pad(leaning.share * BALANCE_SIGMA / SHARE_SIGMA, (1, 0))
+        costs = pad(leaning.share * BALANCE_SIGMA / SHARE_SIGMA, (1, 0))
         precision = up.new_tensor([TRUNK_SIGMA, BALANCE_SIGMA]).expand(len(costs), -1) ** -2
         r = leaning.lean
         energy, weights = self._t(torch.cat([r, costs[..., None]], 2), precision, 2)

@@ -54,38 +54,34 @@ class NormalEquations:
             z(shared, shared), z(frames, F), z(shared),
         )  # fmt: skip
 
-    def add(
-        self, some: slice, r: Tensor, weights: Tensor, by_frame: Tensor, by_shared: Tensor
-    ) -> None:
+    def add(self, some: slice, r: Tensor, w: Tensor, by_frame: Tensor, by_shared: Tensor) -> None:
         """Add weighted squares ``Σ w r² / 2`` of n frames.
 
         Args:
             some: the n frames.
             r: (n, N) residuals.
-            weights: (n, N) ``w``.
+            w: (n, N) weights.
             by_frame: (n, N, F) ∂r / ∂(unknowns of the frame).
             by_shared: (n, N, S) ∂r / ∂(shared unknowns).
         """
-        weighted = weights[..., None] * by_frame
+        weighted = w[..., None] * by_frame
         self.frames[some] += weighted.mT @ by_frame
         self.pull[some] -= torch.einsum("nkf,nk->nf", weighted, r)
         if by_shared.any():
             self.mixed[some] += weighted.mT @ by_shared
             flat = by_shared.flatten(0, 1)
-            weighted = weights.flatten()[:, None] * flat
+            weighted = w.flatten()[:, None] * flat
             self.shared += weighted.T @ flat
             self.shared_pull -= weighted.T @ r.flatten()
 
-    def add_steps(
-        self, steps: Tensor, weight: float | Tensor, columns: slice = slice(None)
-    ) -> None:
+    def add_steps(self, steps: Tensor, w: float | Tensor, columns: slice = slice(None)) -> None:
         """Add weighted squares of steps (T - 1, n) from frame to frame, of n columns."""
         diagonal = self.frames.diagonal(dim1=1, dim2=2)[:, columns]
-        diagonal[1:] += weight
-        diagonal[:-1] += weight
-        self.next[:-1, columns] -= weight
-        self.pull[1:, columns] -= weight * steps
-        self.pull[:-1, columns] += weight * steps
+        diagonal[1:] += w
+        diagonal[:-1] += w
+        self.next[:-1, columns] -= w
+        self.pull[1:, columns] -= w * steps
+        self.pull[:-1, columns] += w * steps
 
     def solve(self, damping: float) -> tuple[Tensor, Tensor]:
         """Solve eq. 1, its diagonal times ``1 + damping``, for the step (T, F) and (S,)."""

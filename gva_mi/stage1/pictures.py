@@ -72,9 +72,8 @@ def even_pictures(
             notes.append(note)
         if times is None:
             times = np.arange(len(source)) / (fps or DEFAULT_FPS)
-            notes.append(
-                f"the video records no times: taken as {fps or DEFAULT_FPS:g} pictures a second"
-            )
+            taken = f"{fps or DEFAULT_FPS:g} pictures a second"
+            notes.append(f"the video records no times: taken as {taken}")
     if len(set(sizes)) > 1:
         first, other = sizes[0], next(size for size in sizes if size != sizes[0])
         raise InputError(

@@ -192,16 +192,14 @@ class Stage1Problem:
         equations = NormalEquations.zero(count, F, self.unknowns.shared)
         for start in range(0, count, FRAMES_AT_ONCE):
             some = slice(start, start + FRAMES_AT_ONCE)
-            part = replace(
-                state, rotations=state.rotations[some], pelvis_position=state.pelvis_position[some]
-            )
+            rotations, place = state.rotations[some], state.pelvis_position[some]
+            part = replace(state, rotations=rotations, pelvis_position=place)
             for row in self.evidence.of(some).rows(part, derive=True):
                 by_frame, by_shared = row.jacobian[..., :F], row.jacobian[..., F:]
                 equations.add(some, row.residuals, row.weights, by_frame, by_shared)
         for row in self.prior.rows(state):
-            shape = (count, *row.by_frame.shape), (count, *row.by_shared.shape)
-            by_frame, by_shared = row.by_frame.expand(shape[0]), row.by_shared.expand(shape[1])
-            equations.add(slice(None), row.residuals, row.weights, by_frame, by_shared)
+            slopes = (x.expand(count, *x.shape) for x in (row.by_frame, row.by_shared))
+            equations.add(slice(None), row.residuals, row.weights, *slopes)
         self.smoothness.add(state, equations)
         self.shared_prior.add(state, equations)
         return equations
@@ -259,10 +257,8 @@ class _ProblemFactory:
         if starting:
             problem = self._problem(Unknowns(_BODY_JOINTS), landmark_indices, state)
             return replace(problem, evidence=replace(problem.evidence, starting=True))
-        angle_offsets = angles_of(self.anatomy, _BODY_JOINTS)
-        unknowns = Unknowns(
-            _BODY_JOINTS, len(state.betas), True, range(len(landmark_indices)), angle_offsets
-        )
+        offsets, angles = range(len(landmark_indices)), angles_of(self.anatomy, _BODY_JOINTS)
+        unknowns = Unknowns(_BODY_JOINTS, len(state.betas), True, offsets, angles)
         return self._problem(unknowns, landmark_indices, state)
 
     def with_arm_depths(self, problem: Stage1Problem, state: Stage1State) -> Stage1Problem:
@@ -275,11 +271,10 @@ class _ProblemFactory:
     def hand_problem(self, state: Stage1State, side: str) -> Stage1Problem:
         """Return the problem of one hand's fingers."""
         joints = range(len(JOINTS))[HANDS[side]]
-        landmark_indices = [p for p, name in enumerate(self.rig.names) if f"{side}_hand_" in name]
+        names = self.rig.names
+        landmark_indices = [p for p, name in enumerate(names) if f"{side}_hand_" in name]
         of_fingers = [
-            k
-            for k, p in enumerate(landmark_indices)
-            if not self.rig.names[p].endswith(_PALM_POINTS)
+            k for k, p in enumerate(landmark_indices) if not names[p].endswith(_PALM_POINTS)
         ]
         unknowns = Unknowns(joints, 0, False, of_fingers, angles_of(self.anatomy, joints))
         return self._problem(unknowns, landmark_indices, state, side)
@@ -327,21 +322,19 @@ class _ProblemFactory:
         """Return the solution in a world with y up and the floor at zero, below the person."""
         up, _ = state.upward()
         x = torch.tensor([1.0, 0, 0], dtype=up.dtype)
-        x = torch.nn.functional.normalize(x - (x @ up) * up, dim=0)
+        x = normalize(x - (x @ up) * up, dim=0)
         R_camera_world = torch.stack([x, up, torch.linalg.cross(x, up)], 1)
         middle = state.pelvis_position.mean(0)
         origin = middle - (up @ middle + state.floor) * up
         rotations = state.rotations.clone()
-        root = R_camera_world.T @ so3.to_matrix(rotations[:, 0])
-        rotations[:, 0] = so3.to_rotvec(root)
+        rotations[:, 0] = so3.to_rotvec(R_camera_world.T @ so3.to_matrix(rotations[:, 0]))
         shape = Shape(state.betas.float())
         pelvis_position = (state.pelvis_position - origin) @ R_camera_world
         transl = pelvis_position - self.body.rest(shape).joints[0].double()
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R_camera_world.numpy(), origin.numpy()
-        camera = Camera.from_matrices(self.K, T, *self.size).zoomed(
-            float(state.log_focal_scale.exp())
-        )
+        zoom = float(state.log_focal_scale.exp())
+        camera = Camera.from_matrices(self.K, T, *self.size).zoomed(zoom)
         pose = Pose(rotations.float(), transl.float(), torch.zeros(len(transl), SMPLX_EXPRESSIONS))
         return Stage1Solution(pose, shape, camera, tilt=-math.degrees(math.asin(float(up[2]))))
 
@@ -373,13 +366,9 @@ def initial_pelvis_position(landmarks: Landmarks, K: np.ndarray, scale: float) -
         K: (3, 3) the camera, pixels.
         scale: of the body relative to the landmarks' metres.
     """
-    size = person_sizes(landmarks)
-    around = [
-        size[max(0, t - PERSON_SIZE_MEDIAN_FRAMES) : t + PERSON_SIZE_MEDIAN_FRAMES + 1]
-        for t in range(len(size))
-    ]
-    focal = (K[0, 0] + K[1, 1]) / 2
-    z = focal * REFERENCE_HEIGHT * scale / np.array([np.median(some) for some in around])
+    size, n = person_sizes(landmarks), PERSON_SIZE_MEDIAN_FRAMES
+    usual = np.array([np.median(size[max(0, t - n) : t + n + 1]) for t in range(len(size))])
+    z = (K[0, 0] + K[1, 1]) / 2 * REFERENCE_HEIGHT * scale / usual
     hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
     rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]
     centres = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]

@@ -94,9 +94,7 @@ def _person_box(landmarks: Landmarks, frame: int) -> PersonBox | None:
     return PersonBox(*low, *high, feet=points[:, 1].max())
 
 
-def _pieces(
-    picture: np.ndarray, person: PersonBox | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _pieces(picture: np.ndarray, person: PersonBox | None) -> tuple[np.ndarray, ...]:
     """Return pieces of vertical edges: their middles x and y, pixels, and their slopes dx/dy."""
     height = max(8, len(picture) // PIECES_OF_HEIGHT)
     x, y, edge = _edges(picture.astype(np.float32).mean(2) / 255, person)

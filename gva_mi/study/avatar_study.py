@@ -79,19 +79,8 @@ class AvatarStudy(Study):
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Make the videos of the cases, refine each case, then fit each variant."""
         cases = list(dict.fromkeys(case for case, _ in missing))
-        prepared = [
-            Work(
-                partial(
-                    prepare_case,
-                    self.videos.subject(case),
-                    case,
-                    self.body,
-                    self.options.refine,
-                    self.stamp,
-                )  # fmt: skip
-            )
-            for case in cases
-        ]
+        of, given = self.videos.subject, (self.body, self.options.refine, self.stamp)
+        prepared = [Work(partial(prepare_case, of(case), case, *given)) for case in cases]
         fitted = [Work(self.run(case, variant).solve) for case, variant in missing]
         return [self.videos.work(cases, self.body), prepared, fitted]
 

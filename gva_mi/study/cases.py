@@ -183,10 +183,8 @@ def held_out(number: int = 1) -> tuple[StudyCase, ...]:
     """
     if number == 1:
         return HELD_OUT
-    takes = dict.fromkeys(case.take for case in HELD_OUT)
-    others = {
-        take: replace(take, subject=None, seed=100 * number + k) for k, take in enumerate(takes)
-    }
+    takes = enumerate(dict.fromkeys(case.take for case in HELD_OUT))
+    others = {take: replace(take, subject=None, seed=100 * number + k) for k, take in takes}
     return tuple(
         replace(case, take=others[case.take], draw=case.draw + 1000 * (number - 1))
         for case in HELD_OUT

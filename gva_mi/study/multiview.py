@@ -165,9 +165,8 @@ def compare(
     off, own = centred(found) - centred(true), centred(guessed)
     scale = np.nansum(own * centred(true)) / np.nansum(np.where(np.isnan(true), 0, own**2))
     factor, local = solved.camera.width / camera.size[0], camera.place(X)
-    rays = camera.rays(
-        landmarks.pixels[:, landmarks.indices(BODY_LANDMARKS)].astype(float) / factor
-    )
+    pixels = landmarks.pixels[:, landmarks.indices(BODY_LANDMARKS)].astype(float)
+    rays = camera.rays(pixels / factor)
     beside = np.linalg.norm(local[..., :2] / local[..., 2:] - rays, axis=-1)
     angle = np.degrees(np.arccos(np.clip(T[:3, 1] @ (camera.R @ up), -1, 1)))
     values = {
@@ -261,9 +260,8 @@ def _seen(camera: CalibratedCamera, motion: SolvedMotion) -> SeenRays:
     landmarks, scale = motion.watched.landmarks, motion.pictures.scale
     at = landmarks.indices(BODY_LANDMARKS)
     pixels = landmarks.pixels[:, at].astype(float)
-    seen = np.isfinite(pixels).all(2) & (
-        np.nan_to_num(landmarks.confidence[:, at]) >= LEAST_CONFIDENCE
-    )
+    sure = np.nan_to_num(landmarks.confidence[:, at]) >= LEAST_CONFIDENCE
+    seen = np.isfinite(pixels).all(2) & sure
     tall = float(np.median(person_sizes(landmarks)))
     tau = OUTLIER_SCALE * tall / (scale * camera.K[0, 0])
     return SeenRays(camera.rays(pixels / scale), seen, tau)

@@ -48,17 +48,9 @@ class RefineStudy(Study):
 
     def rounds(self, missing: Sequence[tuple[StudyCase, str]]) -> list[Sequence[Task]]:
         """Make the videos of the cases, then refine each case."""
+        of, given = self.videos.subject, (self.body, self.options)
         measured = [
-            Work(
-                partial(
-                    refinement_figures,
-                    self.videos.subject(case),
-                    case,
-                    variant,
-                    self.body,
-                    self.options,
-                )  # fmt: skip
-            )
+            Work(partial(refinement_figures, of(case), case, variant, *given))
             for case, variant in missing
         ]
         return [self.videos.work([case for case, _ in missing], self.body), measured]

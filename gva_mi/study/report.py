@@ -109,10 +109,7 @@ def spread_text(values: np.ndarray, metric: str, against: np.ndarray | None) -> 
 
 
 def write_study_report(
-    path: Path,
-    kind: str,
-    outcomes: Sequence[Outcome],
-    settings: dict[str, Any],
+    path: Path, kind: str, outcomes: Sequence[Outcome], settings: dict[str, Any]
 ) -> None:
     """Write the page of a study.
 

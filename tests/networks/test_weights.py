@@ -10,7 +10,11 @@ from gva_mi.core.errors import InputError
 from gva_mi.networks import mediapipe
 from gva_mi.networks.mediapipe import TfliteNetwork, weights_file
 
-NAMES = list(mediapipe._IN_WHEEL)
+MODULES = {  # of the wheel: the folder of each file
+    "pose_detection.tflite": "pose_detection", "pose_landmark_full.tflite": "pose_landmark",
+    "hand_landmark_full.tflite": "hand_landmark", "face_landmark.tflite": "face_landmark",
+}  # fmt: skip
+NAMES = list(mediapipe._SHA256)
 
 
 @pytest.fixture
@@ -29,18 +33,15 @@ def small_wheel(tmp_path, monkeypatch):
     path = folder / f"mediapipe-{version}-cp311-cp311-manylinux_2_28_x86_64.whl"
     about = f"mediapipe-{version}.dist-info"
     with zipfile.ZipFile(path, "w") as wheel:
-        for name, (inside, _) in mediapipe._IN_WHEEL.items():
-            wheel.writestr(f"{inside}/{name}", files[name])
+        for name in NAMES:
+            wheel.writestr(f"mediapipe/modules/{MODULES[name]}/{name}", files[name])
         wheel.writestr(f"{about}/LICENSE", "Apache License")
         wheel.writestr(
             f"{about}/METADATA", f"Metadata-Version: 2.1\nName: mediapipe\nVersion: {version}\n"
         )
         wheel.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: false\n")
-    hashed = {
-        name: (inside, hashlib.sha256(files[name]).hexdigest())
-        for name, (inside, _) in mediapipe._IN_WHEEL.items()
-    }
-    monkeypatch.setattr(mediapipe, "_IN_WHEEL", hashed)
+    hashed = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    monkeypatch.setattr(mediapipe, "_SHA256", hashed)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(folder))
     return path
@@ -72,8 +73,7 @@ def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatc
     path.write_bytes(b"another network")
     with pytest.raises(InputError, match="is not MediaPipe's file .*delete it"):
         weights_file(NAMES[0], path.parent)
-    inside = mediapipe._IN_WHEEL[NAMES[0]][0]
-    monkeypatch.setitem(mediapipe._IN_WHEEL, NAMES[0], (inside, "0" * 64))
+    monkeypatch.setitem(mediapipe._SHA256, NAMES[0], "0" * 64)
     with pytest.raises(InputError, match="is not MediaPipe's file"):  # fetched, and not kept
         weights_file(NAMES[0], tmp_path / "there")
     assert not list((tmp_path / "there").glob("*.tflite"))

@@ -107,15 +107,15 @@ def test_a_room_surrounds_person_and_camera_and_keeps_its_furniture_away(room, b
 
 
 def test_a_room_is_behind_the_person_and_does_not_change_the_silhouette(renderer, ball):
-    inside = renderer(ball.vertices + UP, PHONE, 16, 0)
-    white = Renderer(ball).expose([Moment(ball.vertices + UP, PHONE)], 16, 0)
+    stands = [Moment(ball.vertices + UP, PHONE)]
+    inside, white = renderer.expose(stands, 16, 0), Renderer(ball).expose(stands, 16, 0)
     for name in ("mask", "normals", "depth"):
         assert np.array_equal(getattr(inside, name), getattr(white, name)), name
     beside = inside.color[inside.mask == 0]
     assert beside.min() > 0 and beside.std() > 0.05 and np.isfinite(inside.color).all()
-    again = renderer(ball.vertices + UP, PHONE, 16, 0)
+    again = renderer.expose(stands, 16, 0)
     assert np.array_equal(again.color, inside.color)
-    hidden = renderer.expose([Moment(ball.vertices + UP, PHONE)], 16, 0, shown=False)
+    hidden = renderer.expose(stands, 16, 0, shown=False)
     assert (hidden.color[hidden.mask == 0] == 1).all()
     core = hidden.mask == 1
     assert np.abs(hidden.color - inside.color)[core].mean() < 0.05  # under the same light

@@ -16,13 +16,7 @@ from gva_mi.body.pose import JOINTS, LEFT_HAND
 from tools.body_generator.anatomy import EYE, EYE_RADIUS, left_half
 from tools.body_generator.rig import joint_regressor, skinning_weights
 from tools.body_generator.shapes import correctives, expressions, shapes
-from tools.body_generator.solids import (
-    border_of,
-    mirrored,
-    onto_border,
-    surface,
-    without_chords,
-)
+from tools.body_generator.solids import border_of, mirrored, onto_border, surface, without_chords
 
 BODY_FACES = 22_000  # of the whole body; chosen: about as many as SMPL-X has
 _EYE_FACES = 350  # of the visible part of one eyeball; chosen: it looks round

@@ -22,12 +22,7 @@ import numpy as np
 from gva_mi.body.body_file import SHAPES
 from gva_mi.body.pose import JOINTS, LEFT_HAND, PARENTS
 from gva_mi.synthetic.person.level_sets import smoothstep
-from tools.body_generator.anatomy import (
-    EYE_RADIUS,
-    EYE_SLIT,
-    LID_RADIUS,
-    joint_positions,
-)
+from tools.body_generator.anatomy import EYE_RADIUS, EYE_SLIT, LID_RADIUS, joint_positions
 
 Strains = dict[str, tuple[float, float, float]]  # joint, of both sides: strain along x, y, z
 

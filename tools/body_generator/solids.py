@@ -43,10 +43,8 @@ class Cone:
     def distance(self, at: Coordinates) -> np.ndarray:
         a, b = np.asarray(self.start), np.asarray(self.end)
         bone = b - a
-        along = sum((x - a[k]) * bone[k] for k, x in enumerate(at)) / (
-            bone @ bone + _NO_DIVISION_BY_ZERO
-        )
-        along = np.clip(along, 0, 1)
+        square = bone @ bone + _NO_DIVISION_BY_ZERO
+        along = np.clip(sum((x - a[k]) * bone[k] for k, x in enumerate(at)) / square, 0, 1)
         square = sum((x - a[k] - along * bone[k]) ** 2 for k, x in enumerate(at))
         return np.sqrt(square) - (self.radius_start + (self.radius_end - self.radius_start) * along)
 
@@ -68,9 +66,8 @@ class Ball:
         local = [sum(row[k] * offset[k] for k in range(3)) for row in self._axes().T]
         level = np.sqrt(sum((p / r) ** 2 for p, r in zip(local, self.radii, strict=True)))
         slope = np.sqrt(sum((p / r**2) ** 2 for p, r in zip(local, self.radii, strict=True)))
-        return np.where(
-            level > 1e-3, level * (level - 1) / (slope + _NO_DIVISION_BY_ZERO), -min(self.radii)
-        )
+        outside = level * (level - 1) / (slope + _NO_DIVISION_BY_ZERO)
+        return np.where(level > 1e-3, outside, -min(self.radii))
 
     def bounds(self) -> Box:
         half = np.sqrt((self._axes() ** 2) @ np.square(self.radii))
@@ -106,17 +103,15 @@ class Loft:
         table = np.asarray(self.sections, dtype=np.float64)
         t, (u, v) = at[self.axis], (x for k, x in enumerate(at) if k != self.axis)
         inside = np.clip(t, table[0, 0], table[-1, 0])
-        c, d, c_low, c_high, d_low, d_high = np.moveaxis(
-            PchipInterpolator(table[:, 0], table[:, 1:])(inside), -1, 0
-        )
+        section = PchipInterpolator(table[:, 0], table[:, 1:])(inside)
+        c, d, c_low, c_high, d_low, d_high = np.moveaxis(section, -1, 0)
         u, v, beyond = u - c, v - d, t - inside
         a, b = np.where(u > 0, c_high, c_low), np.where(v > 0, d_high, d_low)
         level = (np.abs(u / a) ** self.power + np.abs(v / b) ** self.power) ** (2 / self.power)
         level = np.sqrt(level + (beyond / np.where(beyond > 0, self.caps[1], self.caps[0])) ** 2)
         length = np.sqrt(u * u + v * v + beyond * beyond)
-        return np.where(
-            level > 1e-3, length * (1 - 1 / (level + _NO_DIVISION_BY_ZERO)), -np.minimum(a, b)
-        )
+        outside = length * (1 - 1 / (level + _NO_DIVISION_BY_ZERO))
+        return np.where(level > 1e-3, outside, -np.minimum(a, b))
 
     def bounds(self) -> Box:
         table = np.asarray(self.sections, dtype=np.float64)
@@ -159,11 +154,8 @@ def surface(joins: Sequence[Join], axes: Coordinates) -> tuple[np.ndarray, np.nd
         )
         at = np.ix_(*(axis[s] for axis, s in zip(axes, box, strict=True)))
         if all(s.start < s.stop for s in box):
-            body, distance = field[box], join.solid.distance(at)
-            if join.carve:
-                field[box] = -_union(-body, distance, join.blend)
-            else:
-                field[box] = _union(body, distance, join.blend)
+            sign = -1 if join.carve else 1
+            field[box] = sign * _union(sign * field[box], join.solid.distance(at), join.blend)
     vertices, faces, _, _ = marching_cubes(field, 0.0)
     places = [np.interp(vertices[:, k], np.arange(len(axis)), axis) for k, axis in enumerate(axes)]
     return np.stack(places, axis=1), faces.astype(np.int64)
@@ -207,9 +199,8 @@ def onto_border(vertices: np.ndarray, faces: np.ndarray, outline: np.ndarray) ->
     place = np.sort(np.roll(place, -turn))
     closed = np.concatenate([outline, outline[:1]])
     vertices = vertices.copy()
-    vertices[np.roll(moved, -turn)] = np.stack(
-        [np.interp(place, before, closed[:, k]) for k in range(3)], axis=1
-    )
+    placed = [np.interp(place, before, closed[:, k]) for k in range(3)]
+    vertices[np.roll(moved, -turn)] = np.stack(placed, axis=1)
     return vertices
 
 

@@ -323,13 +323,13 @@ def track(
     avatar = run_folder.load_avatar(run)
     opened = open_subject(subject, poses, body or run_folder.source_of(run, "body", subject))
     video, model, start = opened.video, opened.model, opened.poses
-    own = run / run_folder.TRAINED_POSES
+    trained = run / run_folder.TRAINED_POSES
     offsets = video.offsets_of(len(model.v_template))
-    if poses is None and own.exists():
+    if poses is None and trained.exists():
         if others := run_folder.other_pictures(run, video):
             say(f"{run}: was fitted to another video (other {others}); its poses are not used")
         else:
-            start, video = own, load_video(subject, own)
+            start, video = trained, load_video(subject, trained)
     with folder_lock(subject, "gva-mi track"):
         require_room(out, overwrite)
         with bar("track") as progress:

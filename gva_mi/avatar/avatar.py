@@ -169,8 +169,8 @@ class Avatar(nn.Module):
     @property
     def skin(self) -> Skin:
         """The outer skin, in the precision of the avatar."""
-        own = (getattr(self, f"skin_{name}") for name in SKIN_ARRAYS)
-        return Skin(*own, self.rest_directions, self.options.skinning)
+        arrays = (getattr(self, f"skin_{name}") for name in SKIN_ARRAYS)
+        return Skin(*arrays, self.rest_directions, self.options.skinning)
 
     def set_skin_weights(self, skin: Skin) -> None:
         """Replace the outer skin; Gaussians follow it once their weights are bound again."""
@@ -356,7 +356,7 @@ def tensors_of(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor
     return tensors
 
 
-def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+def require_same_form(state: Mapping[str, Tensor], expected: Mapping[str, Tensor]) -> None:
     """Raise a ValueError unless a state has the names and shapes of an avatar's ``own``.
 
     Example:
@@ -364,9 +364,9 @@ def require_same_form(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) ->
         Traceback (most recent call last):
         ValueError: 'light' is missing
     """
-    for name in sorted(state.keys() ^ own.keys()):
-        raise ValueError(f"'{name}' is {'missing' if name in own else 'unknown'}")
-    for name, x in own.items():
+    for name in sorted(state.keys() ^ expected.keys()):
+        raise ValueError(f"'{name}' is {'missing' if name in expected else 'unknown'}")
+    for name, x in expected.items():
         if fault := shape_fault(state[name].shape, tuple(x.shape)):
             raise ValueError(f"'{name}' {fault}")
 

@@ -152,8 +152,8 @@ class _SparseDirections:
 
     def __call__(self, coefficients: Tensor) -> Tensor:
         shapes = int(self.shapes.max()) + 1 if len(self.shapes) else 0
-        some = pad(coefficients, (0, max(0, shapes - len(coefficients))))
-        metres = some.index_select(0, self.shapes) * self.metres
+        padded = pad(coefficients, (0, max(0, shapes - len(coefficients))))
+        metres = padded.index_select(0, self.shapes) * self.metres
         moved = metres.new_zeros(3 * self.count).index_add(0, self.entries, metres)
         return moved.view(self.count, 3)
 

@@ -213,10 +213,10 @@ def mesh_gaussians(
     reach = lambda x: max(options.alpha, np.percentile(mean_distance(x, 6), 95))
     if options.surface == "alpha":
         return alpha_shape(points, reach(points), options.smoothing)
-    filler, own = _filler(rig, options.filler_depth), rig.weights.double().numpy()
+    filler, naked = _filler(rig, options.filler_depth), rig.weights.double().numpy()
     if weights is None:
-        weights = own[cKDTree(filler.vertices).query(points)[1]]
-    spread = SpreadLimbs.of(rig, np.vstack([points, filler.vertices]), np.vstack([weights, own]))
+        weights = naked[cKDTree(filler.vertices).query(points)[1]]
+    spread = SpreadLimbs.of(rig, np.vstack([points, filler.vertices]), np.vstack([weights, naked]))
     outer, inner = np.split(spread.points, [len(points)])
     filled = SurfaceMesh(inner, filler.faces)
     found = offset_surface(outer, filled, reach(outer), options.smoothing)

@@ -240,12 +240,12 @@ def _forward(
     pairs: PairLists, T: Array, parts: list[Array], light: Array, *, n: int
 ) -> list[Array]:
     F = type(parts[0])
-    mean, quat, scale, sh, l = _own(parts, light, n)
-    A, E = ([F(x) for x in some] for some in lbs_transforms.forward(pairs, T, mean))
+    mean, quat, scale, sh, l = _read_rows(parts, light, n)
+    A, E = ([F(x) for x in columns] for columns in lbs_transforms.forward(pairs, T, mean))
     moved, covars = stretch(A, E, mean, quat, scale)
     color = lit_color(A, sh, l)
     kept = [*A, *E]
-    found = [store_columns(some, n, F) for some in (moved, covars, color)]
+    found = [store_columns(columns, n, F) for columns in (moved, covars, color)]
     dr.eval(found, kept)
     return found + kept
 
@@ -263,7 +263,7 @@ def _adjoint(
 ) -> list[Array]:
     """Return rows of the gradients of ``parts`` and the light, and of [grad_A | grad_E | μ]."""
     F = type(parts[0])
-    mean, quat, scale, sh, l = _own(parts, light, n)
+    mean, quat, scale, sh, l = _read_rows(parts, light, n)
     A, E, lane = kept[:12], kept[12:], dr.arange(dr.uint32_array_t(F), n)
     g, G, g_color = (
         load_columns(x, width, lane) for x, width in zip(grads, (3, 6, 3), strict=True)
@@ -276,7 +276,7 @@ def _adjoint(
     by_E = lbs_transforms.adjoint_of_means(pairs, T, grad_E)
     grad_mean = [a + b for a, b in zip(grad_mean, by_E, strict=True)]
     columns = grad_mean, grad_quat, grad_scale, grad_sh, grad_light, [*grad_A, *grad_E, *mean]
-    found = [store_columns(some, n, F) for some in columns]
+    found = [store_columns(gradient, n, F) for gradient in columns]
     dr.eval(found)
     return found
 
@@ -295,11 +295,11 @@ def _adjoint_of_joints(pieces: PairLists, rows: Array, *, n: int) -> list[Array]
     return found
 
 
-def _own(parts: list[Array], light: Array, n: int) -> list[Lane]:
+def _read_rows(parts: list[Array], light: Array, n: int) -> list[Lane]:
     """Read each lane's own rows, and the light, which all lanes share."""
     lane = dr.arange(dr.uint32_array_t(type(light)), n)
-    own = [load_columns(part, width, lane) for part, width in zip(parts, WIDTHS, strict=True)]
-    return [*own, load_columns(light, 3, lane * 0)]
+    rows = [load_columns(part, width, lane) for part, width in zip(parts, WIDTHS, strict=True)]
+    return [*rows, load_columns(light, 3, lane * 0)]
 
 
 class _Skinned(torch.autograd.Function):

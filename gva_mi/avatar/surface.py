@@ -227,13 +227,13 @@ def _smallest_empty_balls(points: np.ndarray, corners: np.ndarray, over: np.ndar
     ``over`` (C, 4) is the tetrahedron beyond the triangle opposite to each corner; C: none.
     """
     triangles = corners[:, FACETS]
-    own, centre = _circles(points[triangles])
-    holds_apex = np.linalg.norm(points[corners] - centre, axis=2) < own
+    radius, centre = _circles(points[triangles])
+    holds_apex = np.linalg.norm(points[corners] - centre, axis=2) < radius
     _, which = np.unique(np.sort(triangles.reshape(-1, 3), axis=1), axis=0, return_inverse=True)
-    which = which.reshape(own.shape)  # a number for each triangle, seen from either side
+    which = which.reshape(radius.shape)  # a number for each triangle, seen from either side
     empty = np.bincount(which.ravel(), holds_apex.ravel())[which] == 0
     of_cell = np.append(_spheres(points[corners]), np.inf)
-    return np.where(empty, own, np.minimum(of_cell[:-1, None], of_cell[over]))
+    return np.where(empty, radius, np.minimum(of_cell[:-1, None], of_cell[over]))
 
 
 def _spheres(x: np.ndarray) -> np.ndarray:
@@ -356,9 +356,9 @@ def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[
     alive = np.ones(len(points), dtype=bool)
     kept = []
     for first in range(0, len(points), DARTS_PER_QUERY):
-        some = first + np.flatnonzero(alive[first : first + DARTS_PER_QUERY])  # most are removed
-        around = tree.query_ball_point(points[some], radius[some], return_sorted=False)
-        for i, close in zip(some, around, strict=True):
+        darts = first + np.flatnonzero(alive[first : first + DARTS_PER_QUERY])  # most are removed
+        around = tree.query_ball_point(points[darts], radius[darts], return_sorted=False)
+        for i, close in zip(darts, around, strict=True):
             if alive[i]:
                 kept.append(i)
                 alive[close] = False
@@ -383,8 +383,8 @@ def with_fingers(surface: SurfaceMesh, rig: Rig) -> SurfaceMesh:
     if not finger.any():
         return surface
     bridged = finger[cKDTree(body).query(surface.vertices[surface.faces].mean(1))[1]]
-    own = faces[finger[faces].all(1)] + len(surface.vertices)
-    both = np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], own])
+    finger_faces = faces[finger[faces].all(1)] + len(surface.vertices)
+    both = np.vstack([surface.vertices, body]), np.vstack([surface.faces[~bridged], finger_faces])
     return SurfaceMesh(*both).part(np.ones(len(both[1]), dtype=bool))
 
 

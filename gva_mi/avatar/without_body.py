@@ -94,7 +94,7 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
     rig, skin, record = avatar.rig, avatar.skin, avatar.record()
     described = json.loads(record.pop("description"))
     described["body"] = {"name": name, "digest": rig.body, "fingerprint": body_hash(body)}
-    own = {
+    of_person = {
         key: np.asarray(value)
         for key, value in record.items()
         if key not in ("format", DIRECTIONS) and not key.startswith(_OF_BODY)
@@ -103,7 +103,7 @@ def save_without_body(path: Path, avatar: Avatar, body: BodyModel, name: str) ->
     naked = Rig.of(body, Shape(rig.betas)).vertices
     write_arrays(
         path,
-        **own,
+        **of_person,
         format=np.array(WITHOUT_BODY),
         description=np.array(json.dumps(described)),
         betas=rig.betas.numpy(),

@@ -181,14 +181,14 @@ class BodyModel(nn.Module):
             >>> part(Pose.rest(), Shape(torch.zeros(10))).vertices.shape
             torch.Size([1, 100, 3])
         """
-        some = copy.copy(self)
-        some._buffers = dict(self._buffers)  # the others are shared
-        some.v_template, some.weights = self.v_template[vertices], self.weights[vertices]
-        some.faces, some.regressor = faces, None  # joints need all vertices
-        some.mark_corners = some.mark_shares = None
+        part = copy.copy(self)
+        part._buffers = dict(self._buffers)  # the others are shared
+        part.v_template, part.weights = self.v_template[vertices], self.weights[vertices]
+        part.faces, part.regressor = faces, None  # joints need all vertices
+        part.mark_corners = part.mark_shares = None
         for name in ("shape_directions", "frame_directions"):
-            setattr(some, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
-        return some
+            setattr(part, name, columns_of(getattr(self, name), vertices, len(self.v_template)))
+        return part
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of a file of version 1.0 with ten betas and at most ten expressions.
@@ -200,7 +200,7 @@ class BodyModel(nn.Module):
         if self.regressor is None:
             raise ValueError("BodyModel.arrays(): this is a part of a body, from BodyModel.on()")
         count = len(self.v_template)
-        rows = lambda some: as_directions(some[:10].double().numpy(), count)
+        rows = lambda directions: as_directions(directions[:10].double().numpy(), count)
         betas = rows(self.shape_directions)
         betas = np.pad(betas, ((0, 0), (0, 0), (0, 10 - betas.shape[2])))
         bent = np.zeros((count, 3, 9 * (len(PARENTS) - 1)), np.float32)
@@ -351,8 +351,8 @@ def columns_of(rows: Tensor, vertices: Tensor, count: int) -> Tensor:
         >>> columns_of(torch.ones(2, 16), torch.tensor([0, 4]), count=5).shape
         torch.Size([2, 6])
     """
-    some = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)
-    return pad(some, (0, some.shape[1] % 2))
+    chosen = rows[:, : 3 * count].unflatten(1, (3, count))[:, :, vertices].flatten(1)
+    return pad(chosen, (0, chosen.shape[1] % 2))
 
 
 def add_directions(surface: Tensor, coefficients: Tensor, directions: Tensor) -> Tensor:

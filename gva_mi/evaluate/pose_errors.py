@@ -60,10 +60,10 @@ def pose_errors(
     parts: list[dict[str, Tensor]] = []
     with one_torch_thread():
         for start in range(0, len(truth.pose), _FRAMES_AT_A_TIME):
-            some = slice(start, start + _FRAMES_AT_A_TIME)
-            x = body(pose[some], shape)
-            y = truth.body(truth.pose[some], truth.shape)
-            parts.append(points.errors(x, y) | _depths(x, y, axes[some].to(x.joints)))
+            frames = slice(start, start + _FRAMES_AT_A_TIME)
+            x = body(pose[frames], shape)
+            y = truth.body(truth.pose[frames], truth.shape)
+            parts.append(points.errors(x, y) | _depths(x, y, axes[frames].to(x.joints)))
     return {name: 1e3 * torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 

@@ -92,9 +92,9 @@ class Details:
         seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
         joints, weights = posed.joints[0].double().numpy(), self.body.weights
         for wrist, fingers in zip(WRISTS, HANDS.values(), strict=True):
-            own = weights[:, fingers].sum(1) + weights[:, wrist] > 0.5
+            of_hand = weights[:, fingers].sum(1) + weights[:, wrist] > 0.5
             box = box_around(camera, joints[np.r_[wrist, fingers]], HAND_SIDE)
-            if box is not None and seen[own].float().mean() >= VISIBLE_SHARE:
+            if box is not None and seen[of_hand].float().mean() >= VISIBLE_SHARE:
                 yield "hands", box
         looks = joints[EYES].mean(0) - joints[HEAD]
         box = box_around(camera, joints[JAW_AND_EYES], FACE_SIDE)

@@ -113,7 +113,7 @@ def similarity_to_truth(rig: Rig, video: Video, body: BodyModel) -> Similarity |
     # Finger joints would outnumber those of trunk and limbs.
     x, y = (joints[:, ROOT_AND_BODY].double().numpy() for joints in (found, true))
     given, real = ([cameras[k] for k in frames] for cameras in (video.cameras, true_cameras))
-    placed = [np.stack([c.T_camera_world for c in some]) for some in (given, real)]
+    placed = [np.stack([c.T_camera_world for c in group]) for group in (given, real)]
     if not all(np.allclose(T, T[0], atol=1e-9) for T in placed):
         return None
     whole = _about_the_eye(x.reshape(-1, 3), y.reshape(-1, 3), given[0], real[0])

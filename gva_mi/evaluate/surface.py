@@ -153,9 +153,9 @@ class TrueSurface:
             return None
         person, drawn_on = remake_subject(subject, body)
         with torch.no_grad():
-            own = body.rest(Shape(rig.betas)).vertices.double().numpy()
+            fitted = body.rest(Shape(rig.betas)).vertices.double().numpy()
             true = drawn_on.rest(person.shape).vertices.double().numpy()
-        vertices = person.vertices + person.binding @ (own - true)
+        vertices = person.vertices + person.binding @ (fitted - true)
         return _spread(person, torch.from_numpy(vertices), _outside(person))
 
 
@@ -197,8 +197,8 @@ def _parts(person: PersonSurface) -> np.ndarray:
     parts = np.full(len(person.faces), PARTS.index("rest"))
     slack = person.slack[person.faces].mean(1)
     for material in (Material.TOP, Material.BOTTOM):
-        own = person.material == int(material)
-        if slack[own].any():
-            parts[own & (slack >= HEM_SLACK * slack[own].max())] = PARTS.index("hem")
+        garment = person.material == int(material)
+        if slack[garment].any():
+            parts[garment & (slack >= HEM_SLACK * slack[garment].max())] = PARTS.index("hem")
     parts[person.material == int(Material.HAIR)] = PARTS.index("hair")
     return parts

@@ -120,8 +120,8 @@ class UprightCylinder:
 def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
     """Measure the cylinder around a motion."""
     maps = joint_transforms(motion.rotations, rig.joints, rig.parents, motion.transl)
-    some = slice(None, None, _VERTEX_STRIDE)
-    points = skin_points(rig.vertices[some], rig.weights[some], maps).double().numpy()
+    sampled = slice(None, None, _VERTEX_STRIDE)
+    points = skin_points(rig.vertices[sampled], rig.weights[sampled], maps).double().numpy()
     root = maps[:, 0, :3, :3].double().numpy()  # columns: to the left, up, ahead
     up = root[:, :, 1].mean(0)
     if np.linalg.norm(up) < 0.1:  # somersaults have no mean: take the first frame's

@@ -154,11 +154,11 @@ def _away_from_kinks(avatar: Avatar, values: Tensors) -> tuple[Avatar, Tensors]:
     place = values["means"], avatar.canonical.weights, values["rotations"]
     with _ReluInputs() as relus:
         functional_call(avatar.residual, weights, place)
-    some = {name: values[name][relus.away] for name in PARAMETERS}
+    away = {name: values[name][relus.away] for name in PARAMETERS}
     binding = {name: getattr(avatar.canonical, name)[relus.away] for name in BINDING}
-    residual = _ResidualOfMeans(avatar.residual, some["means"])
-    canonical = CanonicalGaussians(**some, **binding)
-    return Avatar(canonical, residual, avatar.rig, avatar.skin, avatar.options), values | some
+    residual = _ResidualOfMeans(avatar.residual, away["means"])
+    canonical = CanonicalGaussians(**away, **binding)
+    return Avatar(canonical, residual, avatar.rig, avatar.skin, avatar.options), values | away
 
 
 # Greatest relative L2 errors allowed. Chosen: float32 as in gradcheck/splat.py; in float64

@@ -172,8 +172,8 @@ def _reached(scene: mi.Scene, o: np.ndarray, d: np.ndarray, x: np.ndarray) -> np
 
     o, d = o.T.astype(np.float32), d.T.astype(np.float32)
     found = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(o), mi.Vector3f(d)), coherent=False)
-    own = np.array(found.is_valid()) & (np.array(found.prim_index) == np.arange(len(x)))
-    return own | (np.array(found.t) > np.linalg.norm(x - o.T, axis=1) * (1 - OCCLUDER_MARGIN))
+    met = np.array(found.is_valid()) & (np.array(found.prim_index) == np.arange(len(x)))
+    return met | (np.array(found.t) > np.linalg.norm(x - o.T, axis=1) * (1 - OCCLUDER_MARGIN))
 
 
 def _shade(

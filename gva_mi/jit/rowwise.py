@@ -58,7 +58,7 @@ def _launch(
         load_columns(x, width, lane * 0 if same else lane)
         for x, width, same in zip(inputs, widths, shared, strict=True)
     ]
-    found = [store_columns(some, n, type(inputs[0])) for some in kernel(*columns)]
+    found = [store_columns(result, n, type(inputs[0])) for result in kernel(*columns)]
     dr.eval(found)
     return found
 
@@ -80,8 +80,8 @@ def store_columns(columns: Sequence[Array], lanes: int, Float: type) -> Array:
     width, lane = len(columns), dr.arange(dr.uint32_array_t(Float), lanes)
     part, out = _packet(width), dr.empty(Float, lanes * width)
     for k in range(width // part):
-        some = [Float(x) for x in columns[part * k : part * (k + 1)]]
-        store_rows(out, some, lane * (width // part) + k)
+        packet = [Float(x) for x in columns[part * k : part * (k + 1)]]
+        store_rows(out, packet, lane * (width // part) + k)
     return out
 
 

@@ -85,8 +85,8 @@ class ColorsByHeight:
         every = smooth.sum(0, keepdims=True)
         share = lambda x: x / np.maximum(x.sum((1, 2, 3), keepdims=True), 1e-6)
         bins = self._count[0].size
-        own = 1 - ANY_HEIGHT_SHARE - ANY_COLOR_SHARE
-        mixed = own * share(smooth) + ANY_HEIGHT_SHARE * share(every)
+        same_height = 1 - ANY_HEIGHT_SHARE - ANY_COLOR_SHARE
+        mixed = same_height * share(smooth) + ANY_HEIGHT_SHARE * share(every)
         return (mixed * bins + ANY_COLOR_SHARE).astype(np.float32)
 
 

@@ -67,11 +67,11 @@ class Plate:
     def exposed_as(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate in the exposure of a picture (h, w, 3) 8-bit, by its ``bare`` pixels."""
         half = np.s_[::2]  # of the rows are enough for a median
-        some = bare[half] & self.seen[half]
-        if some.sum() < LEAST_PIXELS:
+        shown = bare[half] & self.seen[half]
+        if shown.sum() < LEAST_PIXELS:
             return self
         add = lambda x: x[:, 0] + x[:, 1] + x[:, 2]  # numpy's sum over an axis of 3 is slow
-        seen, plate = add(image[half][some].astype(np.uint32)), add(self.color[half][some])
+        seen, plate = add(image[half][shown].astype(np.uint32)), add(self.color[half][shown])
         gain = np.median(seen / (255 * plate + 1e-3))
         return Plate(self.color * np.float32(gain), self.spread, self.seen)
 

@@ -151,13 +151,13 @@ def _agreement(inside: torch.Tensor, crop: CropBox, prompt: Prompt) -> float:
     """Score how well a proposal (h, w) agrees with a prompt, in [−1, 2]."""
     side = inside.shape[0]
     place = np.floor(crop.to_network(prompt.points, (side, side))).astype(int).clip(0, side - 1)
-    hits, own = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1
+    hits, on_person = inside.numpy()[place[:, 1], place[:, 0]], prompt.labels == 1
     share = lambda which: float(hits[which].mean()) if which.any() else 0.0
     left, top, right, bottom = crop.to_network(prompt.box.reshape(2, 2), (side, side)).ravel()
     centres = torch.arange(side) + 0.5
     rows, columns = (centres > top) & (centres < bottom), (centres > left) & (centres < right)
     boxed = inside[rows][:, columns].sum() / inside.sum().clamp(min=1)
-    return share(own) - share(~own) + float(boxed)
+    return share(on_person) - share(~on_person) + float(boxed)
 
 
 def _overlap(guess: torch.Tensor, last: torch.Tensor | None) -> float:

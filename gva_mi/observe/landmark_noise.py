@@ -237,10 +237,10 @@ def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) 
         InputError: no frame has a person.
     """
     compared = lambda name: f"{hand}_hand_" in name if hand else "_hand_" not in name
-    some = [k for k, name in enumerate(landmarks.names) if compared(name)]
+    columns = [k for k, name in enumerate(landmarks.names) if compared(name)]
     share = HAND_SHARE if hand else BODY_SHARE
     pixels_per_metre = person_sizes(landmarks)[:, None, None] / REFERENCE_HEIGHT
-    x = landmarks.pixels[:, some].astype(float) / pixels_per_metre
+    x = landmarks.pixels[:, columns].astype(float) / pixels_per_metre
     seen = np.isfinite(x).all(2).astype(float)
     x = np.where(seen[..., None] > 0, x, 0)
     x = (x - x.sum(1, keepdims=True) / np.maximum(seen.sum(1), 1)[:, None, None]) * seen[..., None]

@@ -80,7 +80,7 @@ class TiltPrior:
         m = tilt._turns(rotations)
         sways = (R.mT @ (m - m.mean(0))[..., None])[..., 2, 0].square().mean(0)
         square = tilt._locked(m)[:, 2].square()
-        usual = lambda some: some.median() / median_of_square(1)
+        usual = lambda squares: squares.median() / median_of_square(1)
         chance = (usual(square / sways.clamp_min(SMALLEST_TILT**2)) * sways + usual(square)) / 2
         return replace(tilt, chance=sqrt(chance).clamp_min(SMALLEST_TILT))
 

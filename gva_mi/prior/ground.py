@@ -78,11 +78,11 @@ class Soles:
         for kind in _SOLE_JOINTS:
             for side in ("left", "right"):
                 joint = JOINTS.index(f"{side}_{kind}")
-                own = vertices[(weights[:, joint] > 0.5) & (vertices[:, 1] < low)]
+                sole = vertices[(weights[:, joint] > 0.5) & (vertices[:, 1] < low)]
                 # A body without such vertices has a point below the joint.
-                below = rest.joints.detach()[joint] * own.new_tensor([1, 0, 1])
+                below = rest.joints.detach()[joint] * sole.new_tensor([1, 0, 1])
                 below[1] = vertices[:, 1].min()
-                points.append(own.mean(0) if len(own) else below)
+                points.append(sole.mean(0) if len(sole) else below)
         return Soles(rest.joints.detach()[_LEG_JOINTS], torch.stack(points))
 
     def places(self, rotations: Tensor, transl: Tensor) -> Tensor:

@@ -143,7 +143,7 @@ class ProcessPrior:
         """Estimate the speeds from steps (n - 1, C, d) between the n frames of stage 1 alone."""
         factors = torch.ones(steps.shape[1], len(times))
         each = zip(error_models, steps.unbind(1), strict=True)
-        growth = torch.stack([x.growth(own, times) for x, own in each])
+        growth = torch.stack([x.growth(moved, times) for x, moved in each])
         process = ProcessPrior(times, steps, error_models, factors, growth, steps[..., 0], steady)
         process = replace(process, steps=process.changes(steps))
         white = torch.tensor([x.white for x in error_models]).square()
@@ -192,16 +192,16 @@ class ProcessPrior:
             process = process.with_outlier_factors(corrections)
         return corrections, process
 
-    def energy(self, precision: FrameMatrices, corrections: Tensor, own: Tensor) -> Tensor:
+    def energy(self, precision: FrameMatrices, corrections: Tensor, in_step_axes: Tensor) -> Tensor:
         """Return eq. 1.
 
         Args:
             precision: ``P`` (C, n, n).
             corrections: (n, C, d) in axes in which stage 1's errors last, such as the camera's.
-            own: the same in the axes of ``steps``.
+            in_step_axes: the same in the axes of ``steps``.
         """
         e = corrections.transpose(0, 1)
-        moved = step_cost(self._changes_under(own), self.square_speed)
+        moved = step_cost(self._changes_under(in_step_axes), self.square_speed)
         return (e * (precision @ e)).sum() / 2 + moved.sum()
 
     def variance_of_mean(self, bias: bool) -> Tensor:

@@ -61,10 +61,10 @@ class Corrections:
         self._stage1, self._anatomy, self.prior = stage1, anatomy, prior
         self.start = turns0, moves0
         n, joints = turns0.shape[:2]
-        own = stage1.to_joint_axes(turns0)
+        joint_turns = stage1.to_joint_axes(turns0)
         M = torch.zeros(joints, n, n)  # the face stays
-        M[PELVIS] = prior.pelvis.preconditioner(own[:, PELVIS]).M
-        M[CORRECTED_JOINTS] = prior.joints.preconditioner(own[:, CORRECTED_JOINTS]).M
+        M[PELVIS] = prior.pelvis.preconditioner(joint_turns[:, PELVIS]).M
+        M[CORRECTED_JOINTS] = prior.joints.preconditioner(joint_turns[:, CORRECTED_JOINTS]).M
         self._preconditioner = FrameMatrices.of(M)
         self._preconditioner_of_moves = prior.place.preconditioner(moves0[..., None])
         self._precisions = [p.precision() for p in (prior.pelvis, prior.joints, prior.place)]
@@ -78,17 +78,17 @@ class Corrections:
         """Start from the MAP estimate without any image; ``known`` errors are not inferred."""
         prior = prior_from_stage1(stage1, known)
         given = stage1.pose.rotations
-        own = torch.zeros(given.shape)
-        own[:, PELVIS], pelvis = prior.pelvis.map_estimate()
-        own[:, CORRECTED_JOINTS], joints = prior.joints.map_estimate()
+        joint_turns = torch.zeros(given.shape)
+        joint_turns[:, PELVIS], pelvis = prior.pelvis.map_estimate()
+        joint_turns[:, CORRECTED_JOINTS], joints = prior.joints.map_estimate()
         moves, place = prior.place.map_estimate()
         prior = replace(prior, pelvis=pelvis, joints=joints, place=place)
         covariance = torch.zeros(given.shape[1], *[len(given)] * 2, dtype=torch.float64)
-        covariance[CORRECTED_JOINTS] = joints.covariance(own[:, CORRECTED_JOINTS])
-        estimate = turns_between(-given, own)
+        covariance[CORRECTED_JOINTS] = joints.covariance(joint_turns[:, CORRECTED_JOINTS])
+        estimate = turns_between(-given, joint_turns)
         wanted = anatomy.conditioned(estimate, covariance, stage1.times)
-        own = turns_between(given, wanted)
-        return Corrections(stage1, anatomy, prior, stage1.to_camera_axes(own), moves[..., 0])
+        turns0 = stage1.to_camera_axes(turns_between(given, wanted))
+        return Corrections(stage1, anatomy, prior, turns0, moves[..., 0])
 
     def zeroed(self) -> Corrections:
         """Return zero corrections under the same prior: the unchanged stage 1."""
@@ -137,14 +137,14 @@ class Corrections:
         ``distance_shown``: whether the evidence shows how far away the person is.
         """
         turns, moves = self._at(range(len(self.moves)))
-        own, prior, stage1 = self._stage1.to_joint_axes(turns), self.prior, self._stage1
+        joint_turns, prior, stage1 = self._stage1.to_joint_axes(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
         places = moves[..., None]
-        nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], own[:, PELVIS])
+        nats = prior.pelvis.energy(of_pelvis, turns[:, PELVIS], joint_turns[:, PELVIS])
         joints = CORRECTED_JOINTS
-        nats = nats + prior.joints.energy(of_joints, turns[:, joints], own[:, joints])
+        nats = nats + prior.joints.energy(of_joints, turns[:, joints], joint_turns[:, joints])
         nats = nats + prior.place.energy(of_place, places, places)
-        rotations = compose(stage1.pose.rotations, own)
+        rotations = compose(stage1.pose.rotations, joint_turns)
         motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times
         terms: list[PriorTerm] = [self._anatomy]
         for term in terms if prior.ground is None else [*terms, prior.ground]:

@@ -143,17 +143,17 @@ class SharedFrameLosses:
             self._starting = []
         if self._starting or len(frames) == 1:
             return self._here(frames, bodies, close)
-        own, *others = (slice(k, None, self._processes) for k in range(self._processes))
+        here, *others = (slice(k, None, self._processes) for k in range(self._processes))
         found: list[FrameLoss | None] = [None] * len(frames)
         try:
             futures = [
-                self._pool.submit(_in_helper, frames[some], bodies[some].numpy(), close)
-                for some in others
-                if frames[some]
+                self._pool.submit(_in_helper, frames[share], bodies[share].numpy(), close)
+                for share in others
+                if frames[share]
             ]
-            found[own] = self._here(frames[own], bodies[own], close)
-            for some, future in zip(others, futures, strict=False):
-                found[some] = [FrameLoss(x, torch.from_numpy(grad)) for x, grad in future.result()]
+            found[here] = self._here(frames[here], bodies[here], close)
+            for share, future in zip(others, futures, strict=False):
+                found[share] = [FrameLoss(x, torch.from_numpy(grad)) for x, grad in future.result()]
         except BrokenExecutor as error:
             raise worker_died(error) from None
         return found

@@ -129,9 +129,9 @@ def refine_all(
     skimmed = dict(zip(skims, _solved(list(skims.values()), workers, report), strict=True))
     jobs = [_clip_jobs(video, skimmed.get(k)) for k, video in enumerate(observed)]
     report = part_of_progress(progress, steps, total - steps, total)
-    found = _solved([job for own in jobs for job in own], workers, report)
-    for k, (video, before, own) in enumerate(zip(videos, placed, jobs, strict=True)):
-        refined = _joined(observed[k], skimmed.get(k), [next(found) for _ in own])
+    found = _solved([job for clips in jobs for job in clips], workers, report)
+    for k, (video, before, clips) in enumerate(zip(videos, placed, jobs, strict=True)):
+        refined = _joined(observed[k], skimmed.get(k), [next(found) for _ in clips])
         if before is not video:
             person = refined.pose, refined.shape, body
             pose = moved_between_lenses(*person, before.cameras, video.cameras)
@@ -269,7 +269,7 @@ def moved_between_lenses(
     pelvis = body.rest(shape).joints[0].detach().double().numpy()
     T = np.stack([camera.T_camera_world for camera in cameras])
     R, t = T[:, :3, :3], T[:, :3, 3]
-    K, K_others = (np.stack([camera.K for camera in some]) for some in (cameras, others))
+    K, K_others = (np.stack([camera.K for camera in group]) for group in (cameras, others))
     places = np.einsum("nij,nj->ni", R, pose.transl.double().numpy() + pelvis) + t
     moved = seen_alike(places, K, K_others)
     back = lambda x: np.einsum("nji,nj->ni", R, x)

@@ -91,7 +91,7 @@ class LandmarkEvidence:
     correlated: Tensor
     starting: bool = False
 
-    def of(self, some: slice) -> LandmarkEvidence:
+    def of(self, frames: slice) -> LandmarkEvidence:
         """Select frames."""
         names = (
             "pixels",
@@ -102,7 +102,7 @@ class LandmarkEvidence:
             "metric",
             "correlated",
         )
-        return replace(self, **{name: getattr(self, name)[some] for name in names})
+        return replace(self, **{name: getattr(self, name)[frames] for name in names})
 
     def posed(self, state: Stage1State) -> PosedPoints:
         """Pose the points; soles and joints with mass have no offsets."""
@@ -160,8 +160,8 @@ class LandmarkEvidence:
         weights = weights[..., None].expand(-1, -1, 2).flatten(1)
         if D is None:
             return EvidenceRows(energy, r.flatten(1), weights, None)
-        own = D[:, :P]
-        J = (own[:, :, :2] - rays[..., None] * own[:, :, 2:]) * (f / z)[..., None]
+        of_points = D[:, :P]
+        J = (of_points[:, :, :2] - rays[..., None] * of_points[:, :, 2:]) * (f / z)[..., None]
         if self.unknowns.camera:
             J[..., self.unknowns.per_frame + self.unknowns.camera_column] = f * rays
         return EvidenceRows(energy, r.flatten(1), weights, (self.whitening @ J).flatten(1, 2))
@@ -240,8 +240,8 @@ def landmark_points(body: BodyModel, rig: LandmarkRig, whole_body: bool) -> Poin
         for side in ("left", "right"):
             for kind in ("ankle", "foot"):
                 joint = JOINTS.index(f"{side}_{kind}")
-                own = body.weights[:, joint] > 0.5
-                lowest = int(torch.where(own, v[:, 1], torch.inf).argmin())
+                follows = body.weights[:, joint] > 0.5
+                lowest = int(torch.where(follows, v[:, 1], torch.inf).argmin())
                 joints = torch.cat([joints, torch.tensor([joint])])
                 rest = torch.cat([rest, v[[lowest]]])
                 directions = torch.cat([directions, moves[:, None, :, lowest]], 1)

@@ -103,15 +103,15 @@ class PosedPoints:
 
     def by_joints(self, joints: Sequence[int]) -> Tensor:
         """Return the derivatives (n, P, 3, F, 3) by F joints, eq. 2."""
-        some = list(joints)
-        r = self.rotations[:, some]
-        parents = [PARENTS[j] for j in some]
+        turned = list(joints)
+        r = self.rotations[:, turned]
+        parents = [PARENTS[j] for j in turned]
         above = self.A[:, parents]  # of the root: overwritten below
         axes = above @ _left_jacobian(r)
-        if 0 in some:
-            axes[:, some.index(0)] = self.A[:, 0]
-        arm = self.X[:, :, None] - self.places[:, None, some]
-        arm = arm * self.points.above[:, some, None]
+        if 0 in turned:
+            axes[:, turned.index(0)] = self.A[:, 0]
+        arm = self.X[:, :, None] - self.places[:, None, turned]
+        arm = arm * self.points.above[:, turned, None]
         moved = torch.linalg.cross(axes.mT[:, None], arm[:, :, :, None])  # rows: axes
         return moved.permute(0, 1, 4, 2, 3)
 

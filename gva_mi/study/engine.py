@@ -151,5 +151,5 @@ def run_study(
             yield done[case, variant]
         else:
             figures = next(found).result
-            own = (replace(figure, subject=case.name, variant=variant) for figure in figures)
-            yield Outcome(case, variant, tuple(own))
+            labelled = (replace(figure, subject=case.name, variant=variant) for figure in figures)
+            yield Outcome(case, variant, tuple(labelled))

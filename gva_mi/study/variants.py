@@ -34,9 +34,9 @@ class AvatarVariant:
     def of(self, options: FitOptions) -> FitOptions:
         """Return the options of this variant's fit."""
         if self.changes is not None:
-            own = [name for _, names in CHANGES[: self.changes + 1] for name in names]
-            own += ["steps", "seed", "checkpoint_every", "vgg16"]
-            return changed(paper.FIT, {name: attrgetter(name)(options) for name in own})
+            kept = [name for _, names in CHANGES[: self.changes + 1] for name in names]
+            kept += ["steps", "seed", "checkpoint_every", "vgg16"]
+            return changed(paper.FIT, {name: attrgetter(name)(options) for name in kept})
         return changed(options, self.options)
 
 

@@ -99,7 +99,7 @@ class StudyVideos:
         cases = list(dict.fromkeys(cases))
         takes = dict.fromkeys(case.take for case in cases)
         several = ([case for case in cases if case.take == take] for take in takes)
-        return [Work(partial(self.make, own, body)) for own in several]
+        return [Work(partial(self.make, of_take, body)) for of_take in several]
 
     def _name(self, take: Take) -> str:
         frames, size = take.frames or self.options.frames, take.size or self.options.size

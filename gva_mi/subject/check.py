@@ -117,15 +117,15 @@ def check_intrinsics(cameras: Sequence[Camera]) -> Iterator[Problem]:
 def check_poses(pose: Pose, shape: Shape, body: BodyModel) -> Iterator[Problem]:
     """Yield problems of betas and rotations."""
     largest = float(shape.betas.abs().max()) if len(shape.betas) else 0.0
-    own = "give the --body that the betas belong to, or zero betas"
+    advice = "give the --body that the betas belong to, or zero betas"
     if shape.betas[body.num_betas :].any():
         figure = f"{len(shape.betas)}, but the body has {body.num_betas}"
-        yield error("betas", figure, "they belong to another body", own)
+        yield error("betas", figure, "they belong to another body", advice)
         return
     if largest > DOUBTFUL_BETA:
         yield (error if largest > WRONG_BETA else doubt)(
             "betas", f"up to {largest:.1f} standard deviations",
-            "of another body, fitted to a wrong distance, or no betas at all", own,
+            "of another body, fitted to a wrong distance, or no betas at all", advice,
         )  # fmt: skip
     turns = pose.rotations[:, 1:].norm(dim=-1).numpy()
     wide = (turns > LARGEST_ROTATION).any(1)

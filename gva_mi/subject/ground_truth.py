@@ -74,9 +74,9 @@ def load_ground_truth(folder: Path, body: BodyModel, count: int | None = None) -
     file = Path(folder) / TRUE_BODY
     foreign = file.is_file()
     true = load_body(file, body.v_template.dtype) if foreign else body
-    own = Path(folder) / CAMERAS
-    own = own if own.is_file() else own.parents[1] / CAMERAS
-    cameras = load_cameras(own, len(pose), " for {} poses")
+    path = Path(folder) / CAMERAS
+    path = path if path.is_file() else path.parents[1] / CAMERAS
+    cameras = load_cameras(path, len(pose), " for {} poses")
     return GroundTruth(true, pose, shape, cameras, foreign)
 
 

@@ -148,9 +148,9 @@ class _Ellipsoids:
         """Pad ``sh`` with zeros to ``coefficients`` coefficients per Gaussian and colour."""
         if coefficients == self.coefficients:
             return self.sh
-        wide, own = 3 * coefficients, 3 * self.coefficients
+        wide, given = 3 * coefficients, 3 * self.coefficients
         k = dr.arange(mi.UInt32, self.count * wide)
-        return _gather(self.sh, k // wide * own + k % wide, k % wide < own)
+        return _gather(self.sh, k // wide * given + k % wide, k % wide < given)
 
 
 def _gather(source: mi.Float, index: mi.UInt32, active: mi.Bool = True) -> mi.Float:

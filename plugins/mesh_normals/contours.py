@@ -239,8 +239,8 @@ def _adjoins(topology: Topology, face: mi.UInt32, edge: mi.UInt32) -> mi.Bool:
     """Return whether a face shares a corner with a face of an edge."""
     adjoins = mi.Bool(False)
     for edge_face in topology.edge_faces:
-        own = dr.gather(mi.UInt32, edge_face, edge)
-        mine = [dr.gather(mi.UInt32, corner, own) for corner in topology.points]
+        of_edge = dr.gather(mi.UInt32, edge_face, edge)
+        mine = [dr.gather(mi.UInt32, corner, of_edge) for corner in topology.points]
         for corner in topology.points:
             point = dr.gather(mi.UInt32, corner, face)
             adjoins |= (point == mine[0]) | (point == mine[1]) | (point == mine[2])

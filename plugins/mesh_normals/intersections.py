@@ -140,14 +140,14 @@ def _crossings(scene: mi.Scene, surface: MeshSurface) -> tuple[np.ndarray, np.nd
         found = scene.ray_intersect_preliminary(ray, coherent=False)
         hit = found.is_valid()
         face = topology.face_number(found.shape, found.prim_index, hit)
-        own = _touches(topology, face, edge)
+        touches = _touches(topology, face, edge)
         t = t + found.t + RAY_GAP
-        dr.eval(hit, own, face, t)
+        dr.eval(hit, touches, face, t)
         active = dr.compress(hit)
         if dr.width(active) == 0:
             break
-        own, face, edge, t = (dr.gather(type(v), v, active) for v in (own, face, edge, t))
-        crosses = ~np.array(own)
+        touches, face, edge, t = (dr.gather(type(v), v, active) for v in (touches, face, edge, t))
+        crosses = ~np.array(touches)
         edges.append(np.array(edge)[crosses])
         faces.append(np.array(face)[crosses])
     return np.concatenate(edges).astype(np.int64), np.concatenate(faces).astype(np.int64)
@@ -179,8 +179,8 @@ def _pairs(
     near, edge = items[entry] // 3, edges[which // 3]
     keys = []
     for at_edge in topology.edge_faces:
-        own = np.array(at_edge).astype(np.int64)[edge]
-        keys.append(np.minimum(own, near) * topology.face_count + np.maximum(own, near))
+        beside = np.array(at_edge).astype(np.int64)[edge]
+        keys.append(np.minimum(beside, near) * topology.face_count + np.maximum(beside, near))
     key = np.unique(np.concatenate(keys))
     f, g = key // topology.face_count, key % topology.face_count
     shared = (points[f][:, :, None] == points[g][:, None]).any(2).sum(1)

@@ -121,9 +121,9 @@ def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
     from scipy.spatial import cKDTree
 
     tree, normals = cKDTree(goal.vertices), vertex_normals(goal.vertices.numpy(), faces.numpy())
-    some = torch.arange(0, len(body.v_template), VERTEX_STRIDE)
-    area = torch.from_numpy(_areas(body.v_template.numpy(), body.faces.numpy()))[some]
-    body, count = body.on(some, body.faces[:0]), body.num_betas
+    sampled = torch.arange(0, len(body.v_template), VERTEX_STRIDE)
+    area = torch.from_numpy(_areas(body.v_template.numpy(), body.faces.numpy()))[sampled]
+    body, count = body.on(sampled, body.faces[:0]), body.num_betas
     solution = np.zeros(count + 3)
     bound = np.array([LARGEST_BETA] * count + [np.inf] * 3)
     for round_ in range(SHAPE_ROUNDS):
@@ -131,7 +131,7 @@ def _closest_shape(body: BodyModel, goal: Rest, faces: Tensor) -> Shape:
         surface, joints = _linear(body, C)
         distance, index = tree.query(surface[0] + np.tensordot(solution, surface[1:], axes=1))
         # First joints alone, because the bodies are still apart.
-        weight = area.numpy() * (distance < PAIR_DISTANCE) if round_ else np.zeros(len(some))
+        weight = area.numpy() * (distance < PAIR_DISTANCE) if round_ else np.zeros(len(sampled))
         weight = np.sqrt(weight / max(weight.sum(), 1e-12))
         n, apart = normals[index] * weight[:, None], goal.vertices.numpy()[index] - surface[0]
         rows = [

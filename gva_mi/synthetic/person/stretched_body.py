@@ -68,9 +68,9 @@ class BodyStretch:
         for spread, _, joints in SEGMENTS:
             both, sides = spread * rng.uniform(-1, 1, 2), _sides(joints)
             for names in sides:
-                own = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
+                apart = rng.uniform(-1, 1, 2) * (ASYMMETRY if len(sides) == 2 else 0.0)
                 for joint in names:
-                    length[joint], thickness[joint] = (1 + (both + own)).tolist()
+                    length[joint], thickness[joint] = (1 + (both + apart)).tolist()
         return BodyStretch(length, thickness)
 
 

@@ -274,15 +274,15 @@ def is_pose_file(path: Path) -> bool:
     if not path.exists():
         return True
     try:
-        found = read_arrays(path, _EXPECTED)
+        arrays = read_arrays(path, _EXPECTED)
     except InputError:
         return False
-    if "stage" in found:  # written by this program, even if damaged since
+    if "stage" in arrays:  # written by this program, even if damaged since
         return True
-    return set(_REQUIRED) <= set(found) and all(
-        found[name].ndim == 2 and found[name].shape[1] == width
+    return set(_REQUIRED) <= set(arrays) and all(
+        arrays[name].ndim == 2 and arrays[name].shape[1] == width
         for name, width in _WIDTHS.items()
-        if name in found
+        if name in arrays
     )
 
 

@@ -292,7 +292,7 @@ def _fit_clips(
     clips = cut(len(pose), options.part, options.overlap)
     seen_in = [seen.part(clip, clip.start) for clip in clips]
     steps = [options.passes * -(-len(frames) // options.batch) for frames in seen_in]
-    found = []
+    parts = []
     for number, (clip, frames) in enumerate(zip(clips, seen_in, strict=True)):
         part = pose[clip.start : clip.stop]
         if frames:
@@ -303,8 +303,8 @@ def _fit_clips(
                 turned = part[evidence.frames]
                 turned = evidence.face.corrected(turned, range(len(turned)))
             part = part.with_frames(evidence.frames, turned)
-        found.append(part)
-    return join(clips, found)
+        parts.append(part)
+    return join(clips, parts)
 
 
 @torch.no_grad()

@@ -96,13 +96,13 @@ def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
     ahead = distance * math.cos(elevation) * around.front
     across = np.cross(around.up, ahead)  # counter-clockwise seen from above
     rise = math.tan(elevation) * np.linalg.norm(ahead) * around.up
-    found = []
+    taken = []
     for k, turned in zip(frames, angles, strict=True):
         eye = around.centre + np.cos(turned) * ahead + np.sin(turned) * across + rise
         T_camera_world = look_at(eye, around.centre, around.up)
         lens = (focal, focal, width / 2, height / 2)
-        found.append(CameraShot(k, Camera(*lens, T_camera_world, width, height)))
-    return found
+        taken.append(CameraShot(k, Camera(*lens, T_camera_world, width, height)))
+    return taken
 
 
 @dataclass(frozen=True)

@@ -149,14 +149,14 @@ def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
     blur = lambda x: uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
     weight = known.astype(np.float32)
     total = blur(weight)
-    found = total > 0.5 / MEAN_SQUARE**2
-    if not found.any():
+    near = total > 0.5 / MEAN_SQUARE**2
+    if not near.any():
         return np.zeros_like(values), np.ones(known.shape, np.float32)
     total = np.maximum(total, 1e-6)
     mean = blur(values * weight[..., None]) / total[..., None]
     square = blur((values**2).sum(-1) * weight) / total
     variance = np.maximum(square - (mean**2).sum(-1), 0)
-    if not found.all():
-        nearest = distance_transform_edt(~found, return_distances=False, return_indices=True)
+    if not near.all():
+        nearest = distance_transform_edt(~near, return_distances=False, return_indices=True)
         mean, variance = mean[tuple(nearest)], variance[tuple(nearest)]
     return mean, variance

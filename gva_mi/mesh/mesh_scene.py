@@ -357,12 +357,12 @@ def seen_vertices(vertices: Tensor, faces: Tensor, viewpoints: np.ndarray) -> Te
     normals = vertex_normals(vertices, faces)
     start, scene = vertices + VISIBILITY_RAY_OFFSET * normals, scene_of(faces, vertices)
     columns = lambda x: np.ascontiguousarray(x.T.numpy(), np.float32)
-    found = []
+    seen = []
     for viewpoint in torch.from_numpy(np.asarray(viewpoints, dtype=np.float32)):
         toward = viewpoint - start
         distance = toward.norm(dim=1, keepdim=True)
         ray = mi.Ray3f(mi.Point3f(columns(start)), mi.Vector3f(columns(toward / distance)))
         ray.maxt = mi.Float((TESTED_SHARE * distance[:, 0]).numpy())
         hidden = torch.from_numpy(np.array(scene.ray_test(ray), dtype=bool))
-        found.append(((normals * toward).sum(1) > 0) & ~hidden)
-    return torch.stack(found)
+        seen.append(((normals * toward).sum(1) > 0) & ~hidden)
+    return torch.stack(seen)

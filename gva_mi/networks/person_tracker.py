@@ -250,7 +250,7 @@ class PersonTracker:
     def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
         """Return the seen body that resembles the followed person most; None if none does."""
         self._unseen += 1
-        last, found, least = self._body, None, _LEAST_RESEMBLANCE
+        last, best, least = self._body, None, _LEAST_RESEMBLANCE
         for body in seen:
             colours = torso_colours(image, body)
             likeness = float(np.minimum(self._colours, colours).sum())
@@ -261,13 +261,13 @@ class PersonTracker:
             free = _FREE_STEP + _FREE_DRIFT * self._unseen
             resemblance = likeness - float(moved + grown) / free
             if resemblance > least:
-                least, found = resemblance, (body, colours)
-        if found is None:
+                least, best = resemblance, (body, colours)
+        if best is None:
             return None
-        moved = (found[0].hips - last.hips) / self._unseen
+        moved = (best[0].hips - last.hips) / self._unseen
         self._speed = _SPEED_MEMORY * self._speed + (1 - _SPEED_MEMORY) * moved
-        self._body, self._unseen = found[0], 0
-        self._colours = _COLOR_MEMORY * self._colours + (1 - _COLOR_MEMORY) * found[1]
+        self._body, self._unseen = best[0], 0
+        self._colours = _COLOR_MEMORY * self._colours + (1 - _COLOR_MEMORY) * best[1]
         return self._body
 
 

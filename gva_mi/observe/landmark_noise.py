@@ -143,18 +143,18 @@ class LandmarkNoise:
         at = landmarks.indices(names)
         confidence = np.nan_to_num(landmarks.confidence[:, at])
         of_hand = np.array(["_hand_" in name for name in names], bool)
-        found = np.isfinite(landmarks.pixels[:, at]).all(2)
-        found &= confidence >= np.where(of_hand, HAND_CONFIDENCE, SMALLEST_CONFIDENCE)
+        seen = np.isfinite(landmarks.pixels[:, at]).all(2)
+        seen &= confidence >= np.where(of_hand, HAND_CONFIDENCE, SMALLEST_CONFIDENCE)
         sizes = person_sizes(landmarks)
         share = np.where(of_hand, HAND_SHARE, BODY_SHARE) * sizes[:, None]
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
         hand_offset = _hand_offsets(landmarks, names, sizes / REFERENCE_HEIGHT)
         square = square / np.clip(confidence, SMALLEST_CONFIDENCE, 1) ** 2
         pixels = np.sqrt(square + (hand_offset * sizes[:, None] / REFERENCE_HEIGHT) ** 2)
-        pixels = np.where(found, pixels, np.inf)
+        pixels = np.where(seen, pixels, np.inf)
         known = list(_bones(names))
         bones = np.array([pair for pair, _ in known], int).reshape(-1, 2)
-        has_depth = found & np.isfinite(landmarks.metric[:, at]).all(2)
+        has_depth = seen & np.isfinite(landmarks.metric[:, at]).all(2)
         both = has_depth[:, bones].all(2)
         sigma = np.hypot([bone.sigma for _, bone in known], hand_offset[:, bones].max(2))
         depth = np.where(both, sigma, np.inf)
@@ -188,7 +188,7 @@ def _hand_offsets(
     landmarks: Landmarks, names: Sequence[str], pixels_per_metre: np.ndarray
 ) -> np.ndarray:
     """Return ``hand_offset`` (T, P) of eq. 1, metres; ``pixels_per_metre`` is (T,)."""
-    found, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
+    offsets, every = np.zeros((len(landmarks), len(names))), list(landmarks.names)
     for side in ("left", "right"):
         pair = f"{side}_wrist", f"{side}_hand_wrist"
         if not set(pair) <= set(every):
@@ -199,8 +199,8 @@ def _hand_offsets(
         usual = 2 * (BODY_SHARE * REFERENCE_HEIGHT) ** 2 / confidence
         beyond = (np.square(apart).sum(1) / pixels_per_metre**2 - usual).clip(0)
         of_hand = [name.startswith(f"{side}_hand_") for name in names]
-        found[:, of_hand] = np.sqrt(np.nan_to_num(beyond))[:, None]
-    return found
+        offsets[:, of_hand] = np.sqrt(np.nan_to_num(beyond))[:, None]
+    return offsets
 
 
 def person_sizes(landmarks: Landmarks) -> np.ndarray:

@@ -69,7 +69,7 @@ def fix_swaps(
     Returns:
         The fixed poses, and for "legs" and "arms" the frames in which they were swapped, if any.
     """
-    pose, found = stage1.pose, dict[str, list[int]]()
+    pose, swapped_in = stage1.pose, dict[str, list[int]]()
     if len(pose) < 2:
         return pose, {}
     as_given = losses(pose)
@@ -80,11 +80,11 @@ def fix_swaps(
         motion = _motion_cost(stage1, name, (pose, other))
         swapped = most_probable_states(INDEPENDENT_SHARE * data, INDEPENDENT_SHARE * motion)
         if swapped.any():
-            found[name] = swapped.nonzero()[:, 0].tolist()
+            swapped_in[name] = swapped.nonzero()[:, 0].tolist()
             as_given = torch.where(swapped, after, as_given)
             rotations = torch.where(swapped[:, None, None], other.rotations, pose.rotations)
             pose = replace(pose, rotations=rotations)
-    return pose, found
+    return pose, swapped_in
 
 
 def exchanged(pose: Pose, limbs: str) -> Pose:

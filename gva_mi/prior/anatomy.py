@@ -159,18 +159,18 @@ class Anatomy:
             covariance: (J, n, n) of each coordinate, float64; zero for joints that stay.
             times: (n,) frame numbers.
         """
-        found = rotations.double()
+        bent = rotations.double()
         for row, spread in zip(self.A.double(), self.spreads, strict=True):
             parts = row.any(1).nonzero()[:, 0].tolist()
             if not bool(covariance[parts].any()):
                 continue
-            a = torch.einsum("jc,njc->n", row[parts], found[:, parts])
+            a = torch.einsum("jc,njc->n", row[parts], bent[:, parts])
             of_angle = torch.einsum("j,jkl->kl", row[parts].square().sum(1), covariance[parts])
             total = of_angle + _covariance(spread, times)
             pull = torch.cholesky_solve(a[:, None], torch.linalg.cholesky(total))[:, 0]
             for joint in parts:
-                found[:, joint] -= (covariance[joint] @ pull)[:, None] * row[joint]
-        return found.to(rotations.dtype)
+                bent[:, joint] -= (covariance[joint] @ pull)[:, None] * row[joint]
+        return bent.to(rotations.dtype)
 
     @cached_property
     def _angles_of_spread(self) -> dict[AngleSpread, Tensor]:
@@ -201,7 +201,7 @@ def _covariance(spread: AngleSpread, times: Tensor) -> Tensor:
 def _hinges(joints: Tensor) -> dict[int, HingeAxes]:
     """Return the axes (eq. 1) of every hinge of the body, by joint."""
     at = {name: joints[i] for i, name in enumerate(JOINTS)}
-    found = {}
+    hinges = {}
 
     def add(name: str, kind: str, bone: Tensor, toward: Tensor) -> None:
         b = torch.nn.functional.normalize(bone, dim=0)
@@ -209,7 +209,7 @@ def _hinges(joints: Tensor) -> dict[int, HingeAxes]:
         if float(bend.norm()) > 1e-6:
             bend = torch.nn.functional.normalize(bend, dim=0)
             aside = torch.linalg.cross(bend, b)
-            found[JOINTS.index(name)] = HingeAxes(kind, bend, aside, b)
+            hinges[JOINTS.index(name)] = HingeAxes(kind, bend, aside, b)
 
     # Each foot points outward, but the mean of both points to where knees bend.
     ahead = sum(at[f"{side}_foot"] - at[f"{side}_ankle"] for side in ("left", "right"))
@@ -231,4 +231,4 @@ def _hinges(joints: Tensor) -> dict[int, HingeAxes]:
         for k in (2, 3):
             bone = at[f"{side}_thumb3"] - at[f"{side}_thumb2"]
             add(f"{side}_thumb{k}", "thumb", bone, palm)
-    return found
+    return hinges

@@ -176,7 +176,7 @@ def refine_sequence(
     )
     processes, count = min(processes, options.batch), frames * options.passes
     with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
-        found = descend(
+        descent = descend(
             person,
             clip.pose,
             person.arms,
@@ -186,12 +186,12 @@ def refine_sequence(
             known_errors=clip.known_errors,
         )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
-    ground = found.prior.ground
+    ground = descent.prior.ground
     return Solution(
-        pose=found.pose,
+        pose=descent.pose,
         shape=shape,
         offsets=offsets,
-        error_models=found.prior.error_models,
+        error_models=descent.prior.error_models,
         contact=None if ground is None else ground.contact,
         landmark_offsets=None if clip.landmarks is None else person.landmark_offsets.detach(),
     )

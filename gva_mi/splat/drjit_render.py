@@ -153,16 +153,16 @@ class _Render(dr.CustomOp):
             self._plane(alpha),
             self._plane(depth[0]) if depth else None,
         )
-        found = render_adjoint(self.saved, grad, RequestedGradients(camera=bool(self.matrices)))
-        for name, flat in found.named():
+        gradients = render_adjoint(self.saved, grad, RequestedGradients(camera=bool(self.matrices)))
+        for name, flat in gradients.named():
             shape = self.shapes[name]
             numbers = dr.gather(
                 type(flat), flat, dr.arange(dr.uint32_array_t(flat), math.prod(shape))
             )
             self.set_grad_in(name, self.kind(dr.array_t(self.kind)(numbers), shape=shape))
-        self.set_grad_in("background", self.kind(found.background))
+        self.set_grad_in("background", self.kind(gradients.background))
         for name in self.matrices:
-            self.set_grad_in(name, self.kind(getattr(found, name)))
+            self.set_grad_in(name, self.kind(getattr(gradients, name)))
 
     @exclusive
     def forward(self) -> None:

@@ -155,24 +155,24 @@ def adjoint(
         None if alpha is None else _plane_of(alpha, layout, F),
         None if depth is None else _plane_of(depth, layout, F),
     )
-    found = render_adjoint(saved, grad, requested)
+    gradients = render_adjoint(saved, grad, requested)
     dr.sync_thread()
     if screen is not None:
         rows = lambda flat: tensor_of(flat, 2 * len(saved.inputs)).view(-1, 2)
-        screen.grad = rows(found.gaussians.u)
+        screen.grad = rows(gradients.gaussians.u)
         if screen.absolute:
-            screen.absgrad = rows(found.gaussians.absolute)
+            screen.absgrad = rows(gradients.gaussians.absolute)
     by_gaussians = {
         name: tensor_of(flat, given.numel()).view(given.shape)
-        for name, flat in found.named()
+        for name, flat in gradients.named()
         if (given := getattr(tensors, name)) is not None
     }
     new = tensors.background.new_tensor
     by_camera = {
-        name: new(getattr(found, name)) if requested.camera and given is not None else None
+        name: new(getattr(gradients, name)) if requested.camera and given is not None else None
         for name, given in (("T_camera_world", tensors.T_camera_world), ("K", tensors.K))
     }
-    rest = by_camera | {"background": new(found.background)}
+    rest = by_camera | {"background": new(gradients.background)}
     return Tensors(**dict.fromkeys(Tensors._fields) | by_gaussians | rest)
 
 

@@ -68,14 +68,14 @@ def with_arm_depths(
 
 def _bones(evidence: LandmarkEvidence, names: Sequence[str]) -> list[tuple[int, tuple[int, int]]]:
     """Return the index of each arm bone in the evidence, and the joints at its ends."""
-    found, bones = [], evidence.bones.tolist()
+    numbered, bones = [], evidence.bones.tolist()
     for side in ("left", "right"):
         for bone in ARMS:
             ends = [f"{side}_{end}" for end in bone]
             if set(ends) <= set(names):
                 start, end = (JOINTS.index(name) for name in ends)
-                found.append((bones.index([list(names).index(n) for n in ends]), (start, end)))
-    return found
+                numbered.append((bones.index([list(names).index(n) for n in ends]), (start, end)))
+    return numbered
 
 
 def _energy(
@@ -173,14 +173,14 @@ class DirectionModel:
             forward.append(now / now.sum((1, 2), keepdim=True))
             moved = torch.einsum("brn,rnm->brm", forward[-1], self.steps)
             now = torch.einsum("brm,rq->bqm", moved, self.modes)
-        found, after = torch.empty_like(energy), energy.new_ones(limbs, 2, count)
+        probabilities, after = torch.empty_like(energy), energy.new_ones(limbs, 2, count)
         for t in reversed(range(frames)):
             both = (forward[t] * after).sum(1)
-            found[:, t] = both / both.sum(1, keepdim=True)
+            probabilities[:, t] = both / both.sum(1, keepdim=True)
             after = torch.einsum("rq,bqm->brm", self.modes, after * likely[:, t])
             after = torch.einsum("brm,rnm->brn", after, self.steps)
             after = after / after.amax((1, 2), keepdim=True)
-        return found
+        return probabilities
 
 
 def _steps(s: Tensor, step: float, spacing: float) -> Tensor:

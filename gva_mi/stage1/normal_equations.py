@@ -127,15 +127,15 @@ class _Factors:
     def solve(self, known: Tensor) -> Tensor:
         """Solve for k right-hand sides (N, b, k)."""
         solve = torch.linalg.solve_triangular
-        found = list(known)
+        x = list(known)
         for i, L in enumerate(self.lower):
-            right = found[i] if not i else found[i] - self.across[i - 1] @ found[i - 1]
-            found[i] = solve(L, right, upper=False)
-        for i in reversed(range(len(found))):
-            later = i + 1 < len(found)
-            right = found[i] - self.across[i].mT @ found[i + 1] if later else found[i]
-            found[i] = solve(self.lower[i].mT, right, upper=True)
-        return torch.stack(found)
+            right = x[i] if not i else x[i] - self.across[i - 1] @ x[i - 1]
+            x[i] = solve(L, right, upper=False)
+        for i in reversed(range(len(x))):
+            later = i + 1 < len(x)
+            right = x[i] - self.across[i].mT @ x[i + 1] if later else x[i]
+            x[i] = solve(self.lower[i].mT, right, upper=True)
+        return torch.stack(x)
 
 
 def _in_pairs(frames: Tensor, following: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:

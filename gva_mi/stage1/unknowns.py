@@ -113,7 +113,7 @@ class Unknowns:
         of_offsets = slice(self.offsets_column, self.angle_offsets_column)
         offsets[list(self.offsets)] += shared[of_offsets].view(-1, 3)
         angles[list(self.angle_offsets)] += shared[self.angle_offsets_column :]
-        found = replace(
+        moved_state = replace(
             state,
             rotations=rotations,
             pelvis_position=pelvis_position,
@@ -122,10 +122,10 @@ class Unknowns:
             angle_offsets=angles,
         )
         if not self.camera:
-            return found
+            return moved_state
         focal, up, floor = shared[camera], shared[camera + 1 : camera + 3], shared[camera + 3]
         return replace(
-            found,
+            moved_state,
             log_focal_scale=state.log_focal_scale + focal,
             up=state.up + up,
             floor=state.floor + floor,

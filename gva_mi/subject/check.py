@@ -141,22 +141,22 @@ def check_silhouettes(
 ) -> None:
     """Compare the body with the masks; add problems, mean IoU and share of joints inside."""
     numbers = [k for k in range(len(video)) if k not in video.absent]
-    scene, found = MeshScene(body.faces, body.v_template.float()), []
+    scene, comparisons = MeshScene(body.faces, body.v_template.float()), []
     for outline in video.outlines(numbers):
         frame = outline.pose, outline.camera, outline.mask
-        found.append(compare(body, video.shape, frame, scene))
+        comparisons.append(compare(body, video.shape, frame, scene))
         if progress is not None:
-            progress(len(found), len(numbers))
+            progress(len(comparisons), len(numbers))
     for what, attribute, cause, remedy in (
         ("full masks", "full", "an alpha channel that was never written, or a threshold of zero",
          "make these masks again, or delete them: frames without one are left out"),
         ("inverted masks", "inverted", "255 is the background", "write 255 where the person is"),
     ):  # fmt: skip
-        wrong = [k for k, one in zip(numbers, found, strict=True) if getattr(one, attribute)]
+        wrong = [k for k, one in zip(numbers, comparisons, strict=True) if getattr(one, attribute)]
         if wrong:
-            figure = f"{len(wrong)} of {len(found)}"
+            figure = f"{len(wrong)} of {len(comparisons)}"
             report.problems.append(error(what, figure, cause, remedy, wrong))
-    compared = {k: one for k, one in zip(numbers, found, strict=True) if not one.full}
+    compared = {k: one for k, one in zip(numbers, comparisons, strict=True) if not one.full}
     if compared:
         inside = np.array([one.joints[0] / BODY.stop for one in compared.values()])
         iou = float(np.mean([one.overlap for one in compared.values()]))

@@ -101,23 +101,23 @@ class MaskMeaning:
 
 def meaning_of(masks: Iterable[np.ndarray]) -> MaskMeaning:
     """Decide the range of the values in a video's masks (H, W)."""
-    full, found = 1, set()  # found: the labels; None: the values are no labels
+    full, whole = 1, set()  # whole: the labels; None: the values are no labels
     for mask in masks:
         if mask.dtype.kind == "b":
             return MaskMeaning(1)
         most = mask.max(initial=0)
         if most > 1:
             full = max(full, 65535 if mask.dtype == np.uint16 and most > 255 else 255)
-        counts = None if found is None else _whole_numbers(mask)
+        counts = None if whole is None else _whole_numbers(mask)
         if full > 1 and most >= _FULL_SHARE * full and not (counts and _drop_border(counts)):
             if mask.dtype == np.uint8 or full > 255:
                 return MaskMeaning(full)  # no later mask says more
             counts = None
-        found = None if counts is None else found | set(counts)
-        found = None if found is None or len(found) > _LABEL_COUNT else found
-    if full == 1 or found is None:
+        whole = None if counts is None else whole | set(counts)
+        whole = None if whole is None or len(whole) > _LABEL_COUNT else whole
+    if full == 1 or whole is None:
         return MaskMeaning(full)
-    labels = tuple(sorted(found))
+    labels = tuple(sorted(whole))
     if 0 in labels and len(labels) == 2:
         return MaskMeaning(label=labels[1])
     return MaskMeaning(label=labels[0]) if len(labels) == 1 else MaskMeaning(labels=labels)

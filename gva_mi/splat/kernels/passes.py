@@ -180,7 +180,7 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     if saved.lists is None:
         return _gradients_of_empty_picture(saved, grad, requested)
     slots, formats, by_lanes = _composite_adjoint(saved, grad, requested)
-    found = gaussians_adjoint(
+    by_gaussians = gaussians_adjoint(
         saved.inputs,
         saved.view,
         saved.lists,
@@ -196,10 +196,10 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
     by_camera = (None, None)
     if requested.camera:
         columns = packets.widths(CameraGradient.columns())
-        parts = zip(found.camera, columns, strict=True)
+        parts = zip(by_gaussians.camera, columns, strict=True)
         sums = [_sum_rows(part, width, n) for part, width in parts]
         by_camera = camera_adjoint(saved.camera, CameraGradient.unpack(np.concatenate(sums)))
-    return Gradients(found, by_background, *by_camera)
+    return Gradients(by_gaussians, by_background, *by_camera)
 
 
 def render_tangent(

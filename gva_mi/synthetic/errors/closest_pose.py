@@ -74,10 +74,10 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
     fitted, true = deepcopy(body).double(), deepcopy(true).double()
     pose, shape = pose.to(torch.float64), Shape(shape.betas.double())
     goal = true.rest(shape)
-    found = _closest_shape(fitted, goal, true.faces)
+    nearest = _closest_shape(fitted, goal, true.faces)
     same = body.faces.shape == true.faces.shape and bool((body.faces == true.faces).all())
     expression = pose.expression if same else torch.zeros_like(pose.expression)
-    joints = fitted.rest(found).joints
+    joints = fitted.rest(nearest).joints
     C = _bones(joints, goal.joints)
     R = so3.to_matrix(pose.rotations)
     above = torch.cat([torch.eye(3, dtype=C.dtype)[None], C[list(PARENTS[1:])]])
@@ -89,9 +89,9 @@ def closest(body: BodyModel, true: BodyModel, pose: Pose, shape: Shape) -> Close
         rotations, transl = _step(rotations, transl, joints, targets)
     reached = joint_places(joint_transforms(rotations, joints, PARENTS, transl), joints)
     left = 1000 * (reached - targets).norm(dim=-1).mean(0)
-    found = Shape(found.betas.to(body.v_template.dtype))
+    nearest = Shape(nearest.betas.to(body.v_template.dtype))
     near = Pose(rotations, transl, expression).to(torch.float32)
-    return Closest(near, found, float(left.mean()), float(left[list(LIMBS)].mean()))
+    return Closest(near, nearest, float(left.mean()), float(left[list(LIMBS)].mean()))
 
 
 def _bones(joints: Tensor, goal: Tensor) -> Tensor:

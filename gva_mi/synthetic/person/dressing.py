@@ -126,7 +126,7 @@ def covered(vertices: np.ndarray, cloth: Sequence[RestMesh]) -> np.ndarray:
     """Return which vertices (V, 3) of the body lie just below cloth, (V,) bool."""
     from scipy.spatial import cKDTree
 
-    found = np.zeros(len(vertices), dtype=bool)
+    hidden = np.zeros(len(vertices), dtype=bool)
     for mesh in cloth:
         lit = mesh.shade > 0.98
         normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)[lit]
@@ -135,8 +135,8 @@ def covered(vertices: np.ndarray, cloth: Sequence[RestMesh]) -> np.ndarray:
         away = vertices - mesh.vertices[lit][index]
         height = np.einsum("vc,vc->v", away, normals[index])
         aside = np.linalg.norm(away - height[:, None] * normals[index], axis=1)
-        found |= (height < -0.004) & (height > -0.08) & (aside < 0.008)
-    return found
+        hidden |= (height < -0.004) & (height > -0.08) & (aside < 0.008)
+    return hidden
 
 
 def follow_nearest(points: np.ndarray, vertices: np.ndarray, smooth: float) -> csr_array:

@@ -185,7 +185,7 @@ def creases(
 
     Their height is ``amplitude`` (N,), metres; zero where there are none.
     """
-    found = []
+    folds = []
     cloth = np.flatnonzero(amplitude > 0)
     for name, child in BONES.items():
         bone = joints[child] - joints[name]
@@ -200,8 +200,8 @@ def creases(
         phase = 2 * np.pi * along / CREASE_WAVELENGTH + away @ slant + rng.uniform(0, 2 * np.pi)
         height = amplitude[cloth] * window * np.cos(phase)
         around = radial / np.maximum(radius, 1e-6)[:, None]
-        found.append(Crease(JOINTS.index(name), bone, cloth[near], height[near], around[near]))
-    return tuple(found)
+        folds.append(Crease(JOINTS.index(name), bone, cloth[near], height[near], around[near]))
+    return tuple(folds)
 
 
 def lag(now: np.ndarray, past: np.ndarray, slack: np.ndarray, away: np.ndarray) -> np.ndarray:

@@ -105,7 +105,7 @@ def _furnished(
     rng: Generator, low: np.ndarray, high: np.ndarray, eyes: np.ndarray, like: Sequence[Color]
 ) -> list[Solid]:
     """Draw furniture along the four walls, none where a camera stands."""
-    middle, found = (low + high) / 2, []
+    middle, solids = (low + high) / 2, []
     for quarter in range(4):
         # x along the wall, z into the room: turned by quarter turns about y.
         x = np.array([(1, 0, 0), (0, 0, -1), (-1, 0, 0), (0, 0, 1)][quarter], dtype=np.float64)
@@ -132,8 +132,8 @@ def _furnished(
                 shift = [width / 2 - 0.3, rng.uniform(1.35, 1.7), 0]
                 piece += [_moved(solid, np.eye(3), shift) for solid in hung]
             turn = np.stack([x, [0, 1, 0], z], axis=1)
-            found += [_moved(solid, turn, corner + start * x) for solid in piece]
-    return found
+            solids += [_moved(solid, turn, corner + start * x) for solid in piece]
+    return solids
 
 
 def _moved(solid: Solid, turn: np.ndarray, shift: np.ndarray) -> Solid:

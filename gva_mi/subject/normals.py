@@ -115,7 +115,7 @@ class NormalMaps:
 def read_map(path: Path) -> np.ndarray:
     """Read a map (h, w, 3) as it is stored, 8-bit or floating point."""
     if path.suffix.lower() != ".npy":
-        return read_image(path, 3)
+        return read_image(path, 3, are_colors=False)
     normals = read_array(path)
     if normals.ndim != 3 or normals.shape[2] != 3 or normals.dtype.kind != "f":
         raise InputError(

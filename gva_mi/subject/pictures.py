@@ -13,6 +13,9 @@ colours                                    refused: a photograph, or a drawing o
 =========================================  ====================================================
 
 Alpha that is 255 everywhere is ignored: some programs always add it.
+
+Colours become those of sRGB: phones write Display P3, and say so in an embedded profile (ICC). A
+mask's values and normals are no colours, and stay as they are.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,25 +35,29 @@ from gva_mi.core.errors import InputError, reason_of
 from gva_mi.core.files import once_a_file, require_file, require_room
 
 if TYPE_CHECKING:
-    from PIL import Image
+    from PIL import Image, ImageCms
 
 MOST_PIXELS = 1 << 25  # of a picture. Chosen: 8K UHD has fewer, and memory holds some of them
 WRITTEN_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}  # by suffix; Pillow's names
 READ_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # their decoders start no other program
 VOID_LABEL = 255  # of pixels that belong to no object: borders in the drawings of PASCAL VOC
 GREY_TOLERANCE = 32  # largest difference of a grey pixel's channels. Chosen: JPEG stays below it
+SRGB_ROUNDING = 2  # levels by which profiles of sRGB differ. Chosen: nobody sees the difference
 PNG_LEVEL = 2  # chosen: a quarter of the default level's time, for a tenth more bytes
 
 
-def read_image(path: Path, channels: int) -> np.ndarray:
+def read_image(path: Path, channels: int, are_colors: bool = True) -> np.ndarray:
     """Read a picture, turned as its metadata say.
 
-    ``channels`` is 3 for RGB (H, W, 3) or 4 for RGBA, of 8 bits; or 1 for the values of a mask
-    (H, W), of 8 bits (as above) or 16, which :mod:`.masks` interprets.
+    ``channels`` is 3 for sRGB (H, W, 3) or 4 with alpha, of 8 bits; or 1 for the values of a mask
+    (H, W), of 8 bits (as above) or 16, which :mod:`.masks` interprets. Values that are no colours,
+    such as normals, are not converted to sRGB.
     """
     from PIL import Image, ImageOps
 
     with opened(path) as stored:
+        stored.load()
+        _require_whole(path, stored)
         image = ImageOps.exif_transpose(stored)
         if channels == 1 and image.mode.startswith("I"):
             raw = np.asarray(image)
@@ -60,7 +69,71 @@ def read_image(path: Path, channels: int) -> np.ndarray:
             image = Image.fromarray(raw.astype(np.uint8))
         if channels == 1:
             return matte_of(str(path), image)
+        image = _in_srgb(image) if are_colors else image
         return np.asarray(image.convert({3: "RGB", 4: "RGBA"}[channels]))
+
+
+def _in_srgb(image: Image.Image) -> Image.Image:
+    """Convert a picture from its embedded profile; as viewers do, ignore one that does not fit."""
+    from PIL import ImageCms
+
+    if not (profile := image.info.get("icc_profile")):
+        return image
+    if image.mode == "P":
+        image = image.convert("RGBA" if "transparency" in image.info else "RGB")
+    try:
+        transform = _srgb_transform(profile, image.mode)
+        return image if transform is None else ImageCms.applyTransform(image, transform)
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        return image
+
+
+@lru_cache(maxsize=8)
+def _srgb_transform(profile: bytes, mode: str) -> ImageCms.ImageCmsTransform | None:
+    """Return a transform to sRGB; None for a profile of sRGB, so that no value moves."""
+    from PIL import Image, ImageCms
+
+    source, target = ImageCms.ImageCmsProfile(BytesIO(profile)), ImageCms.createProfile("sRGB")
+    output = "RGBA" if mode == "RGBA" else "RGB"
+    transform = ImageCms.buildTransform(source, target, mode, output)
+    values = np.linspace(0, 255, 17).astype(np.uint8)
+    colors = Image.fromarray(np.stack(np.meshgrid(values, values, values), -1).reshape(289, 17, 3))
+    same = ImageCms.applyTransform(colors.convert(mode), transform)
+    off = np.abs(np.asarray(same.convert("RGB")).astype(int) - np.asarray(colors)).max()
+    return None if mode in ("RGB", "RGBA") and off <= SRGB_ROUNDING else transform
+
+
+def _require_whole(path: Path, image: Image.Image) -> None:
+    """Refuse a picture whose data end before its last row.
+
+    Pillow takes it as whole if the file ends as it should. It leaves zeros, or the grey of a JPEG.
+    """
+    width, height = image.size
+    corner = np.asarray(image.crop((max(0, width - 8), max(0, height - 2), width, height)))
+    doubtful = {
+        "PNG": not corner.reshape(len(corner), -1).any(1).all(),
+        "JPEG": bool((corner == 128).all()) or "progressive" in image.info,
+    }.get(image.format)
+    if doubtful and _ends_early(path):
+        raise InputError(f"{path}: its data end before the last row; expected a whole picture")
+
+
+@once_a_file
+def _ends_early(path: Path) -> bool:
+    """Decode with other values for what is missing, and return whether the picture changes."""
+    from PIL import Image
+
+    data, found = path.read_bytes(), []
+    end = data.rfind(b"\xff\xd9")  # the end of a JPEG, where its decoder would find more
+    for value in (0, 85):
+        more = bytes([value]) * 4096 if data.startswith(b"\xff\xd8") else b""
+        with Image.open(BytesIO(data[:end] + more + data[end:]), formats=READ_FORMATS) as image:
+            bands = len(image.getbands())
+            image.im = Image.new(
+                image.mode, image.size, (value,) * bands if bands > 1 else value
+            ).im
+            found.append(np.asarray(image))  # a PNG's decoder writes into these pixels
+    return not np.array_equal(*found)
 
 
 @once_a_file
@@ -162,18 +235,15 @@ def matte_of(where: str, image: Image.Image) -> np.ndarray:
 
 
 def matte_of_pixels(where: str, pixels: np.ndarray) -> np.ndarray:
-    """Convert 8-bit pixels (H, W, 3) RGB or (H, W, 4) RGBA, such as a video's, to a mask."""
+    """Convert 8-bit pixels (H, W, 3), such as a video's, to a mask."""
     from PIL import Image
 
-    if pixels.shape[2] == 4 and pixels[..., 3].min(initial=255) < 255:
-        return np.ascontiguousarray(pixels[..., 3])
-    rgb = np.ascontiguousarray(pixels[..., :3])
-    if (np.ptp(rgb, axis=2) > GREY_TOLERANCE).any():
+    if (np.ptp(pixels, axis=2) > GREY_TOLERANCE).any():
         raise InputError(
             f"{where}: a mask in colours, such as a photograph or a drawing of labels, does not "
             "say what is inside; expected white before black, or alpha"
         )
-    return np.asarray(Image.fromarray(rgb).convert("L"))
+    return np.asarray(Image.fromarray(pixels).convert("L"))
 
 
 def _of_palette(image: Image.Image) -> np.ndarray:

@@ -58,7 +58,7 @@ from gva_mi.fit.perceptual import (
 from gva_mi.subject.backdrop import premultiplied
 from gva_mi.subject.crop import Box, block_means, bounds
 from gva_mi.subject.footage import files_of, masks
-from gva_mi.subject.numbering import number_in
+from gva_mi.subject.numbering import frames_named
 from gva_mi.subject.pictures import in_8_bits, read_image
 from gva_mi.subject.video import Video
 from gva_mi.subject.video_file import VideoFile
@@ -257,8 +257,13 @@ def numbered(source: Path) -> Numbered:
     if files is None:
         video = VideoFile(source)
         return {k: partial(video.__getitem__, k) for k in range(len(video))}
+    return {k: partial(read_image, path, 4) for k, path in _by_number(source, files).items()}
+
+
+def _by_number(source: Path, files: list[Path]) -> dict[int, Path]:
+    """Return files by the frames' numbers in their names."""
     try:
-        return {number_in(path): partial(read_image, path, 4) for path in files}
+        return dict(zip(frames_named(files).tolist(), files, strict=True))
     except ValueError as error:
         raise InputError(f"{source}: {error}; expected a frame's number in each") from None
 
@@ -296,8 +301,11 @@ def pairs_of_pictures(
     inside: dict[int, np.ndarray] = {}
     if masked is not None:
         named = masked.is_dir() and not any(masked.glob("*.npy"))
-        numbers = map(number_in, files_of(masked)) if named else range(len(seen))
-        inside = dict(zip(numbers, masks(masked), strict=False))
+        numbers = _by_number(masked, files_of(masked)) if named else seen
+        found = list(masks(masked))
+        if len(found) != len(numbers):
+            raise InputError(f"{masked}: holds {len(found)} masks for {len(numbers)} pictures")
+        inside = dict(zip(numbers, found, strict=True))
         _require_all(rendered, inside, masked)
 
     def pair(number: int) -> PicturePair:

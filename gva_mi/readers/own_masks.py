@@ -48,6 +48,7 @@ def write_own_masks(
     writer: SubjectWriter,
     source: Path,
     numbers: Sequence[int],
+    total: int,
     size: tuple[int, int],
     probabilities: Sequence[np.ndarray],
     progress: Progress | None = None,
@@ -59,6 +60,7 @@ def write_own_masks(
         source: what :func:`gva_mi.subject.footage.masks` reads, a mask for each picture of the
             video file.
         numbers: T numbers of the used pictures in the video file, ascending.
+        total: pictures of the video file.
         size: (W, H) of the used pictures, which may be smaller than the masks.
         probabilities: T maps (H, W) 8-bit by a network, which reveal masks of another video.
         progress: called after each used picture.
@@ -76,10 +78,10 @@ def write_own_masks(
             held.append((mask[person] > INSIDE_ABOVE).mean())
         if progress:
             progress(k + 1, len(numbers))
-    if read <= numbers[-1]:
+    if read != total:
         raise InputError(
-            f"{source}: holds {read} masks, but picture {numbers[-1]} of the video is used; "
-            "expected a mask for each picture of the video, in order"
+            f"{source}: holds {read} masks, but the video has {total} pictures; expected a mask "
+            "for each picture of the video, in order"
         )
     require_person(str(source), counts)
     if held and np.median(held) < LEAST_HELD:

@@ -40,21 +40,18 @@ from gva_mi.readers.own_masks import MaskOptions, write_masks, write_normals
 from gva_mi.readers.people import choose, joints_in_masks, prompts_of
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.readers.track import Track, every_frame, filmed_with, median_betas
-from gva_mi.readers.up_axis import Upward, upright
+from gva_mi.readers.up_axis import upright
 from gva_mi.splat import Camera
 from gva_mi.subject import footage
 from gva_mi.subject.fingerprint import fingerprint
-from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, SubjectWriter, frame_name
+from gva_mi.subject.folder import FRAMES, PREPARED, SubjectWriter, frame_name
 from gva_mi.subject.lens import asked_for, recorded, undistort
-from gva_mi.subject.masks import read_mask, require_person
+from gva_mi.subject.masks import require_person
 from gva_mi.subject.normals import Convention
 from gva_mi.subject.numbering import first_number
 from gva_mi.subject.pictures import read_image, require_sides
-from gva_mi.subject.silhouettes import COMPARED_FRAMES, doubt_of
-from gva_mi.subject.splits import spread
+from gva_mi.subject.silhouettes import doubt_in
 
-# Degrees between the person and the picture's up direction. Chosen: nobody films a handstand.
-_UPSIDE_DOWN = 135
 _T_CAMERA_WORLD = np.diag([1.0, -1.0, -1.0, 1.0])  # half a turn about x
 
 
@@ -150,9 +147,8 @@ def prepare_folder(
     about = f"{kind}, {track.form}, {count} frames of {size[0]}x{size[1]}"
     writer.poses(pose, shape, stage=1)
     notes = [about, *notes, *of_lens, *more, *of_body]
-    notes += _doubts(out, replace(track, betas=None).where(inside), pose, shape, cameras, body)
-    of_video = footage.uneven_rate(capture.frames), footage.uneven_pixels(capture.frames)
-    notes += [note for note in (capture.note, *of_video) if note]
+    notes += _doubts(out, np.flatnonzero(inside), pose, shape, cameras, body)
+    notes += [*([capture.note] if capture.note else []), *footage.notes_of(capture.frames)]
     record = {"kind": kind, "person": track.person, "form": track.form, "notes": notes}
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
     record["body"] = {"name": body.name, "file": file} | fingerprint(body.model)
@@ -290,15 +286,10 @@ def _poses(track: Track, body: TargetBody) -> tuple[Pose, Shape, list[str]]:
 
 
 def _doubts(
-    out: Path, track: Track, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
+    out: Path, frames: np.ndarray, pose: Pose, shape: Shape, cameras: list[Camera], body: TargetBody
 ) -> list[str]:
-    """Return a warning if the person, in the frames of ``track``, may not lie in the masks."""
-    some = {k: read_mask(out / MASKS, k) for k in spread(track.frames.tolist(), COMPARED_FRAMES)}
-    seen = [(pose[k], cameras[k], mask) for k, mask in some.items() if mask is not None]
-    doubt = doubt_of(seen, shape, body.model)
-    upward = Upward.of(track.rotations, track.places, body.joints, len(track.frames))
-    if doubt is None and (lean := upward.lean("-y")) > _UPSIDE_DOWN:
-        doubt = f"doubtful: the person is turned by {lean:.0f} degrees, head down"
+    """Return a warning if the person, in some of the frames, may not lie in the masks."""
+    doubt = doubt_in(out, frames, pose, cameras, shape, body.model)
     if doubt is None:
         return []
     return [

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.subject.footage import files_of, uneven_pixels, varying
+from gva_mi.subject.footage import files_of, varying
 from gva_mi.subject.lens import recorded_35mm
 from gva_mi.subject.pictures import opened, read_image
 from gva_mi.subject.video_file import VideoFile
@@ -33,6 +33,7 @@ class EvenPictures:
     focal35: float | None  # recorded focal length, mm of 35 mm film; None: not recorded
     notes: tuple[str, ...]  # what was done to the video, sentences for its user
     numbers: tuple[int, ...]  # T: which of the video's pictures each is
+    total: int  # pictures of the video
     scale: float  # pixels of these pictures per pixel of the video, at most 1
 
 
@@ -55,8 +56,6 @@ def even_pictures(
         end: seconds; later pictures are left out; None: the end of the video.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such video file or folder of pictures")
     files, notes = files_of(path), []
     if files is not None:
         source, sizes = files, [_upright_size(file) for file in files]
@@ -64,12 +63,8 @@ def even_pictures(
         if fps is None:
             notes.append(f"a folder records no times: taken as {DEFAULT_FPS:g} pictures a second")
     else:
-        source = VideoFile(path)
-        sizes, times = source.sizes, source.times
-        if source.hdr:
-            notes.append(f"the video is HDR ({source.hdr}): its colours were mapped to sRGB")
-        if (note := uneven_pixels(path)) is not None:
-            notes.append(note)
+        source = VideoFile(path, end=end)
+        sizes, times, notes = source.sizes, source.times, list(source.notes)
         if times is None:
             times = np.arange(len(source)) / (fps or DEFAULT_FPS)
             taken = f"{fps or DEFAULT_FPS:g} pictures a second"
@@ -90,7 +85,7 @@ def even_pictures(
     pictures = _Chosen(source, chosen, side)
     scale = min(1.0, side / min(sizes[0])) if side else 1.0
     recorded, numbers = recorded_35mm(path), tuple(chosen.tolist())
-    return EvenPictures(pictures, rate, recorded, (*notes, *more), numbers, scale)
+    return EvenPictures(pictures, rate, recorded, (*notes, *more), numbers, len(sizes), scale)
 
 
 def _evenly(

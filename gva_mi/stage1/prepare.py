@@ -22,8 +22,9 @@ import numpy as np
 from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_array, read_json
+from gva_mi.core.files import read_json
 from gva_mi.core.options import PythonOnly, Within, from_json, options_of
+from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.matting.masks import video_masks
@@ -42,7 +43,8 @@ from gva_mi.subject.fingerprint import VIDEO_KIND, fingerprint
 from gva_mi.subject.folder import FRAMES, MASKS, PREPARED, StoredPictures, SubjectWriter
 from gva_mi.subject.footage import mask_meaning
 from gva_mi.subject.lens import asked_for, in_pixels
-from gva_mi.subject.pictures import in_8_bits, read_image
+from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.silhouettes import doubt_in
 from gva_mi.subject.splits import Splits
 
 _UNKNOWN_FOCAL = (
@@ -66,9 +68,10 @@ class VideoSource:
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
     camera_height: Annotated[float, Within(0.05, 20, unit="metres")] | None = None
-    # Start and end of the part that is used, seconds; None: the end of the video.
+    # Start of the part that is used, seconds.
     start: PythonOnly[Annotated[float, Within(0, 86_400, unit="seconds")]] = 0.0
-    end: PythonOnly[Annotated[float, Within(0, 86_400, "low", "seconds")] | None] = None
+    # End of the part that is used, seconds, such as before a damaged picture.
+    end: Annotated[float, Within(0, 86_400, "low", "seconds")] | None = None
     # Folder of the networks' files; None: GVA_MI_WEIGHTS or the cache, which pip fills.
     weights: PythonOnly[Path | None] = None
 
@@ -227,20 +230,20 @@ def prepare_video(
         mask_meaning(given)  # an unreadable folder is refused before any work
     writer = SubjectWriter(out)
     with tempfile.TemporaryDirectory(dir=out, prefix=".") as folder:
-        rough = StoredPictures(Path(folder), ".npy", read_array)
-        keep = lambda k, probability: np.save(rough.path(k), in_8_bits(probability))
+        rough = SpillCache(out, 0)
+        keep = lambda k, probability: rough.__setitem__(k, in_8_bits(probability))
         motion = motion_of_video(
             video, options, model, person=person, lens=lens, on_silhouette=keep,
             progress=part_of_progress(progress, 0, 6, 10),
         )  # fmt: skip
         pictures = motion.pictures.pictures
-        stored = StoredPictures(out / FRAMES, ".png", lambda path: read_image(path, 3))
+        stored = StoredPictures(out / FRAMES)
         write = lambda numbered: writer.frame(*numbered)
-        rough.count = stored.count = len(list(on_all_cores(write, enumerate(pictures))))
+        stored.count = len(list(on_all_cores(write, enumerate(pictures))))
         more = part_of_progress(progress, 6, 4, 10)
         if given is not None:
-            numbers, size = motion.pictures.numbers, pictures[0].shape[1::-1]
-            notes = write_own_masks(writer, given, numbers, size, rough, more)
+            used, size = motion.pictures, pictures[0].shape[1::-1]
+            notes = write_own_masks(writer, given, used.numbers, used.total, size, rough, more)
         else:
             probabilities, notes = rough, []
             if network is not None:
@@ -249,14 +252,17 @@ def prepare_video(
                 notes = write_masks(guesses, network, picture, prompts)
                 probabilities = WithMasks(rough, guesses.folder / MASKS)
             notes += video_masks(stored, probabilities, writer, more)
+    solved, shown = motion.solved, np.isfinite(motion.watched.landmarks.pixels).any((1, 2))
+    cameras = [solved.camera] * len(pictures)
+    doubt = doubt_in(out, np.flatnonzero(shown), solved.pose, cameras, solved.shape, model)
     record = Stage1Record(
         frames=len(pictures),
         fps=motion.pictures.fps,
         height=options.height,
         focal_known=motion.focal_known,
-        tilt=float(motion.solved.tilt),
+        tilt=float(solved.tilt),
         crowded=list(motion.watched.crowded),
-        notes=[*motion.notes, *notes],
+        notes=[*motion.notes, *notes, *([doubt] if doubt else [])],
     )
     _write_subject(writer, motion, record, body, model)
     return record.notes

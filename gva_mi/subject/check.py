@@ -25,7 +25,13 @@ from gva_mi.subject.ground_truth import read_views
 from gva_mi.subject.lens import ONE_LENS_TOLERANCE
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.problems import CheckReport, Faults, Problem, doubt, error
-from gva_mi.subject.silhouettes import LEAST_IOU, compare, draw_sheet
+from gva_mi.subject.silhouettes import (
+    LEAST_IOU,
+    TURNED_DEGREES,
+    compare,
+    draw_sheet,
+    turned_words,
+)
 from gva_mi.subject.video import Video, read_video
 
 # All chosen, for the reason beside each.
@@ -163,6 +169,11 @@ def check_silhouettes(
         report.figures = {"iou": iou, "joints_inside": float(inside.mean())}
         report.problems += _size(np.array([one.size for one in compared.values()]))
         report.problems += _outside(np.array(list(compared)), inside, iou)
+        lean = np.median([one.lean for one in compared.values()])
+        if lean > TURNED_DEGREES and iou > LEAST_IOU:
+            report.problems.append(doubt("rotation", turned_words(lean), "the video lost its "
+                "rotation", "ffmpeg -i VIDEO -vf hflip,vflip UPRIGHT turns it by 180 degrees, "
+                "transpose=1 by 90 degrees clockwise"))  # fmt: skip
 
 
 def _size(ratios: np.ndarray) -> Iterator[Problem]:

@@ -29,7 +29,7 @@ Pictures, masks and normals of single frames may be missing. ``views``, ``truth`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +41,7 @@ from gva_mi.core.files import write_json
 from gva_mi.splat import Camera
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.landmarks import Landmarks
-from gva_mi.subject.pictures import write_image
+from gva_mi.subject.pictures import read_image, write_image
 
 FRAMES, VIDEO, MASKS, NORMALS = "frames", "video.mp4", "masks", "normals"
 NORMALS_RECORD = "normals.json"
@@ -135,21 +135,17 @@ class SubjectWriter:
 
 
 class StoredPictures(Sequence[np.ndarray]):
-    """The numbered pictures of a folder as a sequence that reads each file when it is used.
+    """The frames in a folder as a sequence that reads each file when it is used.
 
     Attributes:
         count: its length; zero until it is set.
     """
 
-    def __init__(self, folder: Path, suffix: str, read: Callable[[Path], np.ndarray]) -> None:
-        self._folder, self._suffix, self._read, self.count = folder, suffix, read, 0
+    def __init__(self, folder: Path) -> None:
+        self._folder, self.count = folder, 0
 
     def __len__(self) -> int:
         return self.count
 
     def __getitem__(self, index: int) -> np.ndarray:
-        return self._read(self.path(index))
-
-    def path(self, index: int) -> Path:
-        """Return a picture's file."""
-        return self._folder / frame_name(index, self._suffix)
+        return read_image(self._folder / frame_name(index), 3)

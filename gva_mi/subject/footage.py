@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_array
+from gva_mi.core.files import once_a_file, read_array
 from gva_mi.subject.masks import MaskMeaning, meaning_of
-from gva_mi.subject.numbering import numbers_in
+from gva_mi.subject.numbering import frames_named, numbers_in
 from gva_mi.subject.pictures import matte_of_pixels, read_image
-from gva_mi.subject.video_file import decoded, open_video_file, pixels_of, steps_of
+from gva_mi.subject.video_file import VideoFile, decoded, open_stream, picture_of
 
 Pictures = Path | tuple[Path, ...]  # a video file or a folder, or single files in order
-SQUARE_PIXELS = 0.01  # of the logarithm of width over height. Chosen: nobody sees the difference
 EVEN_STEP = 0.1  # of the time between pictures. Chosen: cameras of an even rate vary by less
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
@@ -33,20 +33,15 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
         raise InputError(
             f"{source}: expected a video file, a folder of pictures, or for masks a .npy (T, H, W)"
         )
-    elif not source.is_file():
-        raise InputError(f"{source}: no such video file or folder of pictures")
     else:
-        for number, frame in enumerate(decoded(source)):
-            if channels == 3:
-                yield pixels_of(frame, "rgb24")
-                continue
-            has_alpha = any(component.is_alpha for component in frame.format.components)
-            pixels = pixels_of(frame, "rgba" if has_alpha else "rgb24")
-            yield matte_of_pixels(f"{source}: picture {number}", pixels)
+        for number, frame in enumerate(decoded(open_stream(source))):
+            image = picture_of(frame)
+            where = f"{source}: picture {number}"
+            yield image if channels == 3 else matte_of_pixels(where, image)
 
 
 def files_of(source: Pictures) -> list[Path] | None:
-    """Return the picture files, sorted by the last number in their names; None for a video file."""
+    """Return the picture files, sorted by the numbers in their names; None for a video file."""
     if isinstance(source, tuple):
         return list(source)
     if not source.is_dir():
@@ -54,12 +49,24 @@ def files_of(source: Pictures) -> list[Path] | None:
     files = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
     if not files:
         raise InputError(f"{source}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
-    return sorted(files, key=_by_number)
+    return _in_order(files)
 
 
-def _by_number(path: Path) -> tuple[int, str]:
-    """Return a sort key: frame_2 before frame_10, names without a number first."""
-    return (*numbers_in(path)[:1], -1)[0], path.name
+def _in_order(files: Collection[Path]) -> list[Path]:
+    """Sort files by the frame numbers in their names, those without one first.
+
+    Raises:
+        InputError: two files have the same number.
+    """
+    named = [path for path in files if numbers_in(path)]
+    numbers = dict(zip(named, frames_named(named).tolist(), strict=True))
+    files = sorted(files, key=lambda path: (numbers.get(path, -1), path.name))
+    for one, other in pairwise(files):
+        if numbers.get(one) == numbers.get(other, -1):
+            raise InputError(
+                f"{other}: has the number {numbers[one]}, as {one.name}; expected one file a frame"
+            )
+    return files
 
 
 def folder_of(source: Pictures) -> Path:
@@ -86,7 +93,7 @@ def mask_meaning(source: Pictures) -> MaskMeaning:
 def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a name for errors, and the stored values (H, W), of each mask."""
     whole = isinstance(source, Path)
-    if whole and source.is_dir() and (files := sorted(source.glob("*.npy"), key=_by_number)):
+    if whole and source.is_dir() and (files := _in_order(list(source.glob("*.npy")))):
         for path in files:
             yield str(path), _stack(path, read_array(path)[None])[0]
     elif whole and source.suffix == ".npy" and source.is_file():
@@ -108,31 +115,24 @@ def _stack(path: Path, stack: np.ndarray) -> np.ndarray:
 
 
 def count_of(source: Pictures) -> int:
-    """Count the pictures of a video file, a folder or files, without decoding them."""
+    """Count the pictures of a video file, a folder or files."""
     files = files_of(source)
-    return len(steps_of(source)[0]) + 1 if files is None else len(files)
+    return _video_facts(source)[0] if files is None else len(files)
 
 
-def uneven_pixels(source: Pictures) -> str | None:
-    """Return a note if a video file's pixels are not square."""
-    if isinstance(source, tuple) or not source.is_file():
-        return None
-    with open_video_file(source) as container:
-        ratio = float(container.streams.video[0].sample_aspect_ratio or 1)
-    if abs(np.log(ratio or 1)) < SQUARE_PIXELS:
-        return None
-    return (
-        f"the video's pixels are {ratio:.3g} times as wide as high, so that people look squeezed; "
-        "convert it first: ffmpeg -i VIDEO -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
-    )
+def notes_of(source: Pictures) -> list[str]:
+    """Return sentences on a video file that is unusual; each of its pictures still is one frame."""
+    return list(_video_facts(source)[1]) if files_of(source) is None else []
 
 
-def uneven_rate(source: Pictures) -> str | None:
-    """Return a note if a video file's frame rate varies; each picture still is one frame."""
-    if isinstance(source, tuple) or not source.is_file():
-        return None
-    varies = varying(*steps_of(source))
-    return varies and f"{varies}; each is one frame, as if the rate were even"
+@once_a_file
+def _video_facts(path: Path) -> tuple[int, tuple[str, ...]]:
+    """Decode a video file; return the number of its pictures, and notes."""
+    video = VideoFile(path, kept=0)
+    times = np.zeros(0) if video.times is None else video.times
+    varies = varying(np.diff(times), video.tick)
+    uneven = [f"{varies}; each is one frame, as if the rate were even"] if varies else []
+    return len(video), (*video.notes, *uneven)
 
 
 def varying(steps: np.ndarray, tick: float) -> str | None:

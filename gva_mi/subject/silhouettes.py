@@ -6,18 +6,21 @@ frames.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 
 from gva_mi.body.kinematics import joint_transforms
-from gva_mi.body.pose import BODY, PARENTS, Pose, Shape
+from gva_mi.body.pose import BODY, JOINTS, PARENTS, SIDES, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import OUTLINE, outlined, strip
 from gva_mi.splat import Camera
+from gva_mi.subject.folder import MASKS
+from gva_mi.subject.masks import read_mask
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
@@ -34,7 +37,9 @@ LEAST_JOINTS_IN_MASKS = (
 )
 LEAST_IOU = 0.25  # of the body and the mask; wide clothes and occlusion leave more
 LEAST_JOINTS_IN_PICTURE = 0.2  # share of all joints; head and shoulders alone are a third
+TURNED_DEGREES = 60  # of the person, in most frames: nobody films a handstand, or who lies
 SHEET_FRAMES, SHEET_HEIGHT = 6, 360  # frames of the sheet; height of each, px
+_HEAD, _ANKLES = JOINTS.index("head"), [JOINTS.index(f"{side}_ankle") for side in SIDES]
 MASK_COLOR = (0.1, 0.75, 0.35)  # RGB in [0, 1]: green, beside the body's orange
 
 
@@ -47,6 +52,7 @@ class BodyAndMask:
     size: float  # of the mask, relative to the body; NaN if the border cuts it
     full: bool  # the mask covers the whole picture
     inverted: bool  # the mask covers the background
+    lean: float  # degrees between the picture's up direction and that from feet to head
 
 
 @torch.no_grad()
@@ -84,7 +90,9 @@ def compare(
     overlap = (inside & shown).sum() / max(1, (inside | shown).sum())
     cut = border.any() or not inside.any() or not len(pixels)
     ratio = np.nan if cut else _radius(np.argwhere(inside)) / _radius(pixels)
-    return BodyAndMask(count_in_mask(joints, inside), float(overlap), ratio, full, inverted)
+    x, y = joints[_ANKLES].mean(0) - joints[_HEAD]
+    lean = float(np.degrees(abs(np.arctan2(x, y))))
+    return BodyAndMask(count_in_mask(joints, inside), float(overlap), ratio, full, inverted, lean)
 
 
 def _radius(pixels: np.ndarray) -> float:
@@ -128,6 +136,20 @@ def sanity_check(video: Video, body: BodyModel) -> str | None:
     return None if doubt is None else f"{video.folder}: {doubt}; {check}"
 
 
+def doubt_in(
+    folder: Path,
+    frames: Iterable[int],
+    pose: Pose,
+    cameras: Sequence[Camera],
+    shape: Shape,
+    body: BodyModel,
+) -> str | None:
+    """Return what :func:`doubt_of` finds in some of a folder's frames, beside its masks."""
+    masks = {k: read_mask(folder / MASKS, k) for k in map(int, spread(frames, COMPARED_FRAMES))}
+    found = ((pose[k], cameras[k], mask) for k, mask in masks.items() if mask is not None)
+    return doubt_of(found, shape, body)
+
+
 def doubt_of(
     frames: Iterable[tuple[Pose, Camera, np.ndarray]], shape: Shape, body: BodyModel
 ) -> str | None:
@@ -140,7 +162,7 @@ def doubt_of(
         return None
     inside, seen = np.sum([one.joints for one in found], axis=0)
     inverted, of = np.mean([one.inverted for one in found]), BODY.stop * len(found)
-    both = np.mean([one.overlap for one in found])
+    both, lean = np.mean([one.overlap for one in found]), np.median([one.lean for one in found])
     if inverted > 0.5:
         return f"doubtful: {inverted:.0%} of the masks show the background, expected the person"
     if seen < LEAST_JOINTS_IN_PICTURE * of:
@@ -149,9 +171,17 @@ def doubt_of(
         figure = f"{inside / seen:.0%} of the body's joints lie in the masks"
     elif both < LEAST_IOU:
         return f"doubtful: {both:.0%} of the body and of the masks is in both, expected half"
+    elif lean > TURNED_DEGREES:
+        return f"doubtful: {turned_words(lean)}, as in a video that lost its rotation"
     else:
         return None
     return f"doubtful: {figure}, expected most of them"
+
+
+def turned_words(lean: float) -> str:
+    """Say how a person is turned by ``lean`` degrees in the pictures."""
+    how = "head down" if lean > 135 else "on the side"
+    return f"the person is turned by {lean:.0f} degrees, {how}"
 
 
 @torch.no_grad()

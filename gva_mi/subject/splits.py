@@ -52,7 +52,7 @@ class Splits:
         A long video has fewer: at most 16 each. The range lies in the middle of the second half. A
         person who turns around once has shown this side in the first half, too.
         """
-        count = min(max(1, frames // 10), TEST_FRAMES_LIMIT)
+        count = min(max(1, frames // 10), TEST_FRAMES_LIMIT, frames - 1)  # a picture alone trains
         first = min(frames - count, 3 * frames // 4 - count // 2)
         held_out = range(first, first + count)
         step = max(TEST_EVERY, math.ceil(frames / TEST_FRAMES_LIMIT))

@@ -1,8 +1,16 @@
-"""Read any picture of a video file with few in memory, as sRGB; write video files.
+"""Decide what the pictures of a video file are, and read any of them; write video files.
+
+Every reader of videos asks this module. A video's pictures are those that a player shows:
+
+* of the first stream that is no cover picture, in the order in which they are shown;
+* without pictures that an edit list hides, as in a video that a phone has trimmed;
+* rotated and mirrored as the metadata say;
+* in sRGB.
 
 Opening a file decodes all of it once, which finds any damage, and keeps the time stamps. The
 pictures that were decoded last stay in memory in the decoder's format, mostly half as large as RGB.
-Other pictures are decoded on demand, from the key frame before them.
+Other pictures are decoded on demand, from the key frame before them. A checksum verifies that they
+are the same as at first; if not, they are decoded from the start.
 
 **Colours** are sRGB of 8 bits, whatever the video was recorded in.
 
@@ -14,18 +22,18 @@ Other pictures are decoded on demand, from the key frame before them.
 
   1. ``f(x) = x`` below k,  ``k + (1 − k) (1 − exp(−(x − k) / (1 − k)))`` above.
 
-* **SDR with BT.2020's primaries** changes primaries alone.
+* **SDR with primaries of BT.2020 or Display P3** changes primaries alone.
 """
 
 from __future__ import annotations
 
+import zlib
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -37,15 +45,18 @@ if TYPE_CHECKING:
     import av
 
 # Numbers of ITU-T H.273: transfer functions, primaries, and the matrices of a video without a tag.
-PQ, HLG, BT2020, UNTAGGED = 16, 18, 9, (0, 2)
+PQ, HLG, BT2020, P3, UNTAGGED = 16, 18, 9, 12, (0, 2)
 HDR = {PQ: "PQ", HLG: "HLG"}
 REFERENCE_WHITE = 203.0  # cd/m², BT.2408
 HLG_PEAK = 1000.0  # cd/m², of the nominal display of HLG: BT.2100
 HIGHLIGHT_KNEE = 0.7  # k of eq. 1. Chosen: most of a picture is darker, and keeps its colours
 HD_WIDTH, HD_HEIGHT = 1280, 720  # pixels: an untagged video of this size or more is BT.709
-BT2020_TO_BT709 = np.array(  # of linear light: BT.2087
-    [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
-)
+TO_BT709 = {  # primaries of linear light: BT.2087; SMPTE EG 432
+    BT2020: np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083],
+                      [-0.0182, -0.1006, 1.1187]], np.float32),
+    P3: np.array([[1.2249, -0.2249, 0], [-0.0421, 1.0421, 0], [-0.0196, -0.0786, 1.0983]],
+                 np.float32),
+}  # fmt: skip
 BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)  # luminance of linear RGB: BT.2100
 _ENCODINGS = {  # codec, pixel format and options
     # x264 writes its settings into the file, the number of threads among them: always use one.
@@ -53,48 +64,68 @@ _ENCODINGS = {  # codec, pixel format and options
     # mbtree reads uninitialised memory, which gives other bits in every run.
     "playable": ("libx264", "yuv420p", {"crf": "18", "threads": "1", "mbtree": "0"}),
 }
+SQUARE_PIXELS = 0.01  # of the logarithm of width over height. Chosen: nobody sees the difference
+_SQUEEZED = (
+    "the video's pixels are {:.3g} times as wide as high, so that people look squeezed; convert it "
+    "first: ffmpeg -i VIDEO -vf scale=iw*sar:ih,setsar=1 SQUARE.mp4"
+)
+_INTERLACED = (
+    "the video is interlaced ({} of {} pictures): every other row is of another moment, so moving "
+    "outlines look like combs; convert it first: ffmpeg -i VIDEO -vf bwdif=0 PROGRESSIVE.mp4"
+)
+_CUT_SHORT = (
+    "the video should last {:.3g} s, but its pictures end at {:.3g} s: was the file cut short?"
+)
+CUT_SECONDS = 0.5  # missing at the end of a video. Chosen: sound is rarely longer than pictures
 KEPT_BYTES = 1 << 27  # of decoded pictures. Chosen: 43 pictures of 1920 x 1080 in 4:2:0
 
 
-class _Position(NamedTuple):
-    """Where a decoder stands in a file."""
-
-    number: int  # of the next picture
-    frames: Iterator[Any]  # from there on
-    container: Any  # the open file
-
-
 class VideoFile(Sequence[np.ndarray]):
-    """The pictures of a video file, each (H, W, 3) 8-bit, turned as its metadata say."""
+    """The pictures of a video file, each (H, W, 3) 8-bit, as they are shown."""
 
-    def __init__(self, path: Path, kept: int = KEPT_BYTES) -> None:
-        """Decode the whole video once; ``kept`` bytes of decoded pictures may stay in memory."""
+    def __init__(self, path: Path, kept: int = KEPT_BYTES, end: float | None = None) -> None:
+        """Decode the whole video once; ``kept`` bytes of decoded pictures may stay in memory.
+
+        The video may be damaged after ``end`` seconds; then its last pictures are missing.
+        """
         self.path = Path(path)
         self.sizes: list[tuple[int, int]] = []  # (W, H) of each picture
         self._moments: list[int | None] = []
         self._keys: list[int] = []  # numbers of the key pictures
-        self._at: _Position | None = None  # None: no decoder is open
+        self._checksums: list[int] = []
+        self._frames: Iterator[av.VideoFrame] | None = None  # of an open decoder
+        self._next, self._sought = (
+            0,
+            False,
+        )  # the decoder's next picture; whether it began in between
         self._near, self._kept = _Near(kept), kept
-        with open_video_file(self.path) as container:
-            self._tick = float(container.streams.video[0].time_base or 0)
-            self.hdr: str | None = None  # the name of its transfer of high dynamic range
-            for frame in self._decoded(container):
-                require_size(str(self.path), frame.width, frame.height)
-                if frame.key_frame:
-                    self._keys.append(len(self))
-                self._near.put(len(self), frame)
-                self.hdr = HDR.get(frame.color_trc, self.hdr)
-                self.sizes.append(size_of(frame))
-                self._moments.append(frame.pts)
-        if not self.sizes:
-            raise InputError(f"{path}: holds no picture")
+        stream = open_stream(self.path)
+        self.tick = float(stream.time_base or 0)  # seconds
+        hdr, interlaced, aspect = None, 0, float(stream.sample_aspect_ratio or 1)
+        length = (stream.container.duration or 0) / 1e6  # seconds
+        for frame in decoded(stream, end=end):
+            if frame.key_frame:
+                self._keys.append(len(self))
+            self._near.put(len(self), frame)
+            hdr, interlaced = HDR.get(frame.color_trc, hdr), interlaced + frame.interlaced_frame
+            self.sizes.append(size_of(frame))
+            self._moments.append(frame.pts)
+            self._checksums.append(_checksum(frame))
+        self._numbers = {moment: k for k, moment in enumerate(self._moments) if moment is not None}
+        lasts = length if self.times is None else self.times[-1]
+        self.notes = [  # sentences for the user
+            *([f"the video is HDR ({hdr}): its colours were mapped to sRGB"] if hdr else []),
+            *([_SQUEEZED.format(aspect)] if abs(np.log(aspect)) > SQUARE_PIXELS else []),
+            *([_INTERLACED.format(interlaced, len(self))] if interlaced else []),
+            *([_CUT_SHORT.format(length, lasts)] if lasts < length - CUT_SECONDS else []),
+        ]
 
     @property
     def times(self) -> np.ndarray | None:
         """Seconds at which the pictures are shown, (T,); None if the video does not say."""
-        if self._tick == 0 or None in self._moments:
+        if self.tick == 0 or None in self._moments:
             return None
-        return (np.array(self._moments, np.float64) - self._moments[0]) * self._tick
+        return (np.array(self._moments, np.float64) - self._moments[0]) * self.tick
 
     def __len__(self) -> int:
         return len(self.sizes)
@@ -103,54 +134,49 @@ class VideoFile(Sequence[np.ndarray]):
         if not -len(self) <= index < len(self):
             raise IndexError(index)
         index %= len(self)
-        if index in self._near:
-            return self._near.rgb(index)
-        key = self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
-        if self._at is None or not key <= self._at.number <= index:
-            self._seek(index)
-        number, frames, container = self._at
-        for frame in frames:
-            self._at = _Position(number + 1, frames, container)
-            self._near.put(number, frame)
-            if number == index:
-                return self._near.rgb(index)
-            number += 1
-        raise InputError(
-            f"{self.path}: picture {index} was decoded before, but now fails; was the file changed?"
-        )
+        if index not in self._near and not any(self._decode_to(index, x) for x in (True, False)):
+            raise InputError(
+                f"{self.path}: picture {index} was decoded before, but now fails; was the file "
+                "changed?"
+            )
+        return self._near.rgb(index)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the open file; another process opens its own."""
-        return self.__dict__ | {"_at": None, "_near": _Near(self._kept)}
+        return self.__dict__ | {"_frames": None, "_near": _Near(self._kept)}
 
-    def _seek(self, index: int) -> None:
-        """Go to the key picture at or before a picture, or to the start."""
-        if self._at is not None:
-            self._at.container.close()
+    def _decode_to(self, index: int, seek: bool) -> bool:
+        """Decode a picture, from a key picture or from the start; return whether it succeeded.
+
+        After a seek some decoders lack what came before: a palette, or blocks that are refreshed
+        one after another. So only pictures with the same checksum as at first are kept.
+        """
+        key = self._keys[max(0, bisect_right(self._keys, index) - 1)] if self._keys else 0
+        if self._frames is None or not seek or not key <= self._next <= index:
+            self._open(index, seek and len(self._numbers) == len(self))
+        for frame in self._frames:
+            number = self._numbers.get(frame.pts, len(self)) if self._sought else self._next
+            self._next = number + 1
+            if number > index:
+                return False
+            if not self._sought or _checksum(frame) == self._checksums[number]:
+                self._near.put(number, frame)
+            if number == index:
+                return index in self._near
+        return False
+
+    def _open(self, index: int, seek: bool) -> None:
+        """Open a decoder at the key picture at or before a picture, or at the start."""
+        if self._frames is not None:
+            self._frames.close()
         # A decoder's memory is freed with its last picture, so drop all of the old decoder's.
-        self._at, self._near = None, _Near(self._kept)
-        known = {moment: k for k, moment in enumerate(self._moments)}
-        moment = self._moments[index]
-        if moment is not None and len(known) == len(self):
-            container = open_video_file(self.path)
-            container.seek(moment, stream=container.streams.video[0])
-            frames = self._decoded(container)
-            first = next(frames, None)
-            number = None if first is None else known.get(first.pts)
-            if number is not None and number <= index:
-                self._at = _Position(number, chain([first], frames), container)
-                return
-            container.close()
-        container = open_video_file(self.path)
-        self._at = _Position(0, self._decoded(container), container)
-
-    def _decoded(self, container: Any) -> Iterator[Any]:  # noqa: ANN401 (an import costs everybody)
-        with decoding(self.path):
-            yield from container.decode(video=0)
+        self._near = _Near(self._kept)
+        self._frames = decoded(open_stream(self.path), self._moments[index] if seek else None)
+        self._next, self._sought = 0, seek
 
 
 class _Near:
-    """Buffer of the pictures decoded last, consecutive, in the decoder's format."""
+    """Buffer of the pictures decoded last, in the decoder's format."""
 
     def __init__(self, room: int) -> None:
         """Make an empty buffer of ``room`` bytes; it keeps the last picture whatever its size."""
@@ -161,7 +187,7 @@ class _Near:
     def __contains__(self, number: int) -> bool:
         return number in self._frames
 
-    def put(self, number: int, frame: Any) -> None:  # noqa: ANN401 (as _decoded)
+    def put(self, number: int, frame: av.VideoFrame) -> None:
         """Add the next picture, and drop the oldest ones if there is no room."""
         self._frames[number] = frame
         self._room -= _bytes_of(frame)
@@ -174,42 +200,96 @@ class _Near:
 
         if self._converter is None:
             self._converter = VideoReformatter()
-        frame = self._frames[number]
-        array = turned(rgb_of(frame, self._converter), frame)  # may share the frame's memory
-        return array.copy() if frame.format.name == "rgb24" else array
+        return picture_of(self._frames[number], self._converter)
 
 
-def _bytes_of(frame: Any) -> int:  # noqa: ANN401 (as _decoded)
+def _bytes_of(frame: av.VideoFrame) -> int:
     return sum(plane.buffer_size for plane in frame.planes)
 
 
-def decoded(path: Path) -> Iterator[av.VideoFrame]:
-    """Yield the decoded frames of a video file."""
-    count = 0
-    with decoding(path), open_video_file(path) as container:
-        for frame in container.decode(video=0):
-            require_size(str(path), frame.width, frame.height)
-            yield frame
-            count += 1
-    if not count:
+def _checksum(frame: av.VideoFrame) -> int:
+    """Return a checksum of a decoded frame's pixels, and of its palette."""
+    found = 0
+    for k, plane in enumerate(frame.planes):
+        rows = np.frombuffer(plane, np.uint8).reshape(plane.height, -1)  # with padding
+        used = sum(-(-part.bits // 8) for part in frame.format.components if part.plane == k)
+        shown = rows[:, : plane.width * used] if used else rows  # else a palette
+        found = zlib.crc32(np.ascontiguousarray(shown), found)
+    return found
+
+
+def open_stream(path: Path) -> av.VideoStream:
+    """Open a video file's first stream of pictures that is no cover picture.
+
+    Raises:
+        InputError: the file is no video, or its pictures are too large.
+    """
+    import av
+
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such video file or folder of pictures")
+    if not path.is_file():  # FFmpeg would wait for a pipe
+        raise InputError(f"{path}: a folder, a pipe or a device; expected a video file")
+    with decoding(path):
+        videos = av.open(str(path)).streams.video
+        cover = av.stream.Disposition.attached_pic
+        stream = next((x for x in videos if not x.disposition & cover), None)
+        if stream is None:
+            raise InputError(f"{path}: holds no picture, only sound; expected a video")
+        require_size(str(path), stream.width, stream.height)
+        return stream
+
+
+def decoded(
+    stream: av.VideoStream, moment: int | None = None, end: float | None = None
+) -> Iterator[av.VideoFrame]:
+    """Yield the pictures of a video stream in the order in which they are shown.
+
+    Args:
+        stream: of :func:`open_stream`; its file is closed at the end.
+        moment: in ticks; the first picture is the key picture at or before it; None: the video's.
+        end: seconds; if a later picture is damaged, the video ends before it.
+    """
+    import av
+
+    path, count, first, last, sent = stream.container.name, 0, None, None, []
+    with stream.container as container, decoding(path):
+        if moment is not None:
+            container.seek(moment, stream=stream)
+        for packet in container.demux(stream):
+            try:
+                frames = packet.decode()
+            except av.FFmpegError as error:
+                if moment is not None or (None not in (last, end) and last - first >= end):
+                    return
+                if None in (last, packet.pts):
+                    raise
+                sent += _shown(container.demux(stream))
+                number, at = sum(x < packet.pts for x in sent), float(packet.pts * stream.time_base)
+                before = 100 * (last - first) // 1 / 100
+                remedy = f"; --end {before:g} uses what comes before it" if before else ""
+                raise InputError(
+                    f"{path}: picture {number}, at {at - first:.2f} s, is damaged "
+                    f"({error.strerror}){remedy}"
+                ) from None
+            sent += _shown([packet])
+            for frame in frames:
+                require_size(path, frame.width, frame.height)
+                count, last = count + 1, frame.time
+                first = last if first is None else first
+                yield frame
+    if not count and moment is None:
         raise InputError(f"{path}: holds no picture")
 
 
-def open_video_file(path: Path) -> av.container.InputContainer:
-    """Open a video file; refuse one without pictures, or with too large ones."""
-    import av
-
-    with decoding(path):
-        container = av.open(str(path))
-        if not container.streams.video:
-            raise InputError(f"{path}: holds no picture, only sound; expected a video")
-        stream = container.streams.video[0]
-        require_size(str(path), stream.width, stream.height)
-        return container
+def _shown(packets: Iterable[av.Packet]) -> list[int]:
+    """Return when the pictures in packets are shown, in ticks; an edit list may hide some."""
+    return [x.pts for x in packets if x.pts is not None and not x.is_discard]
 
 
 @contextmanager
-def decoding(path: Path) -> Iterator[None]:
+def decoding(path: Path | str) -> Iterator[None]:
     """Convert any decoding error of a video to an InputError of one sentence."""
     import av
 
@@ -218,42 +298,26 @@ def decoding(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except (*MALFORMED, av.FFmpegError, OSError, MemoryError) as error:
-        raise InputError(f"{path}: cannot be decoded as a video ({reason_of(error)})") from None
-
-
-def pixels_of(frame: av.VideoFrame, form: str) -> np.ndarray:
-    """Return a decoded frame as a picture (H, W, C) 8-bit, turned as its metadata say.
-
-    ``form`` is FFmpeg's name of the pixels' format: "rgb24", or "rgba" for masks.
-    """
-    return turned(rgb_of(frame) if form == "rgb24" else frame.to_ndarray(format=form), frame)
-
-
-def turned(pixels: np.ndarray, frame: av.VideoFrame) -> np.ndarray:
-    """Turn a picture (H, W, C) as the metadata of its frame say."""
-    return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(frame)))
+        reason = getattr(error, "strerror", None) or reason_of(error)
+        raise InputError(f"{path}: cannot be decoded as a video ({reason})") from None
 
 
 def size_of(frame: av.VideoFrame) -> tuple[int, int]:
-    """Return the size (W, H) of a frame that is turned as its metadata say."""
+    """Return the size (W, H) of a frame as it is shown."""
     size = frame.width, frame.height
-    return size[::-1] if _quarter_turns(frame) % 2 else size
+    return size[::-1] if _display(frame)[0] else size
 
 
-def _quarter_turns(frame: av.VideoFrame) -> int:
-    """Return how many quarter turns counter-clockwise a frame's metadata ask for."""
-    return round(frame.rotation / 90) % 4
+def _display(frame: av.VideoFrame) -> tuple[bool, bool, bool]:
+    """Return whether to swap a frame's axes, then to mirror its columns, and its rows.
 
-
-def steps_of(path: Path) -> tuple[np.ndarray, float]:
-    """Return the seconds (T − 1,) between a video file's pictures, and one tick of its clock."""
-    import av
-
-    with decoding(path), av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        moments = [packet.pts for packet in container.demux(stream) if packet.pts is not None]
-        tick = float(stream.time_base or 0)
-    return np.diff(np.sort(np.array(moments, np.float64))) * tick, tick
+    Metadata move a pixel to ``x' = a x + c y``, ``y' = b x + d y``; front cameras mirror.
+    """
+    stored = frame.side_data.get("DISPLAYMATRIX")
+    a, b, _, c, d = np.frombuffer(stored, "=i4")[:5].tolist() if stored else (1, 0, 0, 0, 1)
+    if abs(b) + abs(c) > abs(a) + abs(d):
+        return True, c < 0, b < 0
+    return False, a < 0, d < 0
 
 
 def write_video(
@@ -286,38 +350,57 @@ def write_video(
         container.mux(stream.encode())
 
 
-def rgb_of(
+def picture_of(
     frame: av.VideoFrame, converter: av.video.reformatter.VideoReformatter | None = None
 ) -> np.ndarray:
-    """Return a frame as sRGB, (H, W, 3) 8-bit, not turned; it may share the frame's memory.
+    """Return a frame as it is shown, sRGB (H, W, 3) 8-bit.
 
     ``converter`` is reused for similar frames, because each converter keeps tables.
     """
+    swapped, columns, rows = _display(frame)
+    pixels = _srgb(frame, converter)
+    pixels = pixels.swapaxes(0, 1) if swapped else pixels
+    pixels = pixels[:: -1 if rows else 1, :: -1 if columns else 1]
+    return pixels.copy()  # because it may share the frame's memory
+
+
+def _srgb(
+    frame: av.VideoFrame, converter: av.video.reformatter.VideoReformatter | None
+) -> np.ndarray:
+    """Return a frame's pixels as they are stored, sRGB (H, W, 3) 8-bit."""
     from av.video.reformatter import Colorspace, VideoReformatter
 
-    wide_gamut = frame.color_primaries == BT2020
+    to_bt709 = TO_BT709.get(frame.color_primaries)
+    if frame.color_trc in HDR and to_bt709 is None:
+        to_bt709 = TO_BT709[BT2020]
     matrix = None
     if frame.colorspace in UNTAGGED and not frame.format.is_rgb:
         large = (
             max(frame.width, frame.height) >= HD_WIDTH
             or min(frame.width, frame.height) >= HD_HEIGHT
         )
-        matrix = Colorspace.BT2020 if wide_gamut else Colorspace.ITU709 if large else None
+        matrix = (
+            Colorspace.BT2020
+            if frame.color_primaries == BT2020
+            else Colorspace.ITU709
+            if large
+            else None
+        )
     # Convert more than 8 bits to 16, because the converter to 8 truncates, up to 2 levels too dark.
     deep = any(component.bits > 8 for component in frame.format.components)
-    kind = "rgb48le" if deep or wide_gamut or frame.color_trc in HDR else "rgb24"
+    kind = "rgb24" if to_bt709 is None and not deep else "rgb48le"
     found = (converter or VideoReformatter()).reformat(frame, format=kind, src_colorspace=matrix)
     pixels = found.to_ndarray()
     if kind == "rgb24":
         return pixels
-    if not wide_gamut and frame.color_trc not in HDR:
+    if to_bt709 is None:
         return _in_8_bits(False)[pixels]
     table, gamma = _light_of(frame.color_trc)
     light = table[pixels]
     if gamma != 1:  # HLG: a display's contrast depends on the luminance of the scene
         light *= np.maximum(light @ BT2020_LUMA, 1e-6)[..., None] ** (gamma - 1)
         light *= HLG_PEAK / REFERENCE_WHITE
-    light = np.maximum(light @ BT2020_TO_BT709.T, 0)
+    light = np.maximum(light @ to_bt709.T, 0)
     if frame.color_trc in HDR:
         most = np.maximum(light.max(axis=2), HIGHLIGHT_KNEE)
         light *= (

@@ -8,13 +8,18 @@ import pytest
 from PIL import Image
 
 from gva_mi import InputError
-from gva_mi.subject.footage import masks, pictures, uneven_pixels, uneven_rate
+from gva_mi.evaluate.scores import numbered
+from gva_mi.stage1.pictures import even_pictures
+from gva_mi.subject.footage import count_of, masks, notes_of, pictures
 from gva_mi.subject.video_file import VideoFile
 
 SIZE = (32, 48)  # H, W
-MATRIX = {  # the first four numbers of a track's matrix, 16.16 fixed point: clockwise degrees
-    0: (1, 0, 0, 1), 90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0),
-}  # fmt: skip
+# The first four numbers of a track's matrix, 16.16 fixed point: x' = a x + c y, y' = b x + d y.
+# The rotations of a phone, and the same mirrored, as front cameras write them.
+MATRICES = [
+    (1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0),
+    (-1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, -1, -1, 0),
+]  # fmt: skip
 
 
 def shown(k=0):
@@ -39,12 +44,12 @@ def recording(path, count=4, codec="libx264rgb", form="rgb24", moments=None, key
     return path
 
 
-def turn(path, degrees):
+def turn(path, matrix):
     """Patch the matrix of the track's header (36 bytes), as a phone writes it that is held so."""
     data = bytearray(path.read_bytes())
     start = data.index(b"tkhd") + 4 + 40  # version 0: 40 bytes come before
     assert data[start - 40] == 0
-    a, b, c, d = (x << 16 for x in MATRIX[degrees])
+    a, b, c, d = (x << 16 for x in matrix)
     rows = [(a, b, 0), (c, d, 0), (0, 0, 1 << 30)]
     data[start : start + 36] = b"".join(
         x.to_bytes(4, "big", signed=True) for row in rows for x in row
@@ -52,11 +57,22 @@ def turn(path, degrees):
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("degrees", MATRIX)
-def test_a_video_is_turned_as_its_metadata_say(degrees, tmp_path):
+def moved(image, matrix):
+    """Move each pixel by the matrix, one by one."""
+    a, b, c, d = matrix
+    height, width = image.shape[:2]
+    at = [(a * x + c * y, b * x + d * y) for y in range(height) for x in range(width)]
+    x, y = (np.array(at) - np.min(at, axis=0)).T
+    result = np.zeros((y.max() + 1, x.max() + 1, *image.shape[2:]), image.dtype)
+    result[y, x] = image.reshape(height * width, *image.shape[2:])
+    return result
+
+
+@pytest.mark.parametrize("matrix", MATRICES)
+def test_a_video_is_rotated_and_mirrored_as_its_metadata_say(matrix, tmp_path):
     path = recording(tmp_path / "video.mp4")
-    turn(path, degrees)
-    expected = [np.rot90(shown(k), -degrees // 90) for k in range(4)]
+    turn(path, matrix)
+    expected = [moved(shown(k), matrix) for k in range(4)]
     for found in (list(pictures(path, 3)), list(VideoFile(path)), list(VideoFile(path, kept=0))):
         assert len(found) == 4
         for image, wanted in zip(found, expected, strict=True):
@@ -65,8 +81,8 @@ def test_a_video_is_turned_as_its_metadata_say(degrees, tmp_path):
     assert bare.sizes == [expected[0].shape[1::-1]] * 4
     assert np.array_equal(bare[2], expected[2]) and np.array_equal(bare[1], expected[1])
     mask = next(masks(recording(tmp_path / "plain.mp4", codec="libx264", form="gray")))
-    turn(tmp_path / "plain.mp4", degrees)
-    assert np.array_equal(next(masks(tmp_path / "plain.mp4")), np.rot90(mask, -degrees // 90))
+    turn(tmp_path / "plain.mp4", matrix)
+    assert np.array_equal(next(masks(tmp_path / "plain.mp4")), moved(mask, matrix))
 
 
 def test_ten_bits_are_read_as_eight(tmp_path):
@@ -82,10 +98,25 @@ def test_ten_bits_are_read_as_eight(tmp_path):
 
 def test_pixels_that_are_not_square_are_said(tmp_path):
     squeezed = recording(tmp_path / "wide.mp4", 2, codec="libx264", form="yuv420p", aspect="4/3")
-    assert "pixels are 1.33 times as wide as high" in uneven_pixels(squeezed)
-    assert (
-        uneven_pixels(recording(tmp_path / "a.mp4", 2)) is None and uneven_pixels(tmp_path) is None
-    )
+    (note,) = notes_of(squeezed)
+    assert "pixels are 1.33 times as wide as high" in note
+    assert notes_of(recording(tmp_path / "a.mp4", 2)) == notes_of((tmp_path / "a.png",)) == []
+
+
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
+def test_an_interlaced_video_is_said(codec, tmp_path):
+    """Cameras of broadcast write two moments into each picture."""
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
+        stream.options = {"x264-params": "tff=1:interlaced=1", "flags": "+ildct+ilme", "top": "1"}
+        for k in range(4):
+            frame = av.VideoFrame.from_ndarray(shown(k), "rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    (note,) = notes_of(path)
+    assert "interlaced (4 of 4 pictures)" in note and "bwdif" in note
 
 
 def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
@@ -94,16 +125,41 @@ def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
     for found in (list(pictures(uneven, 3)), list(VideoFile(uneven))):
         assert len(found) == 6
         assert all(np.array_equal(image, shown(k)) for k, image in enumerate(found))
-    assert "rate varies: its pictures are 33 to 150 ms apart" in uneven_rate(uneven)
+    assert "rate varies: its pictures are 33 to 150 ms apart" in notes_of(uneven)[0]
     even = recording(tmp_path / "even.mkv", 6, moments=[0, 33, 67, 100, 133, 167])  # 30 a second
-    assert uneven_rate(even) is None
+    assert notes_of(even) == []
     between = recording(
         tmp_path / "b.mp4", 12, codec="libx264", form="yuv420p"
     )  # decoded out of order
-    assert uneven_rate(between) is None and uneven_rate(recording(tmp_path / "a.mp4", 1)) is None
+    assert notes_of(between) == notes_of(recording(tmp_path / "a.mp4", 1)) == []
     (tmp_path / "a.mp4").write_bytes(b"none")
     with pytest.raises(InputError, match="cannot be decoded as a video"):
-        uneven_rate(tmp_path / "a.mp4")
+        notes_of(tmp_path / "a.mp4")
+
+
+@pytest.mark.parametrize(
+    "names, number",
+    [
+        (["frame_1.png", "frame_01.jpg", "frame_2.png"], 1),
+        (["1_color.png", "1_mask.png", "2_color.png"], 1),
+        (["shot 7 (copy 2).png", "shot 8.png", "shot 2.png"], 2),
+    ],
+)
+def test_two_pictures_of_one_frame_are_refused(names, number, tmp_path):
+    for name in names:
+        Image.fromarray(shown()).save(tmp_path / name)
+    for read in (count_of, lambda folder: list(pictures(folder, 3)), even_pictures, numbered):
+        with pytest.raises(InputError, match=rf"has the number {number}, as .*; expected one file"):
+            read(tmp_path)
+
+
+def test_pictures_are_in_the_order_of_the_number_that_differs(tmp_path):
+    """The last one that does: a version, or a camera, has the same number in all names."""
+    for k in (10, 9, 11):
+        Image.fromarray(shown(k)).save(tmp_path / f"walk{k}_v3.png")
+    found = list(pictures(tmp_path, 3))
+    assert all(np.array_equal(image, shown(k)) for image, k in zip(found, (9, 10, 11), strict=True))
+    assert list(numbered(tmp_path)) == [9, 10, 11]
 
 
 @pytest.fixture

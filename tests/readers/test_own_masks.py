@@ -33,7 +33,7 @@ def test_each_used_picture_gets_its_own(tmp_path, kind):
         source = tmp_path / "masks"
         for k, mask in enumerate(masks()):
             write_image(source / f"shot{k + 100}.png", mask)
-    notes = write_own_masks(SubjectWriter(tmp_path / "out"), source, USED, SIZE, NETWORK)
+    notes = write_own_masks(SubjectWriter(tmp_path / "out"), source, USED, COUNT, SIZE, NETWORK)
     assert notes == [f"masks of {source}"]
     for k, number in enumerate(USED):
         found = read_image(tmp_path / f"out/masks/{k:06d}.png", 1)
@@ -45,10 +45,12 @@ def test_masks_that_do_not_fit_are_described(tmp_path):
         np.save(tmp_path / "m.npy", given)
         with pytest.raises(InputError, match=sentence):
             write_own_masks(
-                SubjectWriter(tmp_path / "out"), tmp_path / "m.npy", USED, SIZE, NETWORK
+                SubjectWriter(tmp_path / "out"), tmp_path / "m.npy", USED, COUNT, SIZE, NETWORK
             )
 
-    refused(masks()[:4], "holds 4 masks, but picture 5 of the video is used; expected a mask for")
+    refused(masks()[:4], "holds 4 masks, but the video has 7 pictures; expected a mask for each")
+    twice = masks().repeat(2, axis=0)
+    refused(twice, "holds 14 masks, but the video has 7 pictures; expected a mask for each")
     refused(masks()[:, :, :40], "mask 1: 40x96, but the video's pictures are 32x48")
     refused(masks(offset=24), "its masks do not lie on the person of the video")
     refused(np.zeros_like(masks()), "no pixel of any mask is above half")

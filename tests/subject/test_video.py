@@ -59,7 +59,13 @@ def test_splits_share_no_frame_and_lose_none():
         range(42, 48)
     )
     assert recording.without({44}).held_out_range == [42, 43, 45, 46, 47]
-    for splits, count in ((every, 37), (middle, 64), (recording, 60), (Splits.of_video(3), 3)):
+    for splits, count in (
+        (every, 37),
+        (middle, 64),
+        (recording, 60),
+        (Splits.of_video(3), 3),
+        (Splits.of_video(1), 1),
+    ):
         assert sorted(splits.train + splits.test) == list(range(count))
 
 

@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from gva_mi.subject.video_file import VideoFile, decoded, pixels_of
+from gva_mi.subject.video_file import TO_BT709, VideoFile, decoded, open_stream, picture_of
 
 RAMP = np.array([16, 40, 90, 128, 180, 220, 250])  # greys of sRGB
 COLORS = np.array([(200, 60, 30), (40, 170, 60), (30, 60, 190)])
@@ -15,8 +15,9 @@ H273 = {601: 6, 709: 1, 2020: 9}  # numbers of matrix and primaries
 
 
 def write(
-    path, codec, colors, matrix=709, full=False, bits=8, transfer=1, tagged=True, size=(32, 128)
-):
+    path, codec, colors, matrix=709, full=False, bits=8, transfer=1, tagged=True, size=(32, 128),
+    primaries=None,
+):  # fmt: skip
     """Write two frames of vertical bars of R'G'B' in [0, 1], without any converter of colours."""
     height, width = size
     kr, kb = LUMA[matrix]
@@ -33,7 +34,7 @@ def write(
         stream.options = {"crf": "1", "x265-params": "log-level=none:bframes=0", "b": "8000000"}
         context = stream.codec_context
         if tagged:
-            context.colorspace = context.color_primaries = H273[matrix]
+            context.colorspace, context.color_primaries = H273[matrix], primaries or H273[matrix]
             context.color_trc, context.color_range = transfer, 2 if full else 1
         for k in range(2):
             frame = av.VideoFrame(width, height, kind)
@@ -52,7 +53,7 @@ def write(
 def seen(path, count):
     """Return the colours of the bars, (count, 3), read in both ways."""
     picture = VideoFile(path)[1]
-    (other,) = [pixels_of(frame, "rgb24") for frame in decoded(path)][1:]
+    (other,) = [picture_of(frame) for frame in decoded(open_stream(path))][1:]
     assert np.array_equal(picture, other)
     width = picture.shape[1]
     wide = width // count + 1
@@ -97,7 +98,7 @@ def test_hdr_is_mapped_to_srgb(curve, transfer, name, tmp_path):
     nits = np.concatenate([203 * linear, [203, 400, 1000]])
     codes = np.repeat(curve(nits)[:, None], 3, axis=1)
     path = write(tmp_path / "a.mov", "libx265", codes, 2020, bits=10, transfer=transfer)
-    assert VideoFile(path).hdr == name
+    assert f"the video is HDR ({name})" in VideoFile(path).notes[0]
     found = seen(path, len(nits))
     assert np.ptp(found, axis=1).max() <= 3  # grey stays grey
     below = linear < 0.7
@@ -106,13 +107,32 @@ def test_hdr_is_mapped_to_srgb(curve, transfer, name, tmp_path):
     assert brightness[-3] > 235 and (np.diff(brightness) > -0.5).all()
 
 
-def test_primaries_of_bt2020_become_those_of_srgb(tmp_path):
-    """A red of sRGB, stored in BT.2020's primaries, comes back as itself; so does an SDR grey."""
-    from gva_mi.subject.video_file import BT2020_TO_BT709
+# x and y of red, green and blue (ITU-T H.273), and of D65.
+CHROMATICITIES = {
+    1: [(0.64, 0.33), (0.30, 0.60), (0.15, 0.06)],
+    9: [(0.708, 0.292), (0.170, 0.797), (0.131, 0.046)],
+    12: [(0.680, 0.320), (0.265, 0.690), (0.150, 0.060)],
+}
+D65 = (0.3127, 0.3290)
 
+
+def to_xyz(primaries):
+    """Return the matrix (3, 3) of linear light to CIE XYZ: all primaries together are D65."""
+    xyz = lambda x, y: np.array([x / y, 1, (1 - x - y) / y])
+    columns = np.stack([xyz(*at) for at in CHROMATICITIES[primaries]], axis=1)
+    return columns * np.linalg.solve(columns, xyz(*D65))
+
+
+@pytest.mark.parametrize("primaries", [9, 12])
+def test_primaries_of_phones_become_those_of_srgb(primaries, tmp_path):
+    """Colours of sRGB, stored in the primaries of BT.2020 or Display P3, come back."""
     decode = lambda v: np.where(v < 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
     encode = lambda v: np.where(v < 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
-    stored = encode(np.maximum(decode(COLORS / 255) @ np.linalg.inv(BT2020_TO_BT709).T, 0))
-    path = write(tmp_path / "a.mov", "libx265", stored, 2020, bits=10, transfer=14)
+    change = np.linalg.solve(to_xyz(primaries), to_xyz(1))
+    stored = encode(np.maximum(decode(COLORS / 255) @ change.T, 0))
+    assert np.abs(stored * 255 - COLORS).max() > 15
+    path = write(
+        tmp_path / "a.mov", "libx265", stored, 2020, bits=10, transfer=14, primaries=primaries
+    )
     assert np.abs(seen(path, 3) - COLORS).max() <= 4
-    assert np.allclose(BT2020_TO_BT709.sum(1), 1, atol=1e-3)  # white stays white
+    assert np.allclose(TO_BT709[primaries], np.linalg.inv(change), atol=2e-4)

@@ -1,6 +1,7 @@
 """A good folder has no problem; each fault is named, as far as files and silhouettes show it."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +134,35 @@ def far_away(subject):
     np.savez(subject / "cameras.npz", **cameras)
 
 
+def turned(quarters):
+    """As a video that lost its rotation: all pictures, and the camera, turned counter-clockwise."""
+
+    def turn(subject):
+        shutil.rmtree(subject / "normals", ignore_errors=True)
+        for path in (*subject.glob("frames/*.png"), *subject.glob("masks/*.png")):
+            picture = np.rot90(np.asarray(Image.open(path)), quarters)
+            Image.fromarray(np.ascontiguousarray(picture)).save(path)
+        for _ in range(quarters):
+            cameras = arrays(subject / "cameras.npz")
+            K, width = cameras["K"].copy(), int(cameras["width"])
+            cameras["K"][..., 0, 0], cameras["K"][..., 1, 1] = K[..., 1, 1], K[..., 0, 0]
+            cameras["K"][..., 0, 2], cameras["K"][..., 1, 2] = K[..., 1, 2], width - K[..., 0, 2]
+            left = np.eye(4)[[1, 0, 2, 3]] * [[1], [-1], [1], [1]]  # x' = y, y' = -x
+            cameras["T_camera_world"] = left @ cameras["T_camera_world"]
+            cameras["width"], cameras["height"] = cameras["height"], cameras["width"]
+            np.savez(subject / "cameras.npz", **cameras)
+
+    return turn
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_pictures_that_are_not_upright_are_doubtful(quarters, subject, built_in_body):
+    turned(quarters)(subject)
+    (problem,) = check_subject(subject, built_in_body).problems
+    assert problem.severity == "doubtful" and problem.what == "rotation"
+    assert ("head down" if quarters == 2 else "on the side") in problem.figure
+
+
 DOUBTS = {  # what is done to the folder, and the doubt
     "cut off at the hips": (lambda folder: cut(folder, 0.0, 0.55), None),
     "cut off below the arms": (lambda folder: cut(folder, 0.0, 0.4), None),
@@ -140,6 +170,8 @@ DOUBTS = {  # what is done to the folder, and the doubt
         lambda folder: cut(folder, 0.68, 1.0), "of the body's joints lie in the picture"),
     "far away": (far_away, "0% of the body and of the masks is in both"),
     "inverted masks": (FAULTS["inverted masks"][1], "100% of the masks show the background"),
+    "upside down": (turned(2), "head down, as in a video that lost its rotation"),
+    "on the side": (turned(1), "on the side, as in a video that lost its rotation"),
 }  # fmt: skip
 
 

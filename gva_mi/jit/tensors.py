@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import ParamSpec, TypeVar
 
 import torch
 from drjit import ArrayBase as Array
@@ -32,7 +32,11 @@ def tensor_of(array: Array, count: int | None = None) -> Tensor:
     return torch.from_numpy(array.numpy()[:count])
 
 
-def not_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def not_compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Exclude a function from ``torch.compile``, which cannot trace Dr.Jit's kernels.
 
     ``torch.compiler.disable`` imports the compiler, which takes as long as importing torch. So it
@@ -41,7 +45,7 @@ def not_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     excluded = None
 
     @functools.wraps(function)
-    def call(*arguments: Any, **options: Any) -> Any:  # noqa: ANN401
+    def call(*arguments: P.args, **options: P.kwargs) -> R:
         nonlocal excluded
         if "torch._dynamo" not in sys.modules:
             return function(*arguments, **options)

@@ -24,7 +24,7 @@ Importing this package imports Dr.Jit and numpy; torch is imported with the firs
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gva_mi.core import llvm
 from gva_mi.jit.frozen import exclusive
@@ -58,8 +58,10 @@ _NEED_TORCH = {
 }  # their modules
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401
-    """Import a name that needs torch at its first use."""
-    if name in _NEED_TORCH:
-        return getattr(import_module(f"gva_mi.splat.{_NEED_TORCH[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+if not TYPE_CHECKING:  # which would take any name for one of the package
+
+    def __getattr__(name: str) -> object:
+        """Import a name that needs torch at its first use."""
+        if name in _NEED_TORCH:
+            return getattr(import_module(f"gva_mi.splat.{_NEED_TORCH[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,10 +15,14 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import drjit as dr
 import numpy as np
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class ArgumentError(ValueError):
@@ -58,8 +62,8 @@ class CameraTensors(NamedTuple):
         CameraTensors(T_camera_world=None, K=None)
     """
 
-    T_camera_world: Any = None  # (4, 4)
-    K: Any = None  # (3, 3)
+    T_camera_world: Tensor | dr.ArrayBase | None = None  # (4, 4)
+    K: Tensor | dr.ArrayBase | None = None  # (3, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +136,8 @@ class Camera:
 
     @staticmethod
     def from_matrices(
-        K: Any,  # noqa: ANN401
-        T_camera_world: Any,  # noqa: ANN401
+        K: ArrayLike | Tensor | dr.ArrayBase,
+        T_camera_world: ArrayLike | Tensor | dr.ArrayBase,
         width: int,
         height: int,
         model: CameraModel = "pinhole",
@@ -160,8 +164,8 @@ class Camera:
 
     def with_matrices(
         self,
-        T_camera_world: Any = None,  # noqa: ANN401
-        K: Any = None,  # noqa: ANN401
+        T_camera_world: ArrayLike | Tensor | dr.ArrayBase | None = None,
+        K: ArrayLike | Tensor | dr.ArrayBase | None = None,
     ) -> Camera:
         """Replace the pose (4, 4) or the intrinsics (3, 3); None keeps its own."""
         given = lambda *matrices: next(matrix for matrix in matrices if matrix is not None)
@@ -223,7 +227,7 @@ class Camera:
         return np.stack([u, v], axis=-1)
 
 
-def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 1.0, 0.0)) -> np.ndarray:
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> np.ndarray:
     """Return ``T_camera_world`` (4, 4) of a camera at ``eye`` that looks at ``target``.
 
     ``up`` points upwards in the picture. The function is OpenGL's ``gluLookAt``, for OpenCV's axes.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TypeVar
 
 import drjit as dr
 import numpy as np
@@ -23,19 +24,20 @@ from gva_mi.splat.kernels.tile_memory import Planes
 from gva_mi.splat.kernels.tiles import Layout
 from gva_mi.splat.options import SplatOptions
 
+Tensor = TypeVar("Tensor", bound=Array)
 _DEFAULTS = SplatOptions()
 NAMES = ("means", "quats", "scales", "opacities", "colors")  # of what is differentiated
 
 
 @exclusive
 def render(
-    gaussians: Gaussians,
+    gaussians: Gaussians[Tensor],
     camera: Camera,
     options: SplatOptions = _DEFAULTS,
-    background: Array = None,
+    background: Tensor | None = None,
     *,
-    depth_limit: Array = None,
-) -> Image:
+    depth_limit: Tensor | None = None,
+) -> Image[Tensor]:
     """Draw ``gaussians`` as seen from ``camera`` (paper, Eq. 1-3).
 
     Args:

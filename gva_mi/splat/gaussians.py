@@ -8,13 +8,15 @@ linear.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Generic, TypeVar
+
+Array = TypeVar("Array")  # one kind of array
 
 MAX_DEGREE = 4  # of the spherical harmonics, as in gsplat
 
 
 @dataclass(frozen=True)
-class Gaussians:
+class Gaussians(Generic[Array]):
     """N anisotropic 3D Gaussians, each with a plain colour or one in spherical harmonics.
 
     The parameters are those of 3D Gaussian Splatting (Kerbl et al. 2023) after its activations.
@@ -32,13 +34,15 @@ class Gaussians:
         (1, 3)
     """
 
-    means: Any  # (N, 3) metres, world
-    quats: Any  # (N, 4) wxyz, normalised inside
-    scales: Any  # (N, 3) metres, standard deviations along the axes of quats
-    opacities: Any  # (N,) in [0, 1]
-    colors: Any = None  # (N, D), any number of channels
-    sh: Any = None  # (N, K, 3) coefficients, K = (degree + 1)^2; colour = max(0, sum + 0.5)
-    covars: Any = None  # (N, 6) square metres: xx, xy, xz, yy, yz, zz; quats and scales are None
+    means: Array  # (N, 3) metres, world
+    quats: Array | None  # (N, 4) wxyz, normalised inside
+    scales: Array | None  # (N, 3) metres, standard deviations along the axes of quats
+    opacities: Array  # (N,) in [0, 1]
+    colors: Array | None = None  # (N, D), any number of channels
+    # (N, K, 3) coefficients, K = (degree + 1)^2; colour = max(0, sum + 0.5)
+    sh: Array | None = None
+    # (N, 6) square metres: xx, xy, xz, yy, yz, zz; quats and scales are None
+    covars: Array | None = None
 
     def __post_init__(self) -> None:
         if (self.colors is None) == (self.sh is None):
@@ -54,7 +58,7 @@ class Gaussians:
         """D, the number of channels of the colour."""
         return 3 if self.colors is None else int(self.colors.shape[1])
 
-    def arrays(self) -> dict[str, Any]:
+    def arrays(self) -> dict[str, Array]:
         """Return the arrays that are set, by name."""
         form = ("quats", "scales") if self.covars is None else ("covars",)
         named = {name: getattr(self, name) for name in ("means", *form, "opacities")}
@@ -86,7 +90,7 @@ class Gaussians:
 
 
 @dataclass(frozen=True)
-class Image:
+class Image(Generic[Array]):
     """Result of ``render`` (paper, Eq. 3); all images are differentiable.
 
     Example:
@@ -95,10 +99,11 @@ class Image:
         True
     """
 
-    color: Any  # (H, W, D), background blended in
-    alpha: Any  # (H, W) in [0, 1]
-    depth: Any = None  # (H, W) m along the camera's z, accumulated like a colour: the sum of
-    # T_i alpha_i z_i; None where SplatOptions.depth is off
+    color: Array  # (H, W, D), background blended in
+    alpha: Array  # (H, W) in [0, 1]
+    # (H, W) m along the camera's z, accumulated like a colour: the sum of T_i alpha_i z_i; None
+    # where SplatOptions.depth is off
+    depth: Array | None = None
 
 
 def degree_of(coefficients: int) -> int:

@@ -265,12 +265,12 @@ _DEFAULTS = SplatOptions()
 
 @not_compiled
 def render(
-    gaussians: Gaussians,
+    gaussians: Gaussians[Tensor],
     camera: Camera,
     options: SplatOptions = _DEFAULTS,
     background: Tensor | None = None,
     screen: Screen | None = None,
-) -> Image:
+) -> Image[Tensor]:
     """Draw ``gaussians`` as seen from ``camera`` (paper, Eq. 1-3).
 
     Args:
@@ -330,7 +330,7 @@ def tensors_of(gaussians: Gaussians, background: Tensor | None, camera: Camera) 
     return Tensors(g.means, *shape, g.opacities, colors, background, *camera.tensors)
 
 
-def expected_depth(image: Image) -> Tensor:
+def expected_depth(image: Image[Tensor]) -> Tensor:
     """Depth per alpha, (H, W) m: the mean z of what a pixel shows; 0 where it shows nothing.
 
     It is gsplat's render mode ED, with gsplat's bound of alpha.

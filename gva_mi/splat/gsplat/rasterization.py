@@ -182,8 +182,8 @@ def rasterization(
     radial_coeffs: Tensor | None = None,
     tangential_coeffs: Tensor | None = None,
     thin_prism_coeffs: Tensor | None = None,
-    ftheta_coeffs: Any = None,  # noqa: ANN401
-    rolling_shutter: Any = None,  # noqa: ANN401
+    ftheta_coeffs: object = None,
+    rolling_shutter: object = None,
     viewmats_rs: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Meta]:
     """Draw N Gaussians as seen from C cameras, as gsplat 1.5.3's function of this name does.

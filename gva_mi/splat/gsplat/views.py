@@ -18,7 +18,7 @@ import weakref
 from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 import torch
 from torch import Tensor
@@ -38,6 +38,10 @@ from gva_mi.splat.torch_render import keep, one_by_one, pull, push, tensors_of
 SERIES_MAX_Q = 1e-6
 
 Values = tuple[Tensor | None, ...]
+OfPictures = Literal["means2d", "depths", "radii", "conics", "opacities"]  # entries of meta
+Count = Literal[
+    "width", "height", "n_batches", "n_cameras", "tile_size", "tile_width", "tile_height"
+]
 
 
 @dataclass(frozen=True)
@@ -210,7 +214,7 @@ def _projection(view: GsplatView) -> Callable[[Tensor, Tensor, Tensor], tuple[Te
     return project
 
 
-class Meta(UserDict):
+class Meta(UserDict[str, Tensor | int | None]):
     """A dictionary whose functions are called, and replaced by their result, when they are read.
 
     Most programs read a few entries of gsplat's ``meta``, and only in some steps.
@@ -222,7 +226,13 @@ class Meta(UserDict):
         (8, 3, 3)
     """
 
-    def __getitem__(self, name: str) -> Any:  # noqa: ANN401
+    @overload
+    def __getitem__(self, name: OfPictures) -> Tensor: ...
+    @overload
+    def __getitem__(self, name: Count) -> int: ...
+    @overload
+    def __getitem__(self, name: str) -> Tensor | int | None: ...
+    def __getitem__(self, name: str) -> Tensor | int | None:
         if callable(self.data[name]):
             self.data[name] = self.data[name]()
         return self.data[name]

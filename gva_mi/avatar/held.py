@@ -17,6 +17,7 @@ So a Gaussian that has left the body is moved back toward its nearest vertex v, 
     1. reach(v) = FINGER_REACH                            for fingers
                 = max(ARMPIT_REACH, looseness(v))         in armpits, where clothes may be loose
                 = looseness(v) + HAIR_REACH               for the head, if clothes are known
+                = BARE_REACH                              for bare arms, if clothes are known
                 = looseness(v) + BODY_REACH               for the rest, if clothes are known
 
 A Gaussian may also be long along the line of sight. From the side it is a spike. A disc that stands
@@ -40,13 +41,14 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, rotated
 from gva_mi.avatar.rig import Rig
-from gva_mi.body.pose import JOINTS
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.skinning import finger_weights
 from gva_mi.mesh.surface import vertex_normals
 
 # Metres, of eq. 1 and 2.
 FINGER_REACH = 0.004  # chosen: half the thickness of a finger
 ARMPIT_REACH = 0.015  # chosen: flaps bulged by 5 cm
+BARE_REACH = 0.006  # chosen: farther off, forearms grow shards
 HAIR_REACH, BODY_REACH = 0.03, 0.01  # chosen: masks miss soft hair by centimetres, clothes by less
 MAX_THICKNESS = 0.008  # chosen: less than BODY_REACH
 # Product of the weights of trunk and arm in an armpit. Chosen: 0.25 where both are equal, and it
@@ -56,6 +58,10 @@ ARMPIT_WEIGHTS = 0.05
 ARMPIT_COSINE = 0.5
 _TRUNK = [JOINTS.index(k) for k in ("spine1", "spine2", "spine3", "left_collar", "right_collar")]
 _ARMS = [JOINTS.index(k) for k in ("left_shoulder", "right_shoulder")]
+_ARMS_AND_HANDS = [
+    *_ARMS,
+    *(JOINTS.index(f"{side}_{joint}") for side in SIDES for joint in ("elbow", "wrist")),
+]
 _HEAD = [JOINTS.index(k) for k in ("neck", "head")]
 
 
@@ -80,7 +86,8 @@ class Held:
         True
     """
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, bare_skin: bool = False) -> None:
+        """Find the parts; with ``bare_skin``, vertices that no clothes displaced are bare."""
         from scipy.spatial import cKDTree
 
         normals = vertex_normals(rig.vertices, rig.faces)
@@ -98,7 +105,10 @@ class Held:
         ]
         known = slice(None if bool(rig.looseness.any()) else 0)
         every = lambda weights: torch.ones(len(weights), dtype=torch.bool)
-        beyond = torch.where(head_weights(rig.weights) > 0.5, HAIR_REACH, BODY_REACH)
+        head = head_weights(rig.weights) > 0.5
+        beyond = torch.where(head, HAIR_REACH, BODY_REACH)
+        if bare_skin:
+            beyond[(rig.looseness == 0) & (arm_weights(rig.weights) > 0.5)] = BARE_REACH
         reach = (rig.looseness + beyond).to(rig.looseness)
         self._body = _Part(every, rig.vertices[known], reach[known])
         self._normals, self._tree = normals, cKDTree(rig.vertices.double().numpy())
@@ -170,3 +180,13 @@ def head_weights(weights: Tensor) -> Tensor:
         tensor([1., 0.])
     """
     return weights[:, _HEAD].sum(1)
+
+
+def arm_weights(weights: Tensor) -> Tensor:
+    """Return the share of skinning weights (N, 55) that belongs to arms and hands, (N,).
+
+    Example:
+        >>> arm_weights(torch.eye(55)[[JOINTS.index("left_elbow"), JOINTS.index("left_collar")]])
+        tensor([1., 0.])
+    """
+    return weights[:, _ARMS_AND_HANDS].sum(1) + finger_weights(weights)

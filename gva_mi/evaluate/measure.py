@@ -58,6 +58,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.evaluate.figures import Figure, Table, figures_from, pivot, table, to_json, where
+from gva_mi.evaluate.foreign import foreign_figures
 from gva_mi.evaluate.refinement import error_figures, load_refinement, pose_tables
 from gva_mi.evaluate.regions import Detail, Details, person_box
 from gva_mi.evaluate.scores import ImageScores, Scorer, mean_figures
@@ -305,6 +306,10 @@ def measure_run(
         for stage, source in (("given", video), ("trained", trained)):
             figures += error_figures(body, (source.pose, source.shape), truth, stage)
     figures += surface_figures(run, avatar, video.folder, body)
+    for view in groups.get(ALIGNED, []):
+        if view.split == "novel_pose":
+            true = ground_truth_video(video, view.split)
+            figures += foreign_figures(avatar, video.folder, body, true, view.video, ALIGNED)
     seconds = float(history["milliseconds"].sum() / 1e3)
     figures.append(Figure(metric="Gaussians", value=int(history["gaussians"][-1])))
     figures.append(Figure(metric="steps", value=len(history["loss"])))

@@ -54,7 +54,7 @@ class Rates:
     # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: PythonOnly[Share] = 0.0
     light: PythonOnly[Rate] = 2e-3  # direction of the light
-    strength: PythonOnly[Rate] = 5e-3  # of the light, see gva_mi.fit.colors
+    strength: PythonOnly[Rate] = 5e-3  # of the light, see gva_mi.fit.lambert
     residual: PythonOnly[Rate] = 1e-3  # weights of the pose-conditioned MLP
 
 
@@ -117,6 +117,8 @@ class FitOptions:
     # For a person who may never turn around: Gaussians do not wander along the line of sight, and
     # unseen surfaces take their colours from neighbours and from the body's other side.
     complete: PythonOnly[bool] = False
+    # Arms and legs in the colour of face and hands have no clothes: see gva_mi.fit.colors.
+    bare_skin: PythonOnly[bool] = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
@@ -148,6 +150,7 @@ class FitOptions:
             mask_error=self.mask_error if chosen else VIDEO_MASK_ERROR,
             still_camera=True,
             complete=True,
+            bare_skin=True,
             poses=replace(self.poses, wrists=False),
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or VIDEO_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or VIDEO_ALPHA),

@@ -3,7 +3,7 @@
 Each step uses one training frame of the video:
 
 1. lower the learning rate of the means
-2. avatar(pose) → Gaussians, MLP(θ)                      Eq. 5, 6, :mod:`gva_mi.fit.colors`
+2. avatar(pose) → Gaussians, MLP(θ)                      Eq. 5, 6, :mod:`gva_mi.fit.lambert`
 3. render them on a background of a random colour, and on the picture's own
    along the outline                                   Eq. 1-3, :mod:`gva_mi.fit.samples`
 4. compare with the person on the same background                            Eq. 9
@@ -12,7 +12,7 @@ Each step uses one training frame of the video:
 6. by the schedule: clone, split, prune; put the Gaussians back on the surface      Sec. 4.3;
    bind them to the outer skin again; hold Gaussians of fingers and armpits
 
-With ``complete``, unseen surfaces take colours of others in the end (:mod:`gva_mi.fit.colors`).
+With ``complete``, unseen surfaces take colours of others in the end (:mod:`gva_mi.fit.completion`).
 
 Adam has one group of parameters for each kind. With the gradient g of a parameter x, and means m
 and v over steps,
@@ -54,7 +54,9 @@ from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.core.files import write_arrays
 from gva_mi.fit import run_folder
-from gva_mi.fit.colors import Lambert, complete_colors, seen_colors
+from gva_mi.fit.colors import bare_skin, seen_colors
+from gva_mi.fit.completion import complete_colors
+from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
@@ -167,6 +169,8 @@ class Run:
         if state is None:
             generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)
+            if options.bare_skin and offsets is not None:
+                offsets = offsets * (1 - bare_skin(colors, body, video.shape)[:, None])
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
@@ -179,7 +183,7 @@ class Run:
         )
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
-        self.held = Held(rig) if options.reinit.surface == "offset" else None
+        self.held = Held(rig, options.bare_skin) if options.reinit.surface == "offset" else None
         self.optimizer = make_adam(
             self.avatar, self.lambert, options.rates, one_sided=options.complete
         )

@@ -23,6 +23,7 @@ from gva_mi.synthetic import SynthOptions
 from gva_mi.synthetic.errors.models import NO_ERRORS
 
 NO_NORMALS = "no normals"  # counts as an error model of its own
+TOUCH = "touch"  # so do videos in which arms or hands stay on the trunk
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,9 @@ class StudyCase:
 
     @property
     def kind_of_errors(self) -> str:
-        """The error model, or :data:`NO_NORMALS`, as ``--error-models`` takes it."""
+        """The error model, :data:`NO_NORMALS` or :data:`TOUCH`, as ``--error-models`` takes it."""
+        if self.take.motion == TOUCH:
+            return TOUCH
         return self.noise if self.normals else NO_NORMALS
 
     @property
@@ -126,6 +129,9 @@ _TUNED = {
     "filmed": Take(seed=27, scene="room"),
     "filmed everyday": Take(seed=28, motion="everyday", outfit="foreign", scene="room"),
     "filmed half": Take(seed=29, motion="half", scene="room"),
+    "dress": Take(seed=51, motion=TOUCH, outfit="dress", scene="room"),
+    "coat": Take(seed=52, motion=TOUCH, outfit="coat", scene="room"),
+    "touch": Take(seed=53, motion=TOUCH, scene="room"),
 }
 TUNING = _cases(_TUNED, 1, (
     ("amira", "bursts"), ("bare", "bursts"), ("dalia", "white"), ("0", "white"), ("2", "lean"),
@@ -134,6 +140,7 @@ TUNING = _cases(_TUNED, 1, (
     ("2", "mixed"), ("stretched", "outliers"), ("dance", "anything"), ("outfit", "anything"),
     ("walk", "outliers"), ("everyday", "outliers"),
     ("filmed", VIDEO_KIND), ("filmed everyday", VIDEO_KIND), ("filmed half", VIDEO_KIND),
+    ("dress", VIDEO_KIND), ("coat", VIDEO_KIND), ("touch", VIDEO_KIND),
 ))  # fmt: skip
 
 _JUDGED = {
@@ -152,6 +159,9 @@ _JUDGED = {
     "filmed": Take(seed=36, scene="room"),
     "filmed everyday": Take(seed=37, motion="everyday", outfit="foreign", scene="room"),
     "filmed half": Take(seed=38, motion="half", figure="stretched", scene="room"),
+    "dress": Take(seed=39, motion=TOUCH, outfit="dress", scene="room"),
+    "coat": Take(seed=40, motion=TOUCH, outfit="coat", scene="room"),
+    "touch": Take(seed=41, motion=TOUCH, scene="room"),
 }
 HELD_OUT = _cases(_JUDGED, 1000, (
     ("bruno", "bursts"), ("everyday", "bursts"), ("11", "white"), ("half", "white"),
@@ -160,6 +170,7 @@ HELD_OUT = _cases(_JUDGED, 1000, (
     ("outfit", "masks"), ("12", "normals"), ("13", "anything"), ("outfit", "anything"),
     ("edgar", "bursts", False),
     ("filmed", VIDEO_KIND), ("filmed everyday", VIDEO_KIND), ("filmed half", VIDEO_KIND),
+    ("dress", VIDEO_KIND), ("coat", VIDEO_KIND), ("touch", VIDEO_KIND),
 ))  # fmt: skip
 
 _USUAL = Take(seed=140, scene="room")

@@ -14,7 +14,7 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
 from gva_mi.synthetic.errors.models import ERROR_MODELS, NO_ERRORS
-from gva_mi.synthetic.person.identity import NAMED, SyntheticPerson, foreign_outfit
+from gva_mi.synthetic.person.identity import NAMED, ONE_PIECE, SyntheticPerson, foreign_outfit
 from gva_mi.synthetic.person.stretched_body import BodyStretch, stretched
 from gva_mi.synthetic.person.surface import PersonSurface, draw_surface
 
@@ -49,7 +49,7 @@ class SynthOptions:
 
     seed: Seed = 0  # seed of the person, its motion and its errors
     subject: str | None = None  # one of the four named subjects; seed varies the rest
-    motion: Literal["turn", "everyday", "still", "half", "walk", "dance"] = "turn"
+    motion: Literal["turn", "touch", "everyday", "still", "half", "walk", "dance"] = "turn"
     frames: VideoFrames = 80  # frames of the video; a turn fills all of them
     size: PictureSide = 512  # pixels, width and height of the pictures
     light: Literal["usual", "side"] = "usual"  # lamps besides the sky
@@ -61,7 +61,8 @@ class SynthOptions:
     error_model: str = "bursts"  # error model of poses, masks and normals; none: exact
     error_seed: PythonOnly[Seed | None] = None  # seed of the errors; without it, seed
     figure: PythonOnly[Literal["own", "stretched", "anny"]] = "own"  # body of the person
-    outfit: PythonOnly[Literal["own", "foreign"]] = "own"  # foreign: thick soles, wide trousers
+    # Foreign: thick soles, wide trousers. Dress: without sleeves. Coat: to the knees, wide sleeves.
+    outfit: PythonOnly[Literal["own", "foreign", "dress", "coat"]] = "own"
     bare: PythonOnly[bool] = False  # bald, with a swimsuit that is painted on the skin
     samples: PythonOnly[Samples] = 16  # rays per pixel, a square number
     # Share of the time between frames that the shutter is open: motion blur.
@@ -113,6 +114,9 @@ class SynthOptions:
         outfit = person.outfit
         if self.outfit == "foreign":
             outfit = foreign_outfit(outfit, self.random(SubjectStream.OUTFIT))
+        elif self.outfit in ONE_PIECE:
+            outfit = replace(outfit, **ONE_PIECE[self.outfit])
+            person = replace(person, bottom=person.top)
         if self.figure == "anny" and outfit.bottom == "skirt":  # its legs would come through
             outfit = replace(outfit, bottom="trousers", length=1.9, flare=0.015)
         return person if outfit is person.outfit else replace(person, outfit=outfit)

@@ -44,7 +44,7 @@ class Staging:
     def _lowest(self) -> np.ndarray:
         """The height of the lowest point of each frame before it is put on the ground, (T,)."""
         lowest = self.points(self._performed(motions.times(self.options.frames)))[..., 1].min(1)
-        if self.options.motion == "turn":  # stands on the ground in all frames together
+        if self.options.motion in motions.ON_TURNTABLE:
             lowest = np.full_like(lowest, lowest.min())
         return lowest
 

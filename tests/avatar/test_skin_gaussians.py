@@ -33,7 +33,7 @@ def dense(weights, dW, T, means, quats, scales, sh, light):
     A = torch.einsum("nj,jab->nab", weights.double(), T[:, :3]).flatten(1).to(means)
     E = torch.einsum("ncj,jab,nb->nac", dW.double(), T[:, :3], one).flatten(1).to(means)
     colors = lbs_reference.lit(sh, A, light_vector(light))
-    return *lbs_reference.stretched(A, E, means, quats, scales), colors
+    return *lbs_reference._stretched(A, E, means, quats, scales), colors
 
 
 @pytest.mark.parametrize(("dtype", "slopes"), [(torch.float32, 3), (F64, 3), (F64, 0)])

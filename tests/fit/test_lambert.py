@@ -8,7 +8,7 @@ import torch
 from gva_mi.avatar.skin_gaussians import light_vector
 from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import to_matrix
-from gva_mi.fit.colors import Lambert
+from gva_mi.fit.lambert import Lambert
 from gva_mi.splat.kernels.sh import C0
 
 

@@ -8,7 +8,7 @@ import pytest
 from gva_mi.core.errors import InputError
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
-from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TUNING, held_out
+from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TOUCH, TUNING, held_out
 from gva_mi.study.variants import CHANGES, FULL, LADDER, VARIANTS, variants_named
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.synthetic.errors.models import ERROR_MODELS
@@ -49,12 +49,12 @@ def test_limits_change_one_thing_of_one_video_at_a_time():
 
 def test_held_out_cases_cover_all_error_models_and_some_were_never_tuned_on():
     families = Counter(case.kind_of_errors for case in HELD_OUT)
-    assert set(families) == {*ERROR_MODELS, NO_NORMALS, VIDEO_KIND}
+    assert set(families) == {*ERROR_MODELS, NO_NORMALS, VIDEO_KIND, TOUCH}
     assert set(families) - {case.kind_of_errors for case in TUNING} == {"shape", "focal", "normals"}
     takes = {case.take for case in HELD_OUT}
     assert {take.figure for take in takes} == {"own", "stretched", "anny"}
-    assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk"}
-    assert {take.outfit for take in takes} == {"own", "foreign"}
+    assert {take.motion for take in takes} == {"turn", "everyday", "half", "walk", "touch"}
+    assert {take.outfit for take in takes} == {"own", "foreign", "dress", "coat"}
     assert any(take.bare for take in takes)
     assert all(case.take.scene == "room" for case in HELD_OUT if case.noise == VIDEO_KIND)
 

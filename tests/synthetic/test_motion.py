@@ -11,6 +11,7 @@ from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.synthetic.motion import motions
+from gva_mi.synthetic.motion.actions import TOUCHING
 
 
 def video_of(name, frames):
@@ -43,7 +44,7 @@ def test_the_video_is_one_full_turn_at_constant_speed():
     assert np.isclose(abs(steps.sum()) + abs(steps.mean()), 2 * np.pi, atol=0.05)
 
 
-@pytest.mark.parametrize("name", ["turn", "everyday", *motions.ON_FOOT])
+@pytest.mark.parametrize("name", [*motions.ON_TURNTABLE, "everyday", *motions.ON_FOOT])
 def test_a_motion_is_a_function_of_time_and_periodic(name):
     def at(t):
         return motions.perform(name, t, rest_joints(), 10, np.random.default_rng(5))
@@ -53,6 +54,20 @@ def test_a_motion_is_a_function_of_time_and_periodic(name):
     assert torch.equal(whole.rotations[3:5], part.rotations)
     assert torch.equal(whole.expression[3:5], part.expression)
     assert torch.allclose(whole.rotations[:, 1:], round_on.rotations[:, 1:], atol=1e-5)
+
+
+@pytest.mark.parametrize("posture", TOUCHING)
+def test_hands_stay_at_the_trunk_when_parts_touch(posture, monkeypatch):
+    """Wrists are within a forearm of the trunk's axis in all frames, and the turn is the same."""
+    monkeypatch.setattr("gva_mi.synthetic.motion.actions.TOUCHING", {posture: TOUCHING[posture]})
+    pose = video_of("touch", 24)
+    joints = torch.from_numpy(rest_joints())
+    T = joint_transforms(pose.rotations, joints, PARENTS, pose.transl)
+    at = ((T[..., :3, :3] @ joints[..., None])[..., 0] + T[..., :3, 3]).numpy()
+    wrists = at[:, [JOINTS.index("left_wrist"), JOINTS.index("right_wrist")]]
+    aside = np.linalg.norm((wrists - at[:, :1])[..., [0, 2]], axis=2)
+    assert aside.max() < 0.36
+    assert np.allclose(facing(pose), facing(video_of("turn", 24)))
 
 
 BALLS = [JOINTS.index(f"{side}_foot") for side in ("left", "right")]

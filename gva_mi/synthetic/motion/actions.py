@@ -107,3 +107,28 @@ def act(
             shaped = np.zeros((1, 55, 3))
             put_hand(shaped, side, GESTURES[gesture].values)
             rotations[:, hand] += weight[..., None] * (shaped[:, hand] - rotations[:, hand])
+
+
+# Arms on the trunk in all of a video; the right arm mirrors the left one. Chosen by eye.
+TOUCHING: Mapping[str, Mapping[str, AxisAngle]] = {
+    "sides": {"left_shoulder": (0, 0, -1.28), "left_elbow": (0, -0.15, 0)},
+    "hips": {"left_shoulder": (0, 0.25, -0.75), "left_elbow": (0, -0.4, -1.45)},
+    "folded": {"left_shoulder": (0.1, -0.45, -1.2), "left_elbow": (0.2, -1.6, 0)},
+}
+
+
+def touch(rotations: np.ndarray, t: np.ndarray, rng: Generator) -> None:
+    """Put arms or hands on the trunk in rotations (T, 55, 3) at moments (T,), in place.
+
+    One of ``TOUCHING`` is drawn for the whole video. The arms sway by some degrees, and the hands
+    are at rest.
+    """
+    posture = TOUCHING[str(rng.choice(list(TOUCHING)))]
+    sway = 0.04 * np.sin(2 * np.pi * (2 * t[:, None] + rng.uniform(size=2)))
+    for k, (side, mirror) in enumerate((("left", (1, 1, 1)), ("right", (1, -1, -1)))):
+        for joint, angles in posture.items():
+            at = JOINTS.index(joint.replace("left", side))
+            rotations[:, at] = np.array(angles) * mirror
+            rotations[:, at, 2] += sway[:, k] if "shoulder" in joint else 0
+        rotations[:, JOINTS.index(f"{side}_collar")] = (0, 0, -0.12 * mirror[2])
+        put_hand(rotations, side, GESTURES["rest"].values)

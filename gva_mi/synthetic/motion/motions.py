@@ -4,9 +4,10 @@ A motion is a periodic function of the time t in [0, 1), one round of the video.
 at any moments ``t`` (T,), in rounds, such as those just before a frame.
 
 All start from a person who turns and sways in the A-pose as on a turntable, with gestures and a
-face. Motions with feet on the ground (``ON_FOOT``: standing, half a turn, walking, dancing) are
-functions of ``t``, the rotations (T, 55, 3) of this person, which they change in place, the rest
-joints (55, 3) and a generator; they return the path of the pelvis and the feet.
+face. ``touch`` is the same turn with arms or hands on the trunk. Motions with feet on the ground
+(``ON_FOOT``: standing, half a turn, walking, dancing) are functions of ``t``, the rotations
+(T, 55, 3) of this person, which they change in place, the rest joints (55, 3) and a generator; they
+return the path of the pelvis and the feet.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.random import Generator
 from gva_mi.body.gestures import GESTURES, put_hand
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.rotations import about, to_matrices, to_rotvecs
-from gva_mi.synthetic.motion.actions import ACTIONS, GESTURING, POSES, act
+from gva_mi.synthetic.motion.actions import ACTIONS, GESTURING, POSES, act, touch
 from gva_mi.synthetic.motion.footwork import Path, follow, root_rotations
 
 ROUND_SECONDS = 6.0  # s, one round; chosen: a turn at the speed that own_video.md asks for
@@ -40,6 +41,8 @@ def perform(name: str, t: np.ndarray, joints: np.ndarray, expressions: int, rng:
     rotations, transl = turning(t, rng)
     if name == "everyday":
         act(rotations, t, ACTIONS, rng)
+    elif name == "touch":
+        touch(rotations, t, rng)
     elif name in ON_FOOT:
         transl = follow(ON_FOOT[name](t, rotations, joints, rng), rotations, t, joints)
     return with_face(rotations, transl, t, expressions, rng)
@@ -259,3 +262,4 @@ ON_FOOT: Mapping[str, Callable[[np.ndarray, np.ndarray, np.ndarray, Generator], 
     "walk": _walk,
     "dance": _dance,
 }
+ON_TURNTABLE = ("turn", "touch")  # all frames together have one ground

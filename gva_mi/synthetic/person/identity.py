@@ -122,6 +122,13 @@ def _draw_outfit(rng: Generator) -> Outfit:
     return Outfit(sleeve, hem, loose, bottom, float(length), float(flare), hair, thick)
 
 
+# Outfits of one fabric from top to hem; chosen: what phone videos show with arms at the sides.
+ONE_PIECE: Mapping[str, Mapping[str, object]] = {
+    "dress": dict(sleeve=0.02, hem=0.03, loose=0.01, bottom="skirt", length=0.9, flare=0.2),
+    "coat": dict(sleeve=1.75, hem=0.06, loose=0.034, bottom="skirt", length=1.0, flare=0.14),
+}
+
+
 def foreign_outfit(outfit: Outfit, rng: Generator) -> Outfit:
     """Change an outfit to one unlike the others: thick soles, mostly wide trousers."""
     outfit = replace(outfit, sole=float(rng.uniform(0.01, 0.05)))

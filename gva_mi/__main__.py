@@ -40,6 +40,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         try:
             _run(arguments)
+        except RuntimeError as error:
+            raise _original(error) from None
         finally:
             sys.stdout.flush()  # here, where a closed pipe can still be handled
     except InputError as error:
@@ -59,6 +61,13 @@ def main(arguments: list[str] | None = None) -> None:
         if not isinstance(error, ImportError):
             raise
         _end(BAD_INPUT, _explained(error))
+
+
+def _original(error: BaseException) -> BaseException:
+    """Return what a function raised that Dr.Jit recorded: Dr.Jit makes a RuntimeError of it."""
+    while isinstance(error, RuntimeError) and error.__cause__ is not None:
+        error = error.__cause__
+    return error
 
 
 def _end(code: int, sentence: str = "", before: str = "") -> NoReturn:
@@ -97,6 +106,10 @@ def _explained(error: ImportError) -> str:
 
 def _run(arguments: list[str]) -> None:
     verb = arguments[0] if arguments else ""
+    try:
+        os.getcwd()  # without a working folder, oneMKL ends the process with a message of its own
+    except FileNotFoundError:
+        raise InputError("the working folder does not exist any more; cd to another one") from None
     if verb in ("-h", "--help"):
         print(_overview())
     elif verb == "--version":

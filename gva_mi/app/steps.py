@@ -323,9 +323,9 @@ def track(
     avatar = run_folder.load_avatar(run)
     opened = open_subject(subject, poses, body or run_folder.source_of(run, "body", subject))
     video, model, start = opened.video, opened.model, opened.poses
-    trained = run / run_folder.TRAINED_POSES
+    trained = None if poses is not None else run_folder.trained_poses(run)
     offsets = video.offsets_of(len(model.v_template))
-    if poses is None and trained.exists():
+    if trained is not None:
         if others := run_folder.other_pictures(run, video):
             say(f"{run}: was fitted to another video (other {others}); its poses are not used")
         else:

@@ -57,7 +57,7 @@ import numpy as np
 
 from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import read_arrays, require_array, require_keys
+from gva_mi.core.files import read_arrays, require_array, require_file, require_keys
 from gva_mi.core.options import Within
 from gva_mi.core.pickles import read_objects
 
@@ -143,11 +143,10 @@ def _built_in() -> dict[str, np.ndarray]:
 
 
 def _read_and_check(path: Path) -> dict[str, np.ndarray]:
-    if not path.is_file():
-        raise InputError(
-            f"{path}: no such file; expected a body in SMPL-X's format, .npz or .pkl. SMPL-X is "
-            f"licensed at {SMPLX_SITE}; without a body file the built-in body is used"
-        )
+    require_file(
+        path, f"a body in SMPL-X's format, .npz or .pkl. SMPL-X is licensed at {SMPLX_SITE}; "
+        "without a body file the built-in body is used"
+    )  # fmt: skip
     arrays = _read(path)
     form = _check(path, arrays)
     betas, expressions = _split(arrays["shapedirs"].shape[2], form)

@@ -78,6 +78,7 @@ def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:
             f"{poses}: a motion of another program does not belong to a video; expected poses of "
             f"{subject}, or no --subject"
         )
+    run = run if run.is_dir() else run.parent
     video = load_video(subject, poses or run / TRAINED_POSES, "none")
     if poses is None and (others := other_pictures(run, video)):
         raise InputError(

@@ -82,7 +82,7 @@ def atomic_dir(out: Path, replaced: str | None = None) -> Iterator[Path]:
         for left in filter(Path.exists, (unfinished, old)):
             shutil.rmtree(left)
         if holds_something(out):
-            if replaced is None or not out.is_dir():
+            if replaced is None:
                 raise InputError(f"{out}: already exists; expected a new or an empty folder")
             require_ours(out, replaced)
         try:
@@ -109,7 +109,7 @@ def folder_lock(folder: Path, doing: str) -> Iterator[None]:
     the command, such as ``gva-mi fit``. A file system without locks keeps nobody out.
     """
     folder = Path(os.path.realpath(folder))
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    require_writable(folder.parent)
     path = folder.with_name(f".{folder.name}.lock")
     file = _acquire(path, folder)
     try:
@@ -157,16 +157,18 @@ def require_writable(folder: Path) -> None:
         link_target(folder).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(f"{folder}: a file is in the way; expected a folder") from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to ({error.strerror})") from None
 
 
 def holds_something(folder: Path, marker: str | None = None) -> bool:
     """Return whether a folder is not empty; a half-written marker does not count."""
-    if not folder.is_dir():
-        return folder.exists()
+    if not folder.is_dir() and folder.exists():
+        raise InputError(f"{folder}: is a file; expected a folder, or a new name for one")
     begun = part_of(folder / marker) if marker else None
-    return any(path != begun for path in folder.iterdir())
+    return folder.is_dir() and any(path != begun for path in folder.iterdir())
 
 
 def require_ours(folder: Path, marker: str) -> None:

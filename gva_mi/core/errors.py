@@ -81,8 +81,8 @@ def reason_of(error: BaseException) -> str:
     """
     if is_memory(error):
         raise error
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
+    if strerror := getattr(error, "strerror", None):  # FFmpeg's errors have it, too
+        return strerror
     for kind, words in _PLAIN_WORDS:
         if isinstance(error, kind):
             return words.format(*error.args[:1] or ("",))

@@ -31,9 +31,15 @@ LARGEST_JSON = 1 << 28
 
 
 def require_file(path: Path, expected: str) -> None:
-    """Raise an InputError if there is no such file; ``expected`` says what it should hold."""
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file; expected {expected}")
+    """Raise an InputError unless a path is a file; ``expected`` says what it should hold.
+
+    A pipe would be waited for, and a device may never end.
+    """
+    path = Path(path)
+    if not path.is_file():
+        kind = "is a device or a pipe" if path.exists() else "no such file"
+        kind = "is a folder" if path.is_dir() else kind
+        raise InputError(f"{path}: {kind}; expected {expected}")
 
 
 def read_arrays(
@@ -81,10 +87,9 @@ def reason_of_read(error: Exception) -> str:
 
 def read_bytes(path: Path, expected: str) -> bytes:
     """Read a whole file; ``expected`` says in the InputError what it should hold."""
+    require_file(path, expected)
     try:
         return Path(path).read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected {expected}") from None
     except OSError as error:
         reason = error.strerror
         raise InputError(f"{path}: cannot be read ({reason}); expected {expected}") from None
@@ -252,6 +257,9 @@ _BEGINNINGS = {
 
 def known_container(path: Path) -> str | None:
     """Name an unsupported container format and how to convert it, or return None."""
-    with path.open("rb") as file:
-        start = file.read(64)
+    try:
+        with path.open("rb") as file:
+            start = file.read(64)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
     return next((text for known, text in _BEGINNINGS.items() if start.startswith(known)), None)

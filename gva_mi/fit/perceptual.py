@@ -29,6 +29,7 @@ from torch.nn.utils import skip_init
 
 from gva_mi.core.cpu import core_for_torch, in_torch_thread, sqrt
 from gva_mi.core.errors import InputError, reason_of
+from gva_mi.core.files import require_file
 
 # Channels of VGG16 (Simonyan and Zisserman 2015), with a pool after each group.
 VGG16_WIDTHS = ((64, 64), (128, 128), (256,) * 3, (512,) * 3, (512,) * 3)
@@ -199,10 +200,9 @@ def load_vgg16(path: Path) -> nn.Sequential:
 
 
 def _load_state(path: Path) -> dict[str, Tensor]:
+    require_file(path, "a torch state dict")
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; expected a torch state dict") from None
     except Exception as error:
         raise InputError(f"{path}: not a torch state dict ({reason_of(error)})") from None
     if not isinstance(state, dict) or not all(isinstance(x, Tensor) for x in state.values()):

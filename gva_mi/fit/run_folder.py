@@ -116,9 +116,7 @@ def stamps(video: Video) -> dict[str, str]:
 
 
 def other_parts(run: Path, video: Video) -> list[str]:
-    """Return which parts of a video differ from the run's video; none if it keeps no record."""
-    if not (run / OPTIONS).exists():
-        return []
+    """Return which parts of a video differ from the run's video."""
     known, found = load_options(run)["video"], stamps(video)
     return [part for part in found if found[part] != known.get(part)]
 
@@ -298,8 +296,8 @@ def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     file in there.
     """
     folder = run if run.is_dir() else run.parent
-    path = poses or folder / TRAINED_POSES
-    if poses is None and not path.is_file():
+    path = poses or trained_poses(folder)
+    if path is None:
         raise InputError(
             f"{folder}: holds no {TRAINED_POSES}, which a fit that trains poses writes; "
             "give --poses"
@@ -307,8 +305,39 @@ def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     return *load_poses(path), path
 
 
+def trained_poses(run: Path) -> Path | None:
+    """Return the file of the poses that were trained with a run's avatar; None if none were.
+
+    Raises:
+        InputError: the run trained poses, and their file does not exist any more.
+    """
+    path = run / TRAINED_POSES
+    if path.exists():
+        return path
+    made_with = load_options(run)["options"] if (run / OPTIONS).exists() else {}
+    if made_with.get("poses", {}).get("trained"):
+        raise InputError(
+            f"{path}: no such file; expected the poses that this run trained with its avatar: "
+            "restore them, or fit again with --overwrite"
+        )
+    return None
+
+
 def under_trained_poses(video: Video, run: Path) -> Video:
-    """Return the video under the poses that were trained with the avatar, if any were."""
+    """Return the video under the poses that were trained with the avatar, if any were.
+
+    Raises:
+        InputError: the run was fitted to another video, or its poses are missing, or of another
+            number of frames or another person.
+    """
     require_own_video(run, video)
-    poses = run / TRAINED_POSES
-    return replace(video, pose=load_poses(poses, len(video))[0]) if poses.exists() else video
+    path = trained_poses(run)
+    if path is None:
+        return video
+    pose, shape = load_poses(path, len(video))
+    if not torch.equal(shape.betas, video.shape.betas):
+        raise InputError(
+            f"{path}: its betas are of another person than those of {video.folder}; expected the "
+            "poses that this run trained with its avatar"
+        )
+    return replace(video, pose=pose)

@@ -7,8 +7,8 @@ of the table below.
 
 The files are in the first of these folders, and missing files are fetched into it:
 
-1. the folder that a command's option names;
-2. the folder that the environment variable ``GVA_MI_WEIGHTS`` names;
+1. the existing folder that a command's option names;
+2. the existing folder that the environment variable ``GVA_MI_WEIGHTS`` names;
 3. ``gva_mi/mediapipe-0.10.21`` in the user's cache folder.
 
 On a machine without a network connection, use a folder from another machine.
@@ -72,10 +72,14 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
 
 def _place(folder: Path | None) -> Path:
     """Return the folder of the weights: the first in the module's list."""
-    if folder is not None:
-        return Path(folder)
-    if os.environ.get(WEIGHTS_VARIABLE):
-        return Path(os.environ[WEIGHTS_VARIABLE]).expanduser()
+    if given := folder or os.environ.get(WEIGHTS_VARIABLE):
+        given = Path(given).expanduser()
+        if not given.is_dir():  # perhaps mistyped: nothing is fetched into it
+            raise InputError(
+                f"{given}: no such folder; expected the folder of {', '.join(_SHA256)}, or an "
+                "empty one to fetch them into"
+            )
+        return given
     cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return cache / "gva_mi" / f"mediapipe-{MEDIAPIPE_VERSION}"
 

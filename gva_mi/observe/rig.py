@@ -7,12 +7,15 @@ body, which is linear in the shape. With the transform of its joint, landmark ``
 
 Annotators mark a hip, a shoulder or a knuckle a few centimetres off the joint of a body model. The
 offset ``o_p`` is that difference: constant in a video, with the standard deviation
-``offset_spread_p``.
+``offset_spread_p``. Its mean is part of ``x_p``, and belongs to one network. Keypoints of OpenPose
+and the like are taken as joints, as fits of body models do (Pavlakos et al., SMPLify-X, 2019;
+Kolotouros et al., SPIN, 2019). These fits ignore their hips, which lie elsewhere than a body
+model's; here their offset is nearly free.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -48,6 +51,7 @@ _FACE = {
 }  # fmt: skip
 # Standard deviations of offsets, metres; chosen by eye.
 _FACE_SPREAD, _EAR_SPREAD, _FOOT_SPREAD = 0.015, 0.030, 0.015
+_OTHER_HIP_SPREAD = 0.050  # of keypoints' hips
 _KNUCKLE_SPREAD, _TIP_SPREAD = 0.006, 0.005
 _FINGER_NAMES = ("thumb", "index", "middle", "ring", "pinky")
 # Bones by which the sizes of two skeletons are compared.
@@ -81,9 +85,14 @@ class LandmarkRig:
     offset_spread: Tensor
 
     @staticmethod
-    def of(body: BodyModel, names: Sequence[str]) -> LandmarkRig:
-        """Find landmarks on a body; unknown ``names`` are left out."""
+    def of(body: BodyModel, names: Sequence[str], at_joints: Collection[str] = ()) -> LandmarkRig:
+        """Find landmarks on a body; unknown ``names`` are left out.
+
+        ``at_joints`` are those that lie at the joint itself (:class:`Landmarks`).
+        """
         points = dict(_points(body))
+        for hip in {"left_hip", "right_hip"}.intersection(at_joints):
+            points[hip] = points[hip]._replace(offset_spread=_OTHER_HIP_SPREAD)
         known = tuple(name for name in names if name in points)
         joints, vertices, offset_spread = zip(*(points[name] for name in known), strict=True)
         at = torch.tensor([vertex or 0 for vertex in vertices])
@@ -92,7 +101,8 @@ class LandmarkRig:
         count, betas = len(body.v_template), body.num_betas
         moves = columns_of(body.shape_directions, at, count)[:, : 3 * len(known)]
         moves = moves.view(betas, 3, -1).mT
-        marked = body.v_template.new_tensor([_marked(name) for name in known]).view(-1, 3)
+        marked = [(0.0, 0.0, 0.0) if name in at_joints else _marked(name) for name in known]
+        marked = body.v_template.new_tensor(marked).view(-1, 3)
         joint_moves = body.shape_joints.view(betas, -1, 3)[:, joints]
         return LandmarkRig(
             known,

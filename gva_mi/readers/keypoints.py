@@ -167,5 +167,6 @@ def with_keypoints(
             "all frames of the video, numbered in order, in pixels of its upright pictures"
         )
     count = int(np.isfinite(pixels[:, at]).any((1, 2)).sum())
-    replaced = Landmarks(landmarks.names, pixels, confidence, spread, landmarks.metric)
+    fields = landmarks.names, pixels, confidence, spread, landmarks.metric, KEYPOINT_NAMES
+    replaced = Landmarks(*fields)
     return replaced, [f"keypoints of {path} in {count} of {len(pixels)} frames"]

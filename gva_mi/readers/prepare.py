@@ -25,7 +25,6 @@ from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import options_of
-from gva_mi.core.stamp import write_record
 from gva_mi.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.readers.datasets import (
     DATASETS,
@@ -153,7 +152,7 @@ def prepare_folder(
     file = None if body.name == BUILT_IN_NAME else str(options.body.resolve())
     record["body"] = {"name": body.name, "file": file} | fingerprint(body.model)
     record["source"] = {"kind": kind, "estimate": source} | vars(options)
-    write_record(out / PREPARED, record)
+    writer.record(PREPARED, record)
     return notes
 
 

@@ -97,7 +97,7 @@ class SeenLandmarks:
             pose: T frames of stage 1, which was solved from the same landmarks.
             shape: of the person, by stage 1.
         """
-        rig = LandmarkRig.of(body, landmarks.names)
+        rig = LandmarkRig.of(body, landmarks.names, landmarks.at_joints)
         T_camera_world = torch.from_numpy(np.stack([c.T_camera_world for c in cameras])).float()
         head, faces = _heads(landmarks, body, T_camera_world, pose, shape)
         noise = LandmarkNoise.of(landmarks, rig.names)

@@ -25,14 +25,13 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import PythonOnly, Within, from_json, options_of
 from gva_mi.core.spill_cache import SpillCache
-from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.matting.masks import video_masks
 from gva_mi.networks.segment_anything import Prompt
 from gva_mi.networks.watch import WatchedVideo, watch_video
 from gva_mi.observe.swaps import fix_front_back
 from gva_mi.prior.stature import PERSON_HEIGHTS
-from gva_mi.readers.keypoints import with_keypoints
+from gva_mi.readers.keypoints import read_keypoints, with_keypoints
 from gva_mi.readers.own_masks import MaskOptions, WithMasks, write_masks, write_own_masks
 from gva_mi.readers.people import prompt_at
 from gva_mi.stage1.face import with_face
@@ -173,6 +172,8 @@ def motion_of_video(
     size = pictures.pictures[0].shape[1::-1]
     recorded = in_pixels(pictures.focal35, size) if pictures.focal35 else None
     focal = recorded if lens is None else asked_for(lens, recorded, size)
+    if options.keypoints is not None:
+        read_keypoints(options.keypoints)  # a bad file is refused before the networks work
     watched = watch_video(
         pictures.pictures,
         on_silhouette,
@@ -285,4 +286,4 @@ def _write_subject(
     name = BUILT_IN_NAME if body is None else body.stem
     about = {"kind": VIDEO_KIND, "video": asdict(record)}
     about["body"] = {"name": name, "file": file} | fingerprint(model)
-    write_record(writer.folder / PREPARED, about)
+    writer.record(PREPARED, about)

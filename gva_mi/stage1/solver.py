@@ -217,10 +217,10 @@ class _ProblemFactory:
         known: KnownParameters,
     ) -> None:
         self.body, self.size, self.dt, self.known = body, size, 1 / fps, known
-        self.rig = LandmarkRig.of(body, sorted(landmarks.names))
+        self.rig = LandmarkRig.of(body, sorted(landmarks.names), landmarks.at_joints)
         at, names = landmarks.indices(self.rig.names), ("pixels", "confidence", "spread", "metric")
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
-        self.landmarks = Landmarks(self.rig.names, **arrays)
+        self.landmarks = Landmarks(self.rig.names, **arrays, at_joints=landmarks.at_joints)
         self.anatomy, self.K = Anatomy.of(body.j_template), known.K(size)
 
     def initial_state(self) -> Stage1State:
@@ -286,7 +286,8 @@ class _ProblemFactory:
         state: Stage1State,
         hand: str | None = None,
     ) -> Stage1Problem:
-        rig = LandmarkRig.of(self.body, [self.rig.names[p] for p in landmark_indices])
+        names = [self.rig.names[p] for p in landmark_indices]
+        rig = LandmarkRig.of(self.body, names, self.landmarks.at_joints)
         at = self.landmarks.indices(rig.names)
         scale = self.rig.scale(self.landmarks, state.betas.float())
         correlated = correlated_frames(self.landmarks, self.dt, hand)

@@ -22,7 +22,7 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
-from gva_mi.subject.folder import PREPARED, SYNTH
+from gva_mi.subject.folder import LANDMARKS, MASKS, PREPARED, SYNTH, TRUTH, frame_name
 
 SKETCH_SUMS = 32  # K. Chosen: the root mean square is right to one part in √(2 K), 12 %
 SAME_BODY_METRES = 3e-6  # root mean square. Chosen: ten times float32's rounding
@@ -100,6 +100,27 @@ def prepared_from(folder: Path) -> tuple[str | None, float | None]:
     with expecting(folder / PREPARED, EXPECTED_RECORD):
         fps = about.get("video", {}).get("fps")
         return about.get("kind"), None if fps is None else float(fps)
+
+
+def require_listed(folder: Path, count: int) -> None:
+    """Raise an InputError if a file of a subject with ``count`` frames has got lost.
+
+    The records list the files. Landmarks come with a record, and true masks with one for each
+    frame; without them, steps would use defaults and estimates instead.
+    """
+    wanted = {PREPARED: LANDMARKS} if (folder / LANDMARKS).exists() else {}
+    for name in (PREPARED, SYNTH):
+        with expecting(folder / name, EXPECTED_RECORD):
+            wanted |= {str(part): name for part in _record(folder / name).get("files", ())}
+    masks = f"{TRUTH}/{MASKS}"
+    if (folder / masks).is_dir():
+        wanted |= {f"{masks}/{frame_name(k)}": masks for k in range(count)}
+    for part, other in wanted.items():
+        if not (folder / part).exists():
+            raise InputError(
+                f"{folder}: has no {part} any more, which belongs to {other}; restore it, or make "
+                "the folder again"
+            )
 
 
 def _record(file: Path) -> dict:

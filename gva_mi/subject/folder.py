@@ -32,12 +32,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.core.files import write_json
+from gva_mi.core.stamp import write_record
 from gva_mi.splat import Camera
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.landmarks import Landmarks
@@ -50,6 +52,11 @@ POSES, REFINED_POSES = "poses.npz", "poses_refined.npz"
 PREPARED, SYNTH = "prepare.json", "synth.json"
 TRUTH, VIEWS = "truth", "views"
 VIEWS_RECORD = "views.json"  # in views/
+# Files that a subject need not have. Once it had them, results without them would differ silently.
+LISTED_PARTS = (
+    LANDMARKS, SPLITS, NORMALS_RECORD, VIEWS, TRUTH,
+    *(f"{TRUTH}/{x}" for x in (MASKS, CAMERAS, POSES, "body.npz", "novel_pose", "novel_view")),
+)  # fmt: skip
 
 
 def frame_name(index: int, suffix: str = ".png") -> str:
@@ -127,6 +134,14 @@ class SubjectWriter:
     def splits(self, record: Mapping[str, list[int]]) -> None:
         """Write the train and test frames, as ``Splits.to_json`` returns them."""
         write_json(self.folder / SPLITS, record)
+
+    def record(self, name: str, about: Mapping[str, Any]) -> None:
+        """Write ``prepare.json`` or ``synth.json`` last; its ``files`` lists the folder's parts.
+
+        :func:`gva_mi.subject.fingerprint.require_listed` looks for them.
+        """
+        parts = [part for part in LISTED_PARTS if (self.folder / part).exists()]
+        write_record(self.folder / name, {**about, "files": parts})
 
     def views_record(self, frames: Sequence[int], names: Sequence[str]) -> None:
         """Write the video's frame, and the camera's name, of each picture in ``views``."""

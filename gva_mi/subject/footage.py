@@ -10,6 +10,7 @@ import numpy as np
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import once_a_file, read_array
+from gva_mi.subject.folder import FRAMES
 from gva_mi.subject.masks import MaskMeaning, meaning_of
 from gva_mi.subject.numbering import frames_named, numbers_in
 from gva_mi.subject.pictures import matte_of_pixels, read_image
@@ -46,6 +47,8 @@ def files_of(source: Pictures) -> list[Path] | None:
         return list(source)
     if not source.is_dir():
         return None
+    if (source / FRAMES).is_dir():
+        raise InputError(f"{source}: is a subject's folder; its pictures are {source / FRAMES}")
     files = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
     if not files:
         raise InputError(f"{source}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")

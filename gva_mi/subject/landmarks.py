@@ -50,6 +50,8 @@ class Landmarks:
     # (T, P, 3) metres in the camera's axes, x right, y down, z away from the camera; relative to
     # the middle of the hips, or for a hand to its own middle. NaN if the network gives none.
     metric: np.ndarray
+    # Names of points that lie at the joint itself, and not where BlazePose marks it.
+    at_joints: Sequence[str] = ()
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -61,19 +63,22 @@ class Landmarks:
     def save(self, path: Path) -> None:
         """Write ``landmarks.npz``; it appears when it is complete."""
         numbers = {name: getattr(self, name).astype(np.float32) for name in _SHAPES}
-        write_arrays(path, names=np.array(self.names), **numbers)
+        names = {"names": np.array(self.names), "at_joints": np.array(self.at_joints, str)}
+        write_arrays(path, **names, **numbers)
 
     @staticmethod
     def load(path: Path) -> Landmarks:
         """Read ``landmarks.npz``."""
         arrays = read_arrays(path, "landmarks of a video")
         require_keys(path, arrays, ("names", *_SHAPES))
-        names = tuple(map(str, np.atleast_1d(arrays["names"])))
+        names, at_joints = (
+            tuple(map(str, np.atleast_1d(arrays.get(name, ())))) for name in ("names", "at_joints")
+        )
         found, count = [], None
         for name, more in _SHAPES.items():
             found.append(require_array(path, name, arrays[name], (count, len(names), *more)))
             count = len(found[0])
-        return Landmarks(names, *found)
+        return Landmarks(names, *found, at_joints)
 
 
 # What follows (T, P) in the shape of each array.

@@ -39,9 +39,8 @@ from gva_mi.subject.footage import Pictures, files_of
 from gva_mi.subject.pictures import opened
 
 RECORDED = "recorded"  # given instead of a focal length: take the one in the file
-# Chosen: both ranges hold any lens, from fisheyes to telescopes.
-FOCAL_IN_PIXELS = Within(1, 1e6, unit="pixels")
-FOCAL_IN_35MM = Within(1, 2000, unit="mm")  # equivalent on 35 mm film
+# Chosen: lenses that show straight lines straight have 9 to 1200 mm.
+FOCAL_IN_35MM = Within(7, 1200, unit="mm")  # equivalent on 35 mm film
 EXPECTED_FOCAL = (
     f"a focal length in pixels, such as 1450, as of 35 mm film, such as 26mm, or {RECORDED}"
 )
@@ -126,8 +125,8 @@ def in_pixels(millimetres: float, size: tuple[int, int]) -> float:
 
 def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
     """Return the focal length (pixels) recorded in the video file or first picture; or None."""
-    found = in_pixels(recorded_35mm(source) or 0.0, size)
-    return found if found in FOCAL_IN_PIXELS else None
+    found = recorded_35mm(source)
+    return None if found is None else in_pixels(found, size)
 
 
 def recorded_35mm(source: Pictures) -> float | None:
@@ -159,9 +158,13 @@ def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:
         number = float(text.removesuffix("mm"))
     except ValueError:
         number = 0.0
-    found = in_pixels(number, size) if text.endswith("mm") else number
-    if found not in FOCAL_IN_PIXELS:
-        raise InputError(f"prepare: --lens must be {EXPECTED_FOCAL}; got {text}")
+    found = number if not text.endswith("mm") else in_pixels(number, size)
+    low, high = (in_pixels(end, size) for end in (FOCAL_IN_35MM.low, FOCAL_IN_35MM.high))
+    if not low <= found <= high:
+        raise InputError(
+            f"prepare: --lens must be {EXPECTED_FOCAL}; {FOCAL_IN_35MM}, which are {low:.0f} to "
+            f"{high:.0f} pixels here; got {text}"
+        )
     return found
 
 

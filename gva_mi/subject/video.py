@@ -26,7 +26,7 @@ from gva_mi.splat import Camera
 from gva_mi.subject.backdrop import premultiplied
 from gva_mi.subject.cameras import load_cameras
 from gva_mi.subject.crop import block_means
-from gva_mi.subject.fingerprint import prepared_from
+from gva_mi.subject.fingerprint import prepared_from, require_listed
 from gva_mi.subject.folder import (
     CAMERAS,
     FRAMES,
@@ -254,6 +254,7 @@ def read_video(
             attempt("normals", k, maps.check, k, camera)
     if len(absent) == count:
         attempt("frames", None, _refuse, f"{folder}: no frame can be used; frame 0: {absent[0]}")
+    attempt("files", None, require_listed, folder, count)
     splits = attempt("splits", None, load_splits, folder, count) or Splits.every(count)
     kind = fps = None
     if poses == folder / POSES:

@@ -42,7 +42,6 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_arrays, write_json
-from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.splat import Camera
 from gva_mi.subject.fingerprint import fingerprint, require_same_body
@@ -123,7 +122,7 @@ def make_subject(
         splits |= {"novel_pose": list(range(options.novel_poses)), "novel_view": seen}
         SubjectWriter(folder).splits(splits)
         about = {"options": options.recorded(), "seed": options.seed, "body": fingerprint(body)}
-        write_record(folder / SYNTH, about)
+        SubjectWriter(folder).record(SYNTH, about)
 
 
 def degrade(subject: Path, out: Path, error_model: str, seed: int, body: BodyModel) -> None:

@@ -14,6 +14,7 @@ import pytest
 from gva_mi.avatar.export import save_gltf
 from gva_mi.body.pose import Pose
 from gva_mi.core.atomic import folder_lock
+from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_arrays, write_json
 from gva_mi.fit.run_folder import save_state
 from gva_mi.splat.formats.ply import save_ply
@@ -146,6 +147,35 @@ def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     monkeypatch.setattr("gva_mi.__main__.load", lambda verb: stopped)
     code, _, err = cli(verb)
     assert code == 130 and err.startswith("\ngva-mi: stopped; ") and err.endswith(f"{told}\n")
+
+
+@pytest.mark.parametrize("cause, code, told", [
+    (KeyboardInterrupt(), 130, "stopped; all files"), (InputError("x.npz: cut"), 2, "x.npz: cut"),
+    (MemoryError(), 2, "not enough memory"), (OSError(28, "No space left", "x"), 2, "No space"),
+])  # fmt: skip
+def test_what_happens_while_dr_jit_records_is_told_as_elsewhere(
+    cause, code, told, cli, monkeypatch
+):
+    """Dr.Jit makes a RuntimeError of what a function raises that it records."""
+    import drjit as dr
+    from drjit.llvm import Float
+
+    @dr.freeze
+    def recorded(x):
+        raise cause
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: lambda: recorded(Float(1.0)))
+    found, _, err = cli("synth")
+    assert found == code and told in err, err
+
+
+def test_a_working_folder_that_is_gone_is_one_sentence(tmp_path):
+    program = "import os; os.rmdir(os.getcwd()); from gva_mi.__main__ import run; run()"
+    words = [sys.executable, "-c", program, "check", str(tmp_path)]
+    (tmp_path / "gone").mkdir()
+    ended = subprocess.run(words, cwd=tmp_path / "gone", capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert ended.stderr == "gva-mi: the working folder does not exist any more; cd to another one\n"
 
 
 INTERRUPTED = """

@@ -17,6 +17,7 @@ from gva_mi.core.files import (
     once_a_file,
     read_array,
     read_arrays,
+    read_bytes,
     read_json,
     require_array,
     require_keys,
@@ -24,6 +25,7 @@ from gva_mi.core.files import (
     write_arrays,
     write_json,
 )
+from gva_mi.core.pickles import read_objects
 from gva_mi.core.stamp import start_folder
 
 
@@ -52,6 +54,25 @@ def test_unreadable_arrays_are_named(tmp_path):
     assert found["b"].tolist() == [0, 1]
     with pytest.raises(InputError, match="key 'c' is missing; found: b"):
         require_keys(path, found, ("b", "c"))
+
+
+@pytest.mark.parametrize("read", [read_arrays, read_bytes, read_json, read_objects])
+def test_what_is_no_file_is_refused_before_it_is_waited_for(read, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path, kind in (
+        (tmp_path / "pipe", "is a device or a pipe"), ("/dev/zero", "is a device or a pipe"),
+        (tmp_path, "is a folder"), (tmp_path / "none", "no such file"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"{path}: {kind}; expected poses"):
+            read(Path(path), "poses")
+
+
+@pytest.mark.parametrize("read", [read_arrays, read_bytes, read_json, read_objects])
+def test_a_file_whose_bytes_cannot_be_read_is_named(read):
+    with pytest.raises(
+        InputError, match=r"/proc/self/mem: .*\(Input/output error\); expected poses"
+    ):
+        read(Path("/proc/self/mem"), "poses")
 
 
 def test_an_array_of_another_form_is_named():

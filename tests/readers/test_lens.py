@@ -108,7 +108,9 @@ def test_a_user_gives_pixels_millimetres_or_what_is_recorded():
     assert asked_for("26mm", None, SIZE) == asked_for("26 mm", 50.0, SIZE) == in_pixels(26, SIZE)
     with pytest.raises(InputError, match="no focal length is recorded.*--lens 26mm"):
         asked_for("recorded", None, SIZE)
-    for wrong in ("", "0mm", "-26mm", "nan", "26cm"):
+    low, high = in_pixels(7, SIZE), in_pixels(1200, SIZE)
+    beyond = ("1mm", "2000mm", str(0.99 * low), str(1.01 * high))
+    for wrong in ("", "0mm", "-26mm", "nan", "26cm", *beyond):
         with pytest.raises(InputError, match="--lens must be a focal length in pixels"):
             asked_for(wrong, 77.0, SIZE)
 

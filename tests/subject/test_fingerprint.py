@@ -1,6 +1,7 @@
 """A subject and the body it was made on belong together."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ import torch
 from gva_mi import InputError
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.subject.fingerprint import fingerprint, prepared_from, require_same_body
+from gva_mi.subject.fingerprint import (
+    fingerprint,
+    prepared_from,
+    require_listed,
+    require_same_body,
+)
+from gva_mi.subject.folder import SubjectWriter
+from gva_mi.subject.video import load_video
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +84,34 @@ def test_a_prepared_video_knows_its_frame_rate(tmp_path):
     ):
         (tmp_path / "prepare.json").write_text(json.dumps(about))
         assert prepared_from(tmp_path) == expected
+
+
+@pytest.mark.parametrize("lost, belongs", [
+    ("splits.json", "synth.json"), ("truth", "synth.json"), ("truth/poses.npz", "synth.json"),
+    ("truth/masks", "synth.json"), ("truth/masks/000002.png", "truth/masks"),
+    ("prepare.json", "landmarks.npz"),
+])  # fmt: skip
+def test_a_file_that_got_lost_is_named(subject, lost, belongs):
+    """Every one of them changed figures, or took them away, without a word."""
+    folder = subject
+    shutil.copytree(folder / "masks", folder / "truth/masks")
+    shutil.copy(folder / "poses.npz", folder / "truth")
+    SubjectWriter(folder).splits({"train": [0, 1], "test": [2]})
+    (folder / "landmarks.npz").touch()
+    SubjectWriter(folder).record("prepare.json", {})
+    SubjectWriter(folder).record("synth.json", {})
+    require_listed(folder, 3)
+    path = folder / lost
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(InputError, match=f"has no {lost} any more, which belongs to {belongs};"):
+        require_listed(folder, 3)
+
+
+def test_steps_ask_for_lost_files(subject, cli):
+    folder = subject
+    SubjectWriter(folder).splits({"train": [0, 1], "test": [2]})
+    SubjectWriter(folder).record("prepare.json", {"kind": "auto"})
+    (folder / "splits.json").unlink()
+    with pytest.raises(InputError, match="has no splits.json any more"):
+        load_video(folder)
+    assert "has no splits.json any more" in " ".join(cli("check", folder)[1].split())

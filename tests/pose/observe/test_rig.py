@@ -37,6 +37,17 @@ def test_unknown_names_are_left_out_and_order_is_kept(built_in_body, rig):
     assert torch.equal(some.rest, rig.rest[[rig.names.index(name) for name in some.names]])
 
 
+def test_keypoints_lie_at_the_joints_themselves(built_in_body):
+    """BlazePose's points lie off the joints; only the hips of keypoints may lie elsewhere."""
+    names = [f"{side}_{limb}" for limb in ("hip", "knee", "ankle") for side in ("left", "right")]
+    joints = built_in_body.j_template[[JOINTS.index(name) for name in names]]
+    keypoints, landmarks = (LandmarkRig.of(built_in_body, names, some) for some in (names, ()))
+    assert torch.equal(keypoints.rest, joints)
+    assert ((landmarks.rest - joints).norm(dim=1) > 0.005).all()
+    wider = keypoints.offset_spread / landmarks.offset_spread
+    assert (wider[:2] >= 2).all() and (wider[2:] == 1).all()
+
+
 def test_landmarks_that_are_joints_follow_pose_and_shape(built_in_body, rig):
     pose = Pose.rest(2)
     pose.rotations[1] = 0.3 * torch.randn(55, 3, generator=torch.Generator().manual_seed(1))

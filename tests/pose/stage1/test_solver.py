@@ -162,6 +162,30 @@ def test_known_poses_come_back(found, known_recording, built_in_body):
     assert apart[:, FINGERS].mean() < 0.05
 
 
+def test_keypoints_at_the_joints_put_the_legs_where_they_are_given(known_recording, built_in_body):
+    """Knees and ankles of another program lie at the joints, its hips 4 cm lower than the body's.
+
+    Landmarks of BlazePose lie a centimetre above the body's knees and ankles.
+    """
+    ours, camera = known_recording.landmarks, known_recording.camera
+    limbs = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+    given = [f"{side}_{limb}" for limb in limbs for side in ("left", "right")]
+    legs = [JOINTS.index(name) for name in given[-4:]]
+    joints = built_in_body(known_recording.pose, known_recording.shape).joints.double().numpy()
+    marked = joints[:, [JOINTS.index(name) for name in given]]
+    marked[:, [name.endswith("hip") for name in given], 1] -= 0.04
+    pixels = ours.pixels.copy()
+    pixels[:, ours.indices(given)] = camera.project(marked)
+    below = {}
+    for at_joints in (given, ()):
+        seen = replace(ours, pixels=pixels, at_joints=at_joints)
+        found = solved(known_recording, built_in_body, seen)
+        legs_found = built_in_body(found.pose, found.shape).joints[:, legs].double().numpy()
+        off = found.camera.project(legs_found) - camera.project(joints[:, legs])
+        below[len(at_joints)] = np.median(off[..., 1])
+    assert abs(below[12]) < 0.2 and below[0] > 0.4, below  # pixels; the person has 250
+
+
 def test_the_world_is_upright_with_the_floor_at_zero(found, built_in_body):
     assert found.tilt == pytest.approx(20, abs=2.5)
     lowest = built_in_body(found.pose, found.shape).vertices[..., 1].amin(1)

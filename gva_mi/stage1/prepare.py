@@ -238,9 +238,9 @@ def prepare_video(
             progress=part_of_progress(progress, 0, 6, 10),
         )  # fmt: skip
         pictures = motion.pictures.pictures
-        stored = StoredPictures(out / FRAMES)
         write = lambda numbered: writer.frame(*numbered)
-        stored.count = len(list(on_all_cores(write, enumerate(pictures))))
+        count = len(list(on_all_cores(write, enumerate(pictures))))
+        stored = StoredPictures(out / FRAMES, count)
         more = part_of_progress(progress, 6, 4, 10)
         if given is not None:
             used, size = motion.pictures, pictures[0].shape[1::-1]

@@ -149,18 +149,15 @@ class SubjectWriter:
         write_json(self.folder / VIEWS / VIEWS_RECORD, record)
 
 
+@dataclass(frozen=True)
 class StoredPictures(Sequence[np.ndarray]):
-    """The frames in a folder as a sequence that reads each file when it is used.
+    """The frames in a folder as a sequence that reads each file when it is used."""
 
-    Attributes:
-        count: its length; zero until it is set.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder, self.count = folder, 0
+    folder: Path
+    count: int
 
     def __len__(self) -> int:
         return self.count
 
     def __getitem__(self, index: int) -> np.ndarray:
-        return read_image(self._folder / frame_name(index), 3)
+        return read_image(self.folder / frame_name(index), 3)

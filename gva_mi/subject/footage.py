@@ -38,7 +38,7 @@ def pictures(source: Pictures, channels: int) -> Iterator[np.ndarray]:
         for number, frame in enumerate(decoded(open_stream(source))):
             image = picture_of(frame)
             where = f"{source}: picture {number}"
-            yield image if channels == 3 else matte_of_pixels(where, image)
+            yield matte_of_pixels(where, image) if channels == 1 else image
 
 
 def files_of(source: Pictures) -> list[Path] | None:

@@ -79,8 +79,7 @@ def _in_srgb(image: Image.Image) -> Image.Image:
 
     if not (profile := image.info.get("icc_profile")):
         return image
-    if image.mode == "P":
-        image = image.convert("RGBA" if "transparency" in image.info else "RGB")
+    image = image.convert("RGBA") if image.mode == "P" else image
     try:
         transform = _srgb_transform(profile, image.mode)
         return image if transform is None else ImageCms.applyTransform(image, transform)

@@ -253,7 +253,7 @@ def decoded(
     """
     import av
 
-    path, count, first, last, sent = stream.container.name, 0, None, None, []
+    path, count, first, last = stream.container.name, 0, None, None
     with stream.container as container, decoding(path):
         if moment is not None:
             container.seek(moment, stream=stream)
@@ -265,15 +265,12 @@ def decoded(
                     return
                 if None in (last, packet.pts):
                     raise
-                sent += _shown(container.demux(stream))
-                number, at = sum(x < packet.pts for x in sent), float(packet.pts * stream.time_base)
-                before = 100 * (last - first) // 1 / 100
+                at, before = float(packet.pts * stream.time_base), 100 * (last - first) // 1 / 100
                 remedy = f"; --end {before:g} uses what comes before it" if before else ""
                 raise InputError(
-                    f"{path}: picture {number}, at {at - first:.2f} s, is damaged "
-                    f"({error.strerror}){remedy}"
+                    f"{path}: picture {_count_before(path, packet.pts)}, at {at - first:.2f} s, is "
+                    f"damaged ({error.strerror}){remedy}"
                 ) from None
-            sent += _shown([packet])
             for frame in frames:
                 require_size(path, frame.width, frame.height)
                 count, last = count + 1, frame.time
@@ -283,9 +280,12 @@ def decoded(
         raise InputError(f"{path}: holds no picture")
 
 
-def _shown(packets: Iterable[av.Packet]) -> list[int]:
-    """Return when the pictures in packets are shown, in ticks; an edit list may hide some."""
-    return [x.pts for x in packets if x.pts is not None and not x.is_discard]
+def _count_before(path: str, moment: int) -> int:
+    """Count the pictures that are shown before a moment, in ticks, without decoding them."""
+    stream = open_stream(path)
+    with stream.container as container:
+        shown = (x.pts for x in container.demux(stream) if not x.is_discard)
+        return sum(pts is not None and pts < moment for pts in shown)
 
 
 @contextmanager
@@ -370,15 +370,12 @@ def _srgb(
     """Return a frame's pixels as they are stored, sRGB (H, W, 3) 8-bit."""
     from av.video.reformatter import Colorspace, VideoReformatter
 
-    to_bt709 = TO_BT709.get(frame.color_primaries)
-    if frame.color_trc in HDR and to_bt709 is None:
-        to_bt709 = TO_BT709[BT2020]
+    usual = TO_BT709[BT2020] if frame.color_trc in HDR else None
+    to_bt709 = TO_BT709.get(frame.color_primaries, usual)
     matrix = None
     if frame.colorspace in UNTAGGED and not frame.format.is_rgb:
-        large = (
-            max(frame.width, frame.height) >= HD_WIDTH
-            or min(frame.width, frame.height) >= HD_HEIGHT
-        )
+        shorter, longer = sorted((frame.width, frame.height))
+        large = longer >= HD_WIDTH or shorter >= HD_HEIGHT
         matrix = (
             Colorspace.BT2020
             if frame.color_primaries == BT2020
@@ -402,14 +399,8 @@ def _srgb(
         light *= HLG_PEAK / REFERENCE_WHITE
     light = np.maximum(light @ to_bt709.T, 0)
     if frame.color_trc in HDR:
-        most = np.maximum(light.max(axis=2), HIGHLIGHT_KNEE)
-        light *= (
-            (
-                HIGHLIGHT_KNEE
-                + (HIGHLIGHT_KNEE - 1) * np.expm1((HIGHLIGHT_KNEE - most) / (1 - HIGHLIGHT_KNEE))
-            )
-            / most
-        )[..., None]
+        k, most = HIGHLIGHT_KNEE, np.maximum(light.max(axis=2), HIGHLIGHT_KNEE)
+        light *= ((k + (k - 1) * np.expm1((k - most) / (1 - k))) / most)[..., None]
     return _in_8_bits(True)[np.round(np.minimum(light, 1) * 65535).astype(np.uint16)]
 
 

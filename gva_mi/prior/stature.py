@@ -25,11 +25,13 @@ from torch import Tensor
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within
 from gva_mi.splat import Camera
 
 # Heights that are accepted. Chosen: every standing person, children included.
 PERSON_HEIGHTS = Within(0.4, 2.6, unit="metres")
+HEIGHT_ROUNDING = 0.01  # metres, of a height that is given; chosen: people know theirs so well
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,21 @@ class Stature:
         return (self.height(shape) - height).square()
 
     def nearest(self, shape: Shape, height: float) -> Shape:
-        """Return eq. 2: among the shapes of this height, the nearest to the given shape."""
+        """Return eq. 2: among the shapes of this height, the nearest to the given shape.
+
+        Raises:
+            InputError: all shapes of the body have one height, and it is another.
+        """
         slope = torch.zeros_like(shape.betas)
         slope[: len(self.slope)] = self.slope[: len(slope)]
         missing = height - self.height(shape)
+        if not bool(slope.any()):
+            if abs(float(missing)) > HEIGHT_ROUNDING:
+                raise InputError(
+                    f"the body is {self.mean:.2f} m tall in every shape; expected this height, or "
+                    f"a body whose betas change it, got {height:.2f} m"
+                )
+            return shape
         return Shape(shape.betas + slope * missing / slope.square().sum())
 
 

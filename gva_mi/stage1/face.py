@@ -10,6 +10,7 @@ The solved body gives the head's rotation ``A`` and place ``a`` in every frame. 
 
 The head turns by ``δ``. The jaw opens by ``ρ``, which moves the landmark along ``b``, and the
 expression ``ψ`` moves it along ``d``. ``τ`` absorbs errors of the head's place, and is not kept.
+A jaw that does not open the mouth stays as it is.
 The constant ``o`` absorbs how this person's face differs from the average body's. The points err
 together and count as few (``n``), and so do frames (``m``). ``f`` is low if the face is turned away
 (:func:`gva_mi.observe.rig.face_weights`).
@@ -49,6 +50,8 @@ NO_FACE = (
 POINT_SIGMA_METRES, POINT_SIGMA_PIXELS = 0.003, 0.8
 INDEPENDENT_POINTS = 6.0  # n: all 51 points count as so many independent ones; by eye
 OFFSET_SIGMA = 0.006  # σ_o, metres; chosen by eye
+# Of the mouth, metres per radian of the jaw; chosen: a fifth of the built-in body's.
+SMALLEST_OPENING = 0.01
 CLOSED_SHARE = 0.05  # of the frames with a face, in which the mouth is closed; chosen by eye
 GAUSS_NEWTON_STEPS = 6  # chosen by eye
 FITTED_EXPRESSIONS = 10  # coefficients that are fitted, at most: SMPL-X's usual number
@@ -111,6 +114,8 @@ def with_face(
         return solved, [NO_FACE]
     with one_torch_thread(), torch.no_grad():
         problem = _FaceProblem.of(solved, landmarks, body, points, 1 / fps)
+        if not bool(problem.precision.any()):  # every face is turned away
+            return solved, []
         return replace(solved, pose=problem.solve(solved.pose)), []
 
 
@@ -181,12 +186,13 @@ class _FaceProblem:
         by_jaw, *by_expression = (
             part[_LIPS[0], 1] - part[_LIPS[1], 1] for part in (self.b, *self.d)
         )
-        # The opening of the mouth, expressed as a rotation of the jaw.
-        parted = q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
-        opened = (q[:, 6] - torch.quantile(parted[seen], CLOSED_SHARE)).clamp_min(0)
         rotations = pose.rotations.clone()
         rotations[:, _HEAD] = compose(rotations[:, _HEAD].double(), q[:, :3]).float()
-        rotations[:, _JAW, 0] = opened.float()
+        if by_jaw > SMALLEST_OPENING:
+            # The opening of the mouth, expressed as a rotation of the jaw.
+            parted = q[:, 6] + expression @ torch.stack(by_expression) / by_jaw
+            opened = (q[:, 6] - torch.quantile(parted[seen], CLOSED_SHARE)).clamp_min(0)
+            rotations[:, _JAW, 0] = opened.float()
         return replace(pose, rotations=rotations, expression=expression.float())
 
     def _equations(self, q: Tensor, o: Tensor) -> NormalEquations:

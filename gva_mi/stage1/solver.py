@@ -222,6 +222,9 @@ class _ProblemFactory:
         arrays = {name: getattr(landmarks, name)[:, at] for name in names}
         self.landmarks = Landmarks(self.rig.names, **arrays, at_joints=landmarks.at_joints)
         self.anatomy, self.K = Anatomy.of(body.j_template), known.K(size)
+        self.stature = Stature.of(body)
+        usual = AVERAGE_HEIGHT if self.stature.slope.any() else self.stature.mean
+        self.height = known.height or usual
 
     def initial_state(self) -> Stage1State:
         """Return the initial guess: relaxed joints, with the root placed at the observed hips."""
@@ -238,15 +241,15 @@ class _ProblemFactory:
             betas=shape.betas.double(),
             log_focal_scale=zero(),
             up=zero(2),
-            floor=pelvis_position[:, 1].median() + 0.5 * (self.known.height or AVERAGE_HEIGHT),
+            floor=pelvis_position[:, 1].median() + 0.5 * self.height,
             offsets=zero(len(self.rig.names), 3),
             angle_offsets=zero(len(self.anatomy.spreads)),
         )
 
     def mean_shape(self) -> Shape:
-        """Return the mean person of the given height."""
+        """Return the mean person of the known or usual height."""
         mean = Shape(self.body.v_template.new_zeros(self.body.num_betas))
-        return Stature.of(self.body).nearest(mean, self.known.height or AVERAGE_HEIGHT)
+        return self.stature.nearest(mean, self.height)
 
     def body_problem(self, state: Stage1State, starting: bool = False) -> Stage1Problem:
         """Return the problem of body and palms; the starting problem has no shared unknowns."""
@@ -309,8 +312,8 @@ class _ProblemFactory:
             offset_spread=rig.offset_spread,
             angle_sigma=torch.deg2rad(constant),
             betas=self.mean_shape().betas.double(),
-            stature=Stature.of(self.body),
-            height=known.height or AVERAGE_HEIGHT,
+            stature=self.stature,
+            height=self.height,
             focal_sigma=KNOWN_FOCAL_SIGMA if known.focal else UNKNOWN_FOCAL_SIGMA,
             lines=known.lines,
             camera_height=known.camera_height,

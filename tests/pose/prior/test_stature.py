@@ -53,6 +53,16 @@ def test_a_taller_person_stands_farther_away_and_looks_the_same(
     assert seen[1] == pytest.approx(seen[0], rel=0.01)
 
 
+def test_a_body_of_one_height_keeps_its_shape_and_refuses_another(body, shape):
+    """No beta moves crown or soles of it."""
+    ends = body.v_template[:, 1]
+    heights = Stature.of(body)
+    one = Stature(float(ends.max() - ends.min()), torch.zeros_like(heights.slope))
+    assert one.nearest(shape, one.mean + 0.005) is shape
+    with pytest.raises(InputError, match=r"m tall in every shape; expected .*, got 1\.93 m"):
+        one.nearest(shape, 1.93)
+
+
 @pytest.mark.parametrize("height", [178.0, 0.1, float("nan")])
 def test_a_height_that_is_not_in_metres_is_refused(height):
     with pytest.raises(InputError, match="refine: height must be from .* metres, got"):

@@ -108,3 +108,43 @@ def test_a_video_without_a_face_and_a_body_without_one_stay_as_they_are(talk, bu
     assert with_face(talk.solved, others, built_in_body, FPS) == (talk.solved, [])
     plain = BodyModel(read_body(BUILT_IN_BODY) | {"num_expressions": np.array(0)})
     assert with_face(talk.solved, talk.landmarks, plain, FPS) == (talk.solved, [NO_FACE])
+
+
+def without_jaw(**others):
+    """The built-in body whose jaw moves nothing; the face's landmarks are marked, as in SMPL-X."""
+    arrays = dict(read_body(BUILT_IN_BODY))
+    body = BodyModel(arrays)
+    at = nearest_vertices(body).numpy()
+    corner = [np.argwhere(arrays["f"] == k)[0] for k in at]
+    weights = arrays["weights"].copy()
+    weights[:, HEAD] += weights[:, JAW]
+    weights[:, JAW] = 0
+    arrays["lmk_faces_idx"] = np.array([face for face, _ in corner])
+    arrays["lmk_bary_coords"] = np.eye(3, dtype=np.float32)[[k for _, k in corner]]
+    return BodyModel(arrays | {"weights": weights} | others)
+
+
+def test_a_mouth_that_does_not_move_stays_closed(talk, built_in_body):
+    """Head and expression are found all the same; without any expression, the head alone."""
+    shapes = read_body(BUILT_IN_BODY)["shapedirs"].copy()
+    shapes[..., 10:] = 0
+    for others, smiles in (({}, True), ({"shapedirs": shapes}, False)):
+        body = without_jaw(**others)
+        at = nearest_vertices(body)
+        places = CAMERA.project(body(talk.true, talk.solved.shape).vertices[:, at].double().numpy())
+        places[TALKS:] = np.nan
+        found, _ = with_face(talk.solved, replace(talk.landmarks, pixels=places), body, FPS)
+        assert torch.equal(found.pose.rotations[:, JAW], talk.solved.pose.rotations[:, JAW])
+        before, after = (off(x, talk.true)[:TALKS].mean() for x in (talk.solved.pose, found.pose))
+        assert after < 0.4 * before
+        assert found.pose.expression.isfinite().all() and found.pose.expression.any() == smiles
+    plain = without_jaw(lmk_faces_idx=None)
+    assert with_face(talk.solved, talk.landmarks, plain, FPS) == (talk.solved, [NO_FACE])
+
+
+def test_a_face_that_is_always_turned_away_changes_nothing(talk, built_in_body):
+    """A network may take the back of a head for a face."""
+    rotations = talk.solved.pose.rotations.clone()
+    rotations[:, 0, 1] = np.pi
+    away = replace(talk.solved, pose=replace(talk.solved.pose, rotations=rotations))
+    assert with_face(away, talk.landmarks, built_in_body, FPS) == (away, [])

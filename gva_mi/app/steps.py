@@ -33,12 +33,7 @@ from gva_mi.evaluate.scores import Scorer
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import find_weights
-from gva_mi.fit.photometric import (
-    TRACKED_POSES,
-    PhotometricOptions,
-    fit_poses,
-    write_tracking,
-)
+from gva_mi.fit.photometric import TRACKED_POSES, PhotometricOptions, fit_poses, write_tracking
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine import RefineOptions
@@ -97,10 +92,7 @@ def prepare(
 
 
 def check(
-    subject: Path | str,
-    *,
-    body: Path | str | None = None,
-    sheet: Path | str | None = None,
+    subject: Path | str, *, body: Path | str | None = None, sheet: Path | str | None = None
 ) -> CheckReport:
     """Find everything that is wrong with a subject's folder, in one pass.
 

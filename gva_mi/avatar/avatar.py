@@ -267,9 +267,8 @@ class Avatar(nn.Module):
         rig = Rig(parents=tuple(described["parents"]), body=described["body"], **tensors)
         arrays = (state[f"skin_{name}"] for name in SKIN_ARRAYS)
         skin = Skin(*arrays, rig.directions, options.skinning)
-        canonical = CanonicalGaussians(
-            **{name: state[f"canonical.{name}"] for name in (*PARAMETERS, *BINDING)}
-        )
+        kept = {name: state[f"canonical.{name}"] for name in (*PARAMETERS, *BINDING)}
+        canonical = CanonicalGaussians(**kept)
         residual = PoseResidual(options.residual, torch.zeros(3), 1.0)
         avatar = Avatar(canonical, residual, rig, skin, options).to(rig.joints.dtype)
         require_same_form(state, avatar.state_dict())

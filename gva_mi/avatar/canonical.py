@@ -257,9 +257,8 @@ def disc_quats(normals: Tensor) -> Tensor:
     n = torch.nn.functional.normalize(normals, dim=-1)
     n = torch.where(n[:, 2:] < 0, -n, n)
     x, y, z = n.unbind(-1)
-    return torch.nn.functional.normalize(
-        torch.stack([1 + z, -y, x, torch.zeros_like(z)], -1), dim=-1
-    )
+    quats = torch.stack([1 + z, -y, x, torch.zeros_like(z)], -1)
+    return torch.nn.functional.normalize(quats, dim=-1)
 
 
 def disc_log_scales(spacing: Tensor, options: SeedOptions) -> Tensor:
@@ -314,8 +313,7 @@ def neighbour_spacing(points: Tensor) -> Tensor:
     for block in points.split(1024):  # the whole (N, N) table would not fit
         # The product form of squared lengths is off by more than the spacing on fingers, 1 mm.
         distance = torch.cdist(block, points, compute_mode="donot_use_mm_for_euclid_dist")
-        nearest = distance.topk(
-            min(SPACING_NEIGHBOURS + 1, len(points)), dim=1, largest=False
-        ).values
+        count = min(SPACING_NEIGHBOURS + 1, len(points))
+        nearest = distance.topk(count, dim=1, largest=False).values
         found.append(nearest[:, 1:].mean(1))
     return torch.cat(found)

@@ -126,9 +126,8 @@ def densify(
         values = {name: getattr(G, name)[parents] for name in PARAMETERS}
         new = slice(len(kept) + len(clones), None)
         drawn = torch.randn(2 * len(halves), 3, generator=generator, dtype=G.means.dtype)
-        values["means"][new] += rotated(
-            values["quats"][new], drawn * values["log_scales"][new].exp()
-        )
+        drawn = drawn * values["log_scales"][new].exp()
+        values["means"][new] += rotated(values["quats"][new], drawn)
         values["log_scales"][new] -= math.log(SPLIT_SHRINK)
         binding = {name: getattr(G, name)[parents] for name in BINDING}
         canonical = CanonicalGaussians(**values, **binding)

@@ -162,9 +162,8 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
     gaussians = avatar(Pose.rest(1, expressions, avatar.canonical.means.dtype))
     tree = cKDTree(gaussians.means.double().numpy())
     count = min(COLORING_GAUSSIANS, len(gaussians))
-    distance, nearest = (
-        x.reshape(len(points), count) for x in tree.query(points.double().numpy(), k=count)
-    )
+    found = tree.query(points.double().numpy(), k=count)
+    distance, nearest = (x.reshape(len(points), count) for x in found)
     opacities = gaussians.opacities.double().numpy()[nearest]
     share = (opacities + 1e-6) / np.maximum(distance, SMALLEST_DISTANCE) ** 2
     share /= share.sum(1, keepdims=True)

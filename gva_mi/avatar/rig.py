@@ -108,12 +108,8 @@ class Skin:
             weights.
         """
         if not len(points):
-            slopes = self.weights.new_zeros(0, 3, self.weights.shape[1])
-            return {
-                "weights": self.weights[:0],
-                "slopes": slopes,
-                "directions": self.directions[:0],
-            }
+            slopes, none = self.weights.new_zeros(0, 3, self.weights.shape[1]), self.weights[:0]
+            return {"weights": none, "slopes": slopes, "directions": self.directions[:0]}
         distance, nearest = self._nearest(points, PLANE_VERTICES)
         share, few = self._shares(distance, nearest)
         weights = _means(share, few, self.weights)

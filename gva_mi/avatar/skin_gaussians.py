@@ -108,9 +108,8 @@ def skin_gaussians(
     coefficients = sh.flatten(1)
     if sh.shape[1] == 1:  # pad() copies even where it adds nothing
         coefficients = pad(coefficients, (0, WIDTHS[3] - 3))
-    moved, covars, colors = _Skinned.apply(
-        T, means, quats, scales, coefficients, direction, weights
-    )
+    given = T, means, quats, scales, coefficients, direction
+    moved, covars, colors = _Skinned.apply(*given, weights)
     return moved, covars, colors.unsqueeze(1)
 
 
@@ -265,12 +264,10 @@ def _adjoint(
     F = type(parts[0])
     mean, quat, scale, sh, l = _read_rows(parts, light, n)
     A, E, lane = kept[:12], kept[12:], dr.arange(dr.uint32_array_t(F), n)
-    g, G, g_color = (
-        load_columns(x, width, lane) for x, width in zip(grads, (3, 6, 3), strict=True)
-    )
-    grad_A, grad_E, grad_mean, grad_quat, grad_scale = stretch_adjoint(
-        A, E, mean, quat, scale, g, G
-    )
+    widths = zip(grads, (3, 6, 3), strict=True)
+    g, G, g_color = (load_columns(x, width, lane) for x, width in widths)
+    by_stretch = stretch_adjoint(A, E, mean, quat, scale, g, G)
+    grad_A, grad_E, grad_mean, grad_quat, grad_scale = by_stretch
     grad_sh, grad_A_lit, grad_light = lit_color_adjoint(A, sh, l, g_color)
     grad_A = [a + b for a, b in zip(grad_A, grad_A_lit, strict=True)]
     by_E = lbs_transforms.adjoint_of_means(pairs, T, grad_E)

@@ -131,9 +131,8 @@ def offset_surface(
         0.29 m
     """
     between = inner.vertices[inner.faces].mean(1)
-    shell = _large_pieces(
-        _union_of_balls(np.vstack([points, inner.vertices, between]), alpha), alpha
-    )
+    balls = np.vstack([points, inner.vertices, between])
+    shell = _large_pieces(_union_of_balls(balls, alpha), alpha)
     if smoothing:
         meshes = shell.meshlab()
         meshes.apply_coord_taubin_smoothing(stepsmoothnum=smoothing)
@@ -304,9 +303,8 @@ def resample(
     barycentric = rng.dirichlet([1, 1, 1], len(chosen))[:, :, None]
     on_faces = lambda x: (x[f[chosen]] * barycentric).sum(1)
     points, tree = on_faces(v), cKDTree(on_faces(v))
-    radius = DART_RADIUS * np.sqrt(
-        2 / 3**0.5 * mass.sum() / count / on_faces(density[:, None])[:, 0]
-    )
+    at_points = on_faces(density[:, None])[:, 0]
+    radius = DART_RADIUS * np.sqrt(2 / 3**0.5 * mass.sum() / count / at_points)
     for _ in range(3):
         kept = _throw_darts(tree, points, radius)
         if abs(len(kept) / count - 1) < COUNT_TOLERANCE:

@@ -193,9 +193,8 @@ def _check(path: Path, arrays: dict[str, np.ndarray]) -> BodyFormat:
     """Check shapes and values of all arrays, and return the format."""
     form = _format(path, arrays)
     require_keys(path, arrays, () if form is SMPL else _HANDS)
-    template = require_array(
-        path, "v_template", arrays["v_template"], (None, 3), largest=LARGEST_NUMBER
-    )
+    template = arrays["v_template"]
+    require_array(path, "v_template", template, (None, 3), largest=LARGEST_NUMBER)
     vertices, joints = len(template), len(form.joints)
     shapes = {
         "v_template": (vertices, 3), "f": (None, 3), "shapedirs": (vertices, 3, None),

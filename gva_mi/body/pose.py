@@ -302,12 +302,7 @@ def load_poses(path: Path, count: int | None = None) -> tuple[Pose, Shape]:
 
 
 def save_poses(
-    path: Path,
-    pose: Pose,
-    shape: Shape,
-    *,
-    stage: int,
-    offsets: Tensor | None = None,
+    path: Path, pose: Pose, shape: Shape, *, stage: int, offsets: Tensor | None = None
 ) -> None:
     """Write ``poses.npz``; the arguments are the fields of :class:`PoseFile`.
 
@@ -327,7 +322,6 @@ def save_poses(
 
 def _numbers(path: Path, name: str, value: np.ndarray, *forms: Form) -> Tensor:
     """Check an array of a file and convert it to float32."""
-    value = require_array(
-        path, name, value, *forms, largest=LARGEST_IN_FILES.get(name, LARGEST_ANGLE)
-    )
+    largest = LARGEST_IN_FILES.get(name, LARGEST_ANGLE)
+    value = require_array(path, name, value, *forms, largest=largest)
     return torch.from_numpy(np.ascontiguousarray(value, dtype=np.float32))

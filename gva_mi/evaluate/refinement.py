@@ -197,11 +197,7 @@ def mask_iou(video: Video) -> float | None:
 
 @torch.no_grad()
 def silhouette_iou(
-    video: Video,
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    cameras: Sequence[Camera] | None = None,
+    video: Video, body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera] | None = None
 ) -> Tensor:
     """Return the IoU (T,) of the bare body's silhouette with the mask; NaN without a mask.
 

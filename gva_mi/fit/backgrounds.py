@@ -61,9 +61,8 @@ def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
     target, background, S = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
     found = [store_columns(target, count, Float), store_columns(background, count, Float), S]
     dr.eval(found)
-    target, background, mask = (
-        x.view(part.height, part.width, -1) for x in to_tensors(found, count)
-    )
+    shape = part.height, part.width, -1
+    target, background, mask = (x.view(shape) for x in to_tensors(found, count))
     return CompositeTarget(target, background, mask[..., 0])
 
 

@@ -180,10 +180,8 @@ class PictureEvidence:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the mean of eq. 3 over some frames in these poses, with their faces."""
         pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
-        losses = [
-            self._seen[k].loss(self._avatar, pose[i], self._options) for i, k in enumerate(frames)
-        ]
-        return torch.stack(losses).mean()
+        loss = lambda k, pose: self._seen[k].loss(self._avatar, pose, self._options)
+        return torch.stack([loss(k, pose[i]) for i, k in enumerate(frames)]).mean()
 
     @property
     def shared(self) -> Sequence[tuple[Tensor, float]]:
@@ -322,10 +320,8 @@ def _evidence(
     frames = sorted(seen)
     stage1 = Stage1Poses.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
-    starts = [
-        PictureEvidence(avatar, seen, options, face, arms)
-        for face in (map_estimate, map_estimate.zeroed())
-    ]
+    faces = map_estimate, map_estimate.zeroed()
+    starts = [PictureEvidence(avatar, seen, options, face, arms) for face in faces]
     return min(starts, key=lambda start: float(start.loss(frames, pose[frames])))
 
 

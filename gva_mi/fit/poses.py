@@ -98,9 +98,8 @@ class Face:
             parts.append(FacePart.map_estimate("jaw", moving[:0], stage1.times, steps, JAW_ERRORS))
         if len(moving):
             steps = pose.expression[:, moving].diff(dim=0)[..., None]
-            parts.append(
-                FacePart.map_estimate("expression", moving, stage1.times, steps, EXPRESSION_ERRORS)
-            )
+            given = moving, stage1.times, steps, EXPRESSION_ERRORS
+            parts.append(FacePart.map_estimate("expression", *given))
         return Face(stage1, parts)
 
     def zeroed(self) -> Face:

@@ -29,6 +29,7 @@ from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at, render
 from gva_mi.subject.pictures import MOST_PIXELS, in_8_bits, require_size
 from gva_mi.subject.video import Frame
 
+PathSide = Annotated[int, Within(1, MOST_PIXELS)]
 Kind = Literal["turntable", "orbit", "static"]
 _TURNTABLE_VIEWS = 72  # default number of pictures; chosen: 5 degrees from one to the next
 _FOCAL_RATIO = 2.0  # focal length / longer side; chosen: little perspective, as in a portrait
@@ -53,11 +54,7 @@ class CameraPath:
     elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
     # Factor; 1: the whole motion fits.
     distance: PythonOnly[Annotated[float, Within(0.01, 100)]] = 1.0
-    # Width and height, pixels.
-    size: tuple[Annotated[int, Within(1, MOST_PIXELS)], Annotated[int, Within(1, MOST_PIXELS)]] = (
-        512,
-        640,
-    )
+    size: tuple[PathSide, PathSide] = (512, 640)  # width and height, pixels
 
     def __post_init__(self) -> None:
         require_size("cameras", *self.size)
@@ -148,10 +145,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 @torch.no_grad()
 def render_frame(
-    avatar: Avatar,
-    pose: Pose,
-    camera: Camera,
-    background: tuple[float, float, float] = WHITE,
+    avatar: Avatar, pose: Pose, camera: Camera, background: tuple[float, float, float] = WHITE
 ) -> np.ndarray:
     """Render an avatar in a pose of one frame on a colour: 8-bit (H, W, 3)."""
     image = render(avatar(pose), camera, AVATAR_SPLATTING, torch.tensor(background))

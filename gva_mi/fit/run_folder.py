@@ -177,8 +177,8 @@ def open_fitted(
     run: Path, subject: Path, poses: Path | str | None, body: Path | str | None
 ) -> OpenedSubject:
     """Open a subject with the poses and the body that a run was fitted with, unless given."""
-    poses = poses or source_of(run, "poses", subject)
-    return open_subject(subject, poses, body or source_of(run, "body", subject))
+    poses, body = poses or source_of(run, "poses", subject), body or source_of(run, "body", subject)
+    return open_subject(subject, poses, body)
 
 
 def body_of_run(run: Path, given: Path | None) -> Path | None:

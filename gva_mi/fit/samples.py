@@ -341,9 +341,8 @@ def _reached(means: Array, sizes: Array, view: Array, *, n: int, columns: int) -
         radius = dr.maximum(dr.maximum(size[0], size[1]), size[2])
     x, y = x / z, y / z
     # Off centre, a ball looks longer by the secant of its angle.
-    reach = (
-        ALPHA_SIGMAS * radius * dr.sqrt(1 + x * x + y * y) / z * dr.maximum(fx, fy) + BLUR_BORDER
-    )
+    longer = dr.sqrt(1 + x * x + y * y)
+    reach = ALPHA_SIGMAS * radius * longer / z * dr.maximum(fx, fy) + BLUR_BORDER
     before, places = z > SplatOptions.near, (fx * x + cx, fy * y + cy)
     low = [dr.select(before, at - reach, dr.inf) for at in places]
     high = [dr.select(before, at + reach, -dr.inf) for at in places]

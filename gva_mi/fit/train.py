@@ -62,13 +62,7 @@ from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.renders import AVATAR_SPLATTING
-from gva_mi.fit.samples import (
-    FrameSampler,
-    RandomStream,
-    Sample,
-    smallest_pixel,
-    torch_state,
-)
+from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, smallest_pixel, torch_state
 from gva_mi.splat import Screen, render
 from gva_mi.subject.video import Video
 
@@ -139,9 +133,8 @@ def fit(
         while run.step < options.steps:
             figures = run.follow(samples, distance, out)
             if progress:
-                progress(
-                    run.step, options.steps, loss=figures["loss"], gaussians=figures["gaussians"]
-                )
+                shown = {name: figures[name] for name in ("loss", "gaussians")}
+                progress(run.step, options.steps, **shown)
             if run.step % options.checkpoint_every == 0 and run.step < options.steps:
                 run_folder.save_state(out, run.state())
         run.finish(samples)
@@ -184,9 +177,7 @@ class Run:
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
         self.held = Held(rig, options.bare_skin) if options.reinit.surface == "offset" else None
-        self.optimizer = make_adam(
-            self.avatar, self.lambert, options.rates, one_sided=options.complete
-        )
+        self.optimizer = make_adam(self.avatar, self.lambert, options.rates, options.complete)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
         if state is not None:
@@ -317,9 +308,8 @@ def make_adam(
         for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
-        groups.append(
-            {"name": "residual", "params": list(avatar.residual.parameters()), "lr": rates.residual}
-        )
+        params = list(avatar.residual.parameters())
+        groups.append({"name": "residual", "params": params, "lr": rates.residual})
     groups.append({"name": "light", "params": [avatar.light], "lr": rates.light})
     if lambert is not None:
         groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})

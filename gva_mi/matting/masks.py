@@ -40,13 +40,7 @@ import numpy as np
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.matting.camera import (
-    ALL_BACKGROUND,
-    ShrunkPicture,
-    WorkGrid,
-    camera_motion,
-    moved,
-)
+from gva_mi.matting.camera import ALL_BACKGROUND, ShrunkPicture, WorkGrid, camera_motion, moved
 from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
 from gva_mi.matting.plate import MEAN_SQUARE, Plate, mean_around
 from gva_mi.subject.crop import bounds
@@ -97,10 +91,8 @@ def video_masks(
         on_grid = _VideoOnGrid(pictures, probabilities, extents, shown)
         scene = VideoScene.gather([on_grid.view(k) for k in spread(shown, SCENE_PICTURES)])
         notes = on_grid.notes()
-        if (
-            scene.plate.seen.any()
-            and np.median(scene.plate.spread[scene.plate.seen]) > CHANGING_SPREAD
-        ):
+        spreads = scene.plate.spread[scene.plate.seen]
+        if len(spreads) and np.median(spreads) > CHANGING_SPREAD:
             notes.append("the background changes, so masks rely on the network and on colours")
     nobody = np.zeros(pictures[0].shape[:2], np.uint8)
 
@@ -217,9 +209,8 @@ class VideoScene:
             outside = [~binary_dilation(x, iterations=near) for x in possible]
             person, background = ColorsByHeight(), ColorsByHeight()
             for k, view in enumerate(views):
-                person.add(
-                    view.image, binary_erosion(inside[k], iterations=INNER_MARGIN), view.height
-                )
+                inner = binary_erosion(inside[k], iterations=INNER_MARGIN)
+                person.add(view.image, inner, view.height)
                 background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
             scene = VideoScene(_plate(views, outside), Shadows(), person, background)
             scene = replace(scene, shadows=scene._shadows_of(views, outside))
@@ -250,10 +241,8 @@ class VideoScene:
         image, P = view.image[part], view.probability[part]
         plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]
         grid_rows = np.linspace(0, 1, len(view.image))[part[0]]
-        person, background = (
-            self.person.density(image, rows),
-            self.background.density(image, grid_rows),
-        )
+        person = self.person.density(image, rows)
+        background = self.background.density(image, grid_rows)
         image = image.astype(np.float32) / 255
         odds = log_odds(image, P, rows, plate, self.shadows, person, background)
         cut = smoothest_cut(odds, _prices(image), odds > 0, CUT_STEPS) > 0.5
@@ -326,9 +315,8 @@ def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
         return inside
     area = np.bincount(pieces.ravel())[1:]
     likely = np.bincount(pieces.ravel(), probability.ravel())[1:] / area
-    kept = (area >= SMALLEST_PIECE * area.max()) & (
-        (likely > LEAST_PIECE_PROBABILITY) | (area == area.max())
-    )
+    sure = (likely > LEAST_PIECE_PROBABILITY) | (area == area.max())
+    kept = (area >= SMALLEST_PIECE * area.max()) & sure
     return np.concatenate([[False], kept])[pieces]
 
 

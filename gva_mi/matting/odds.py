@@ -111,9 +111,8 @@ def shade(image: np.ndarray, plate: Plate) -> np.ndarray:
     """Return s (h, w), where s B is the point nearest to each pixel's colour (h, w, 3)."""
     B, variance = plate.color, plate.spread**2
     along = np.einsum("ijk,ijk->ij", image, B) + variance
-    return (along / (np.einsum("ijk,ijk->ij", B, B) + variance)).clip(
-        DARKEST_SHADOW, BRIGHTEST_SHADE
-    )
+    share = along / (np.einsum("ijk,ijk->ij", B, B) + variance)
+    return share.clip(DARKEST_SHADOW, BRIGHTEST_SHADE)
 
 
 @dataclass(frozen=True)

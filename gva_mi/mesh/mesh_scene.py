@@ -147,11 +147,7 @@ class MeshScene:
         return _RenderNormals.apply(vertices, self, picture, crops, normals)
 
     def view(
-        self,
-        vertices: Tensor,
-        picture: Camera,
-        crops: Sequence[Camera] = (),
-        normals: bool = True,
+        self, vertices: Tensor, picture: Camera, crops: Sequence[Camera] = (), normals: bool = True
     ) -> MeshView:
         """Return the plugin's view of the mesh, in tiles if there are crops."""
         import mitsuba as mi

@@ -48,9 +48,8 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     a, b, c = vertices[faces].unbind(1)
     crossed = torch.linalg.cross(b - a, c - a)
     corners = faces.T.flatten()
-    summed = [
-        torch.bincount(corners, along.repeat(3), len(vertices)) for along in crossed.unbind(1)
-    ]
+    total = lambda along: torch.bincount(corners, along.repeat(3), len(vertices))
+    summed = [total(along) for along in crossed.unbind(1)]
     return torch.nn.functional.normalize(torch.stack(summed, -1).to(vertices.dtype), dim=-1)
 
 

@@ -257,9 +257,8 @@ def independent_points(names: Sequence[str], group_hands: bool) -> Tensor:
     Points of the face err together, and with ``group_hands`` the points of a hand, too.
     """
     groups = [_group(name, group_hands) for name in names]
-    return torch.tensor(
-        [min(1.0, POINTS_OF_GROUP / groups.count(group)) if group else 1.0 for group in groups]
-    )
+    share = lambda group: min(1.0, POINTS_OF_GROUP / groups.count(group)) if group else 1.0
+    return torch.tensor([share(group) for group in groups])
 
 
 def _group(name: str, group_hands: bool) -> str | None:

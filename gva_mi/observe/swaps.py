@@ -41,10 +41,7 @@ from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 SWAP_NATS, SWAP_RUN_NATS = 1.0, 4.6
 INDEPENDENT_SHARE = 0.25  # w; chosen below 1, see above
 LIMBS: Mapping[str, Sequence[str]] = MappingProxyType(  # the joints whose motion is compared
-    {
-        "legs": ("hip", "knee", "ankle", "foot"),
-        "arms": ("collar", "shoulder", "elbow", "wrist"),
-    }
+    {"legs": ("hip", "knee", "ankle", "foot"), "arms": ("collar", "shoulder", "elbow", "wrist")}
 )
 _MIRRORED = torch.tensor([1.0, -1.0, -1.0])  # mirrors an axis-angle in the plane x = 0
 # Of fix_front_back: the landmarks that are compared, and its constants.
@@ -160,9 +157,8 @@ def _back_for_front(landmarks: Landmarks, fps: float) -> list[int]:
     height = np.median(np.ptp(x[..., 1], axis=1))
     crossed = np.roll(x, len(LIMB_POINTS), axis=1)
     usual = LIMB_SPEED * height * np.diff(seen)[:, None] / fps
-    same, changed = (
-        _steps_cost(np.linalg.norm(x[1:] - before[:-1], axis=-1) / usual) for before in (x, crossed)
-    )
+    apart = (np.linalg.norm(x[1:] - before[:-1], axis=-1) for before in (x, crossed))
+    same, changed = (_steps_cost(step / usual) for step in apart)
     motion = np.stack([np.stack([same, changed], -1), np.stack([changed, same], -1)], -2)
     motion = INDEPENDENT_SHARE * torch.from_numpy(motion)
     if not set(FACE_LANDMARKS) <= set(landmarks.names):
@@ -232,9 +228,8 @@ def _motion_cost(stage1: Stage1Poses, limbs: str, poses: Sequence[Pose]) -> Tens
     square = (process.square_speed + 2 * white)[:, [CORRECTED_JOINTS.index(i) for i in joints]]
     rotations = [pose.rotations[:, joints] for pose in poses]
     steps = [[turns_between(a[:-1], b[1:]) for b in rotations] for a in rotations]
-    return torch.stack(
-        [torch.stack([step_cost(step, square).sum(1) for step in row], -1) for row in steps], -2
-    )
+    costs = ([step_cost(step, square).sum(1) for step in row] for row in steps)
+    return torch.stack([torch.stack(row, -1) for row in costs], -2)
 
 
 def _joints(limbs: str) -> tuple[list[int], list[int]]:

@@ -147,9 +147,8 @@ class Anatomy:
             total = total + (a * (a @ self._precision(spread, times))).sum() / 2
         bend = torch.einsum("hjc,njc->nh", self.bends, rotations)
         past = (self.limits[:, 0] - bend).clamp_min(0) + (bend - self.limits[:, 1]).clamp_min(0)
-        return total + past.square().sum() / (
-            2 * CORRELATED_FRAMES * np.radians(LIMIT_SIGMA_DEGREES) ** 2
-        )
+        sigma = np.radians(LIMIT_SIGMA_DEGREES)
+        return total + past.square().sum() / (2 * CORRELATED_FRAMES * sigma**2)
 
     def conditioned(self, rotations: Tensor, covariance: Tensor, times: Tensor) -> Tensor:
         """Condition a Gaussian of rotations on eq. 2 and 3; return the new mean (n, J, 3).
@@ -190,12 +189,8 @@ def _covariance(spread: AngleSpread, times: Tensor) -> Tensor:
     """Return ``K`` (n, n) of an angle at times (n,), float64, square radians."""
     x = 3**0.5 * (times[:, None] - times).abs().double() / CORRELATED_FRAMES
     varying = spread.varying**2 * (1 + x) * torch.exp(-x)
-    K = (
-        spread.constant**2
-        + varying
-        + WHITE_OFFSET_DEGREES**2 * torch.eye(len(times), dtype=torch.float64)
-    )
-    return np.radians(1) ** 2 * K
+    white = WHITE_OFFSET_DEGREES**2 * torch.eye(len(times), dtype=torch.float64)
+    return np.radians(1) ** 2 * (spread.constant**2 + varying + white)
 
 
 def _hinges(joints: Tensor) -> dict[int, HingeAxes]:

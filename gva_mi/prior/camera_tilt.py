@@ -72,9 +72,8 @@ class TiltPrior:
         import roma  # here, as in stage1_poses.py
 
         R = stage1.R_joint_camera[:, TILTING_JOINTS]
-        means = to_rotvec(
-            roma.special_procrustes(to_matrix(rotations[:, TILTING_JOINTS]).mean(0), method="svd")
-        )
+        mean = to_matrix(rotations[:, TILTING_JOINTS]).mean(0)
+        means = to_rotvec(roma.special_procrustes(mean, method="svd"))
         none, shown = torch.ones(len(means)), stage1.turn_amount > SMALLEST_TURN
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)

@@ -143,10 +143,7 @@ class Stage1ErrorModel:
 
 
 def covariance(
-    error_models: Sequence[Stage1ErrorModel],
-    times: Tensor,
-    factors: Tensor,
-    growth: Tensor,
+    error_models: Sequence[Stage1ErrorModel], times: Tensor, factors: Tensor, growth: Tensor
 ) -> Tensor:
     """Return ``K`` (C, n, n) of eq. 2 for C models, float64.
 
@@ -193,9 +190,8 @@ def fit_slow_part(
 
     gaps = times[None] - times[:, None]
     products = (errors @ errors.T / errors.shape[1]).double()
-    lags = [
-        lag for lag in range(min(LARGEST_LAG, len(times) // 3) + 1) if bool((gaps == lag).any())
-    ]
+    longest = min(LARGEST_LAG, len(times) // 3)
+    lags = [lag for lag in range(longest + 1) if bool((gaps == lag).any())]
     C = np.array([float(products[gaps == lag].mean()) for lag in lags])
     C[0] = max(C[0] - white**2, 0.0)
     # Lags that occur more often weigh more.
@@ -225,11 +221,8 @@ def outlier_factors(
     """
     variance = torch.tensor([x.white_variance for x in error_models])[:, None, None]
     # Expectation of the white part, given all errors.
-    white = (
-        variance
-        * factors[..., None]
-        * torch.cholesky_solve(errors.double(), torch.linalg.cholesky(K))
-    )
+    solved = torch.cholesky_solve(errors.double(), torch.linalg.cholesky(K))
+    white = variance * factors[..., None] * solved
     square = (white.square() / variance).sum(-1)
     return ((STUDENT_DOF + square) / (STUDENT_DOF + errors.shape[-1])).float()
 

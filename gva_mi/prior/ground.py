@@ -57,9 +57,8 @@ _LEG_JOINTS = [JOINTS.index("pelvis")] + [
     for name in ("hip", "knee", "ankle", "foot")
     for side in ("left", "right")
 ]
-_LEG_PARENTS = tuple(
-    _LEG_JOINTS.index(PARENTS[j]) if PARENTS[j] in _LEG_JOINTS else -1 for j in _LEG_JOINTS
-)
+_PLACES = {joint: k for k, joint in enumerate(_LEG_JOINTS)}
+_LEG_PARENTS = tuple(_PLACES.get(PARENTS[joint], -1) for joint in _LEG_JOINTS)
 _SOLE_JOINTS = ("ankle", "foot")  # move the heel and the ball
 
 

@@ -17,12 +17,7 @@ from torch import Tensor
 
 from gva_mi.core.cpu import sqrt
 from gva_mi.prior.camera_tilt import TiltPrior
-from gva_mi.prior.error_model import (
-    GROUPS,
-    Stage1ErrorModel,
-    fit_slow_part,
-    white_level,
-)
+from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.ground import Ground
 from gva_mi.prior.process import ProcessPrior, mean_square_speed
 from gva_mi.prior.stage1_poses import Stage1Poses
@@ -93,9 +88,8 @@ def prior_from_stage1(
         for name, group in GROUPS.items()
     }
     for name, axes in PLACE_AXES.items():
-        models[name] = replace(
-            GUESSED_PLACE_ERRORS[name], white=white_level(shifts[:, list(axes), None])
-        )
+        white = white_level(shifts[:, list(axes), None])
+        models[name] = replace(GUESSED_PLACE_ERRORS[name], white=white)
     if known is not None:
         largest = lambda name: max(known[name].white, models[name].white)
         models |= {name: replace(known[name], white=largest(name)) for name in known}
@@ -124,10 +118,8 @@ def prior_from_corrections(
     models |= {name: model for name, model in before.error_models.items() if model.known}
     pose = stage1.corrected(range(len(moves)), turns, moves)
     steps, shifts = stage1.steps(pose)
-    root, sideways = (
-        steps[:, PELVIS],
-        stage1.to_camera_axes(steps, slice(0, -1))[:, CORRECTED_JOINTS, 2:],
-    )
+    root = steps[:, PELVIS]
+    sideways = stage1.to_camera_axes(steps, slice(0, -1))[:, CORRECTED_JOINTS, 2:]
     return PosePrior(
         models,
         updated_process(before.pelvis, _of_joints(models, PELVIS), turns[:, PELVIS], root),
@@ -167,10 +159,8 @@ def _inferred_models(
     """Infer stage 1's error models, group by group, from corrections in the camera's axes."""
     seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # line of sight
     seen |= {name: moves[:, list(axes)] for name, axes in PLACE_AXES.items()}
-    found = {
-        name: fit_slow_part(-errors, times, before[name].white, before[name])
-        for name, errors in seen.items()
-    }
+    slow = lambda name: fit_slow_part(-seen[name], times, before[name].white, before[name])
+    found = {name: slow(name) for name in seen}
     floor = SLOW_FLOOR * sqrt(torch.tensor([found[name].slow for name in GROUPS]).square().mean())
     for name in GROUPS:
         found[name] = replace(found[name], slow=max(found[name].slow, float(floor)))

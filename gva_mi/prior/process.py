@@ -186,9 +186,8 @@ class ProcessPrior:
             # No step counts as a jump at first, however large: otherwise nothing would move.
             H, W = process._curvature(corrections, jumps=k >= MAP_ROUNDS // 2)
             pull = torch.einsum("pk,cp,pcd->ckd", D, W, self.steps.double())
-            corrections = (
-                torch.cholesky_solve(-pull, torch.linalg.cholesky(H)).transpose(0, 1).float()
-            )
+            solved = torch.cholesky_solve(-pull, torch.linalg.cholesky(H))
+            corrections = solved.transpose(0, 1).float()
             process = process.with_outlier_factors(corrections)
         return corrections, process
 

@@ -146,11 +146,7 @@ def parts_of(body: BodyModel) -> list[BodyPart]:
 
 
 def close_up_scale(
-    body: BodyModel,
-    pose: Pose,
-    shape: Shape,
-    cameras: Sequence[Camera],
-    person_scale: float,
+    body: BodyModel, pose: Pose, shape: Shape, cameras: Sequence[Camera], person_scale: float
 ) -> float | None:
     """Return the scale of :class:`FinePicture` (1); None if close-ups would show no more.
 

@@ -149,9 +149,8 @@ class Corrections:
         terms: list[PriorTerm] = [self._anatomy]
         for term in terms if prior.ground is None else [*terms, prior.ground]:
             nats = nats + term.energy(*motion)
-        whole = self._whole_person_energy(
-            turns[:, PELVIS].mean((0, 1)), None if distance_shown else moves.mean(0)
-        )
+        away = None if distance_shown else moves.mean(0)
+        whole = self._whole_person_energy(turns[:, PELVIS].mean((0, 1)), away)
         tilt = prior.tilt.energy(*motion) if prior.tilt else self.constant_turn_energy()
         return nats / len(moves) + whole + tilt
 

@@ -160,7 +160,6 @@ def _heads(
     faces = torch.zeros(len(T))
     if set(FACE_LANDMARKS) <= set(landmarks.names):
         confidence = landmarks.confidence[:, landmarks.indices(FACE_LANDMARKS)].min(1)
-        faces = torch.from_numpy(np.nan_to_num(confidence)).float() * face_weights(
-            T[:, :3, :3], places
-        )
+        faces = torch.from_numpy(np.nan_to_num(confidence)).float()
+        faces = faces * face_weights(T[:, :3, :3], places)
     return T_world_rest[:, :3, :3], faces

@@ -175,10 +175,8 @@ def descend(
         if step in (first_inference, int(SECOND_INFERENCE * first_inference)):
             if step == first_inference:
                 evidence.enable_details()
-            corrections, weight = (
-                corrections.with_updated_prior(*corrections.found()),
-                options.prior_weight,
-            )
+            corrections = corrections.with_updated_prior(*corrections.found())
+            weight = options.prior_weight
             adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
         if (
             step >= first_inference

@@ -43,13 +43,7 @@ from gva_mi.core.tasks import Done, run
 from gva_mi.refine.clips import cut, join, skim
 from gva_mi.refine.observed_video import ObservedVideo, RefineOptions, simplified_body
 from gva_mi.refine.optimize import worse_frames
-from gva_mi.refine.sequence import (
-    ObservedClip,
-    SequenceOptions,
-    Solution,
-    refine_sequence,
-    repeats,
-)
+from gva_mi.refine.sequence import ObservedClip, SequenceOptions, Solution, refine_sequence, repeats
 from gva_mi.refine.single_frame import FRAMES_A_JOB, refine_single_frames
 from gva_mi.splat import Camera
 from gva_mi.subject.lens import is_one_lens, seen_alike
@@ -77,10 +71,7 @@ class Refined(Solution):
 
 
 def refine(
-    video: Video,
-    body: BodyModel,
-    options: RefineOptions,
-    progress: Progress | None = None,
+    video: Video, body: BodyModel, options: RefineOptions, progress: Progress | None = None
 ) -> Refined:
     """Refine the poses of all frames of a video.
 
@@ -240,20 +231,15 @@ def before_one_lens(video: Video, body: BodyModel) -> Video:
         return video
     fx, fy, cx, cy = np.median(K[:, [0, 1, 0, 1], [0, 1, 2, 2]], axis=0).tolist()
     cameras = [replace(camera, fx=fx, fy=fy, cx=cx, cy=cy) for camera in video.cameras]
-    pose = moved_between_lenses(video.pose, video.shape, body, video.cameras, cameras).to(
-        torch.float32
-    )
+    pose = moved_between_lenses(video.pose, video.shape, body, video.cameras, cameras)
+    pose = pose.to(torch.float32)
     if _usual_step(pose) >= _usual_step(video.pose):
         return video
     return replace(video, cameras=cameras, pose=pose)
 
 
 def moved_between_lenses(
-    pose: Pose,
-    shape: Shape,
-    body: BodyModel,
-    cameras: Sequence[Camera],
-    others: Sequence[Camera],
+    pose: Pose, shape: Shape, body: BodyModel, cameras: Sequence[Camera], others: Sequence[Camera]
 ) -> Pose:
     """Return poses that look the same through ``others`` as these do through ``cameras``.
 

@@ -217,9 +217,8 @@ class ClothedPerson:
         rest = clip.body.rest(clip.shape)
         self._clip, self._options = clip, options
         weights = {"hand": options.close_hands, "foot": FOOT_WEIGHT}
-        self.frame_losses = FrameLosses(
-            clip.body, clip.evidence, clip.fine, options.silhouette, weights
-        )
+        seen = clip.evidence, clip.fine
+        self.frame_losses = FrameLosses(clip.body, *seen, options.silhouette, weights)
         self._close = False
         self._stature = Stature.of(clip.body)
         self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)

@@ -55,9 +55,8 @@ def refine_single_frames(
     """Minimise Eq. 8 in every frame that has evidence; other frames keep their pose."""
     total = options.passes * len(evidence)
     scene, rest = MeshScene(body.faces, body.v_template), body.rest(shape)
-    rates = turn_rates(
-        lever_arms(rest, body.weights, body.parents), options.step, options.largest_turn
-    )
+    arms = lever_arms(rest, body.weights, body.parents)
+    rates = turn_rates(arms, options.step, options.largest_turn)
     weights = joint_weights(body.parents)[:, None]
     for number, k in enumerate(sorted(evidence)):
         stage1, seen = pose[k], evidence[k]

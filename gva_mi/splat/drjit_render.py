@@ -100,9 +100,8 @@ def render(
             found = f"{kind.__name__}, got {type(matrix).__name__}"
             raise ValueError(f"render(): the camera's {name} must be a {found}")
     shape = (camera.height, camera.width)
-    if depth_limit is not None and (
-        type(depth_limit) is not kind or tuple(depth_limit.shape) != shape
-    ):
+    fits = lambda limit: type(limit) is kind and tuple(limit.shape) == shape
+    if depth_limit is not None and not fits(depth_limit):
         raise ValueError(f"render(): depth_limit must be a {kind.__name__} of shape {shape}")
     limit = None if depth_limit is None else dr.detach(depth_limit)
     constants = lambda: (gaussians.sh is not None, camera, options, limit)
@@ -158,9 +157,8 @@ class _Render(dr.CustomOp):
         gradients = render_adjoint(self.saved, grad, RequestedGradients(camera=bool(self.matrices)))
         for name, flat in gradients.named():
             shape = self.shapes[name]
-            numbers = dr.gather(
-                type(flat), flat, dr.arange(dr.uint32_array_t(flat), math.prod(shape))
-            )
+            lane = dr.arange(dr.uint32_array_t(flat), math.prod(shape))
+            numbers = dr.gather(type(flat), flat, lane)
             self.set_grad_in(name, self.kind(dr.array_t(self.kind)(numbers), shape=shape))
         self.set_grad_in("background", self.kind(gradients.background))
         for name in self.matrices:

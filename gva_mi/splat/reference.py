@@ -134,9 +134,8 @@ def _render(
         exponent = -0.5 * torch.einsum("hwi,ij,hwj->hw", d, torch.linalg.inv(covariance), d)
         free = opacity * torch.exp(exponent)
         seen = ~stopped & (free.detach() >= options.alpha_min)
-        alpha = torch.where(
-            free >= options.alpha_min, torch.clamp(free, max=options.alpha_max), 0.0
-        )
+        clamped = torch.clamp(free, max=options.alpha_max)
+        alpha = torch.where(free >= options.alpha_min, clamped, 0.0)
         rest = remaining * (1 - alpha)
 
         gap = 1 - last / depths[i].detach()

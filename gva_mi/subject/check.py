@@ -52,10 +52,7 @@ DOUBTFUL_SIZE_RATIO, WRONG_SIZE_RATIO = 1.2, 1.35
 
 
 def check_subject(
-    folder: Path,
-    body: BodyModel,
-    progress: Progress | None = None,
-    sheet: Path | None = None,
+    folder: Path, body: BodyModel, progress: Progress | None = None, sheet: Path | None = None
 ) -> CheckReport:
     """Check a folder whose poses are for ``body``.
 

@@ -37,15 +37,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
 from gva_mi.splat import Camera
 from gva_mi.subject.cameras import load_cameras
-from gva_mi.subject.folder import (
-    CAMERAS,
-    FRAMES,
-    MASKS,
-    POSES,
-    VIEWS,
-    VIEWS_RECORD,
-    frame_name,
-)
+from gva_mi.subject.folder import CAMERAS, FRAMES, MASKS, POSES, VIEWS, VIEWS_RECORD, frame_name
 from gva_mi.subject.masks import read_mask
 from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.splits import Splits

@@ -194,9 +194,7 @@ class Video:
 
 
 def load_video(
-    folder: Path,
-    poses: Path | None = None,
-    normals: Convention | Literal["none"] | None = None,
+    folder: Path, poses: Path | None = None, normals: Convention | Literal["none"] | None = None
 ) -> Video:
     """Read a subject's folder and validate all of its files.
 

@@ -127,9 +127,8 @@ class Shapes:
         self._bones = [(j, parent) for j, parent in enumerate(rig.parents) if parent >= 0]
         color = lambda rgb: tuple(round(255 * x) for x in rgb)
         vertices, faces = rig.vertices.float().numpy(), rig.faces.numpy()
-        self._mesh = scene.add_mesh_simple(
-            "surface", vertices, faces, color=color(CLAY), visible=False
-        )
+        clay = {"color": color(CLAY), "visible": False}
+        self._mesh = scene.add_mesh_simple("surface", vertices, faces, **clay)
         lines = np.zeros((len(self._bones), 2, 3), dtype=np.float32)
         self._lines = scene.add_line_segments("skeleton", lines, color(OUTLINE), visible=False)
 

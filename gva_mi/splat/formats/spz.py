@@ -42,12 +42,7 @@ import numpy as np
 from gva_mi.core.atomic import write_bytes
 from gva_mi.core.errors import InputError
 from gva_mi.splat.axes import half_turned
-from gva_mi.splat.formats.stored import (
-    Stored,
-    pack,
-    to_bytes,
-    without_largest,
-)
+from gva_mi.splat.formats.stored import Stored, pack, to_bytes, without_largest
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 

@@ -266,9 +266,8 @@ class RenderedView:
         means, *others = *tensors.gaussians().values(), tensors.background
         anchor = next((x for x in others if x is not None and x.requires_grad), None)
         detached = [None if x is None else x.detach() for x in others]
-        means2d, depths, echo, drawn = _ProjectMeans.apply(
-            means, *view.camera.tensors, anchor, *detached, view
-        )
+        found = _ProjectMeans.apply(means, *view.camera.tensors, anchor, *detached, view)
+        means2d, depths, echo, drawn = found
         return RenderedView(view, drawn, tensors, means2d, depths, echo)
 
     def image(self, means2d: Tensor) -> Image:

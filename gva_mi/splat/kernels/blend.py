@@ -85,9 +85,8 @@ def blend(
     tile = store_pixels([[dr.select(i, F(1), F(-1)), U(0), *zeros] for i in window.inside(grid, F)])
     limits = [] if limit is None else store_pixels([[z] for z in window.load(limit.plane)])
 
-    iterator = TileIterator(
-        splats, format, lists.ids, lambda k, j: (k + j, k + j < lists.end), UNROLL
-    )
+    places = lambda k, j: (k + j, k + j < lists.end)
+    iterator = TileIterator(splats, format, lists.ids, places, UNROLL)
 
     def body(k: Array, alive: Array, tile: Memory, limits: Memory, *ahead: Array) -> tuple:
         gaussians, ahead = iterator.next(k, ahead)
@@ -332,11 +331,7 @@ class PairGradientSums:
 
 
 def sum_slots(
-    lists: Lists,
-    places: Array,
-    slots: packets.Packets,
-    format: RecordFormat,
-    sums: packets.Packets,
+    lists: Lists, places: Array, slots: packets.Packets, format: RecordFormat, sums: packets.Packets
 ) -> None:
     """Add up each Gaussian's slots, one after the other, and store them in its row of ``sums``.
 

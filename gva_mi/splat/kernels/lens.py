@@ -84,10 +84,7 @@ class Pinhole:
         (x, y, _), (dx, dy, dz), (dfx, dfy) = self.point, dpoint, dview.f
         (fx, fy), rz, held = self.f, self.rz, self.held
         drz = -rz * rz * dz
-        dw = Vec2(
-            dfx * x * rz + fx * (dx * rz + x * drz),
-            dfy * y * rz + fy * (dy * rz + y * drz),
-        )
+        dw = Vec2(dfx * x * rz + fx * (dx * rz + x * drz), dfy * y * rz + fy * (dy * rz + y * drz))
         dheld = each(lambda free, dw, dc: dr.select(free, dw, -dc), self.free, dw, dview.c)
         dJ = Mat23(
             Vec3(dfx * rz + fx * drz, None, -(dheld.x * rz + held.x * drz)),
@@ -109,9 +106,8 @@ class Ortho:
     def at(point: Vec3, view: CameraArrays) -> Ortho:
         (x, y, z), (fx, fy) = point, view.f
         u = Vec2(fx * x, fy * y) + view.c
-        return Ortho(
-            point, view.f, u, Mat23(Vec3(fx + 0 * z, None, None), Vec3(None, fy + 0 * z, None))
-        )
+        J = Mat23(Vec3(fx + 0 * z, None, None), Vec3(None, fy + 0 * z, None))
+        return Ortho(point, view.f, u, J)
 
     def adjoint(self, gu: Vec2, gJ: Mat23) -> LensGradient:
         (x, y, _), (fx, fy) = self.point, self.f

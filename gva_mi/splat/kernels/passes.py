@@ -40,12 +40,7 @@ from gva_mi.splat.kernels.inputs import (
     camera_arrays,
     camera_tangent,
 )
-from gva_mi.splat.kernels.project import (
-    ProjectedMemory,
-    project,
-    project_adjoint,
-    project_tangent,
-)
+from gva_mi.splat.kernels.project import ProjectedMemory, project, project_adjoint, project_tangent
 from gva_mi.splat.kernels.records import (
     CameraGradient,
     Footprint,
@@ -134,9 +129,8 @@ def render_forward(
     projected = lists = saved_pixels = stop = None
     if len(inputs):
         projected = _project_checked(inputs, plan, view, grid)
-        lists = tiles.make_lists(
-            projected.footprints, projected.depths, projected.counts, layout, grid
-        )
+        found = projected.footprints, projected.depths, projected.counts
+        lists = tiles.make_lists(*found, layout, grid)
     if lists is None:
         planes = Planes.of_background(behind, layout.pixels, options.depth)
     else:
@@ -203,11 +197,7 @@ def render_adjoint(saved: SavedState, grad: Planes, requested: RequestedGradient
 
 
 def render_tangent(
-    saved: SavedState,
-    dinputs: Inputs,
-    dT: np.ndarray,
-    dK: np.ndarray,
-    dbackground: list[float],
+    saved: SavedState, dinputs: Inputs, dT: np.ndarray, dK: np.ndarray, dbackground: list[float]
 ) -> Planes:
     """Draw the picture's tangent.
 
@@ -275,9 +265,8 @@ def _composite_adjoint(
     parts = zip(saved.projected.splats, pictures, saved.backgrounds(), plan.formats, strict=True)
     for part, by_picture, behind, format in parts:
         depth = by_picture.depth is not None and requested.geometry
-        slot_format = RecordFormat(
-            format.channels if colors else 0, depth, requested.absolute, requested.geometry
-        )
+        channels = format.channels if colors else 0
+        slot_format = RecordFormat(channels, depth, requested.absolute, requested.geometry)
         memory, shares = blend_adjoint(
             part,
             lists,
@@ -337,12 +326,7 @@ def _background_gradient(by_lanes: list[Array], plan: Plan) -> list[float]:
 
 @Frozen
 def project_gaussians(
-    inputs: Inputs,
-    view: CameraArrays,
-    grid: Grid,
-    *,
-    rows: int,
-    plan: Plan,
+    inputs: Inputs, view: CameraArrays, grid: Grid, *, rows: int, plan: Plan
 ) -> ProjectedMemory:
     F, i = inputs.float_type, inputs.index()
     splats = [packets.empty(Splat, format, rows, F) for format in plan.formats]

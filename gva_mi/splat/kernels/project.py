@@ -40,12 +40,7 @@ from gva_mi.splat.kernels.inputs import (
 )
 from gva_mi.splat.kernels.lens import LENSES, Lens
 from gva_mi.splat.kernels.pixel import LN2
-from gva_mi.splat.kernels.records import (
-    CameraGradient,
-    Footprint,
-    PairGradient,
-    Splat,
-)
+from gva_mi.splat.kernels.records import CameraGradient, Footprint, PairGradient, Splat
 from gva_mi.splat.kernels.vectors import Vec2, Vec3, apply, each, outer
 from gva_mi.splat.options import SplatOptions
 

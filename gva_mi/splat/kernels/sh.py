@@ -22,12 +22,9 @@ C0 = 0.28209479177387814
 C1 = 0.4886025119029199
 C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 C3 = (
-    0.5900435899266435,
-    2.890611442640554,
-    0.4570457994644658,
-    0.3731763325901154,
+    0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154,
     1.445305721320277,
-)
+)  # fmt: skip
 C4 = (
     2.5033429417967046,
     1.7701307697799304,
@@ -157,9 +154,8 @@ def color_tangent(
     b = basis(degree, *d)
     dd = direction_tangent(d, reciprocal, each(lambda dm, do: dm - do, dm, do))
     dc = []
-    for s, ds, h_k in zip(
-        weighted_sum(b, h), weighted_sum(b, dh), zip(*h, strict=True), strict=True
-    ):
+    sums = weighted_sum(b, h), weighted_sum(b, dh), zip(*h, strict=True)
+    for s, ds, h_k in zip(*sums, strict=True):
         ds = ds + dot(basis_adjoint(degree, *d, h_k), dd)
         dc.append(dr.select(s > -0.5, ds, 0))
     return dc

@@ -150,10 +150,8 @@ class TileIterator:
         """Return the Gaussians of the turn at ``k``, and what was read ahead for the next one."""
         ids, rows = list(ahead[: self.turn]), ahead[self.turn :]
         columns = len(rows) // self.turn
-        here = [
-            Splat.unpack(rows[j * columns : (j + 1) * columns], self.format)
-            for j in range(self.turn)
-        ]
+        row = lambda j: rows[j * columns : (j + 1) * columns]
+        here = [Splat.unpack(row(j), self.format) for j in range(self.turn)]
         after = [self._id(k, 2 * self.turn + j) for j in range(self.turn)]
         return here, [*after, *self._rows(ids, k, self.turn)]
 

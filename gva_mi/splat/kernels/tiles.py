@@ -200,13 +200,7 @@ def _emit(
 
 @Frozen
 def _ranges(
-    pairs: Array,
-    permutation: Array,
-    last: Array,
-    start: Array,
-    end: Array,
-    *,
-    size: int,
+    pairs: Array, permutation: Array, last: Array, start: Array, end: Array, *, size: int
 ) -> tuple[Array, ...]:
     """Step 4, after the sort: make the lists and their ranges."""
     U = type(permutation)

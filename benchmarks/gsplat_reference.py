@@ -105,8 +105,7 @@ def _pairs(scene: Scene) -> PixelPairs:
         pixels.append(found)
         ids.append(torch.full_like(found, i))
     pixel, order = torch.sort(torch.cat(pixels), stable=True)
-    start = torch.searchsorted(pixel, pixel)
-    return PixelPairs(pixel, torch.cat(ids)[order], start)
+    return PixelPairs(pixel, torch.cat(ids)[order], torch.searchsorted(pixel, pixel))
 
 
 def render(scene: Scene, pairs: PixelPairs) -> Tensor:

@@ -326,8 +326,7 @@ def track(
         require_room(out, overwrite)
         with bar("track") as progress:
             found = fit_poses(avatar, video, options, progress=progress)
-        sources = {"start": start, "avatar": run}
-        write_tracking(video, found, options, offsets, sources)
+        write_tracking(video, found, options, offsets, {"start": start, "avatar": run})
     for frame, reason in found.kept.items():
         say(f"{subject}: frame {frame} keeps its pose: {reason}")
     say(f"loss {found.losses_before.nanmean():.4f} → {found.losses.nanmean():.4f}")

@@ -68,9 +68,8 @@ class AvatarOptions:
 
     seed: SeedOptions = SeedOptions()
     residual: ResidualOptions = ResidualOptions()
-    hands: PythonOnly[bool] = (
-        True  # False: fingers stay as in the rest pose (an ablation of the paper)
-    )
+    # False: fingers stay as in the rest pose (an ablation of the paper).
+    hands: PythonOnly[bool] = True
     stretch: PythonOnly[bool] = True  # False: Gaussians turn and keep their size, as in Eq. 6
     # What colour depends on: the light's direction, or the view's (harmonics of degree 1).
     color: PythonOnly[Literal["light", "view"]] = "light"
@@ -333,9 +332,8 @@ TEXT_ARRAYS = {"format", "description"}  # of an avatar's file
 WHOLE_NUMBER_ARRAYS = {"rest_faces", "rest_pose_features", "skin_beneath", "beneath"}
 LARGEST_NUMBER = 1e6  # in a file; chosen: far beyond metres, angles and logits of any avatar
 LARGEST_LOG_SCALE = 20  # logarithm of metres; chosen: its exponential is finite in float32
-WEIGHT_TOLERANCE = (
-    0.01  # of a vertex's sum of skinning weights, and below zero; chosen as in bodies
-)
+# Of a vertex's sum of skinning weights, and below zero; chosen as in bodies.
+WEIGHT_TOLERANCE = 0.01
 
 
 def tensors_of(path: Path, arrays: Mapping[str, np.ndarray]) -> dict[str, Tensor]:

@@ -81,24 +81,16 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
     inverse_bind = np.broadcast_to(np.eye(4, dtype=np.float32), (len(joints), 4, 4)).copy()
     inverse_bind[:, :3, 3] = -joints
     surface = len(JOINTS)  # its node comes after the nodes of the joints
+    skin = {"joints": list(range(surface)), "skeleton": 0}
+    skin["inverseBindMatrices"] = file.add(inverse_bind)
+    rough = {"metallicFactor": 0, "roughnessFactor": 1}
     file.description |= {
         "extensionsUsed": [_UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0, surface]}],
         "nodes": [*_skeleton(rig), {"name": "surface", "mesh": 0, "skin": 0}],
-        "skins": [
-            {
-                "joints": list(range(len(JOINTS))),
-                "skeleton": 0,
-                "inverseBindMatrices": file.add(inverse_bind),
-            }
-        ],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-                "extensions": {_UNLIT: {}},
-            }
-        ],
+        "skins": [skin],
+        "materials": [{"pbrMetallicRoughness": rough, "extensions": {_UNLIT: {}}}],
         "meshes": [{"name": "surface", "primitives": [_surface(file, avatar)]}],
     }
     if motion is not None:
@@ -120,8 +112,7 @@ def _skeleton(rig: Rig) -> list[dict]:
 def _surface(file: Glb, avatar: Avatar) -> dict:
     """Describe the primitive of the rest surface."""
     rig = avatar.rig
-    kept = strongest(rig.weights, 4)
-    weights, joints = kept.topk(4, dim=1)
+    weights, joints = strongest(rig.weights, 4).topk(4, dim=1)
     joints = joints.masked_fill(weights == 0, 0)  # required by the format
     vertices = rig.vertices.float()
     colors = _as_light(surface_colors(avatar, rig.vertices))

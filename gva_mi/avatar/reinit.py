@@ -69,9 +69,8 @@ FACE_RADIUS, BELOW_EYES = 1.4, 0.6
 # Only Gaussians above this opacity carry the surface. Chosen: they hide what is behind them.
 SURFACE_OPACITY = 0.5
 FLOATER_NEIGHBOURS = 16  # whose mean distance makes a floater; chosen: more than float together
-CURVATURE_GAIN = (
-    2.0  # density at the most curved places / in flat ones, minus 1; chosen: an ear has 3 ×
-)
+# Density at the most curved places / in flat ones, minus 1; chosen: an ear has 3 ×.
+CURVATURE_GAIN = 2.0
 COLOR_NEIGHBOURS = 4  # K, of opacity and colour; chosen: the old Gaussians all around
 COINCIDENT = 1e-8  # m², added to squared distances; chosen: a tenth of a millimetre counts as equal
 

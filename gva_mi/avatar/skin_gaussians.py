@@ -333,15 +333,9 @@ class _Skinned(torch.autograd.Function):
         n, weights = len(means), ctx.weights
         if not n:
             return *(torch.zeros_like(x) for x in ctx.saved_tensors), None
-        *by_parts, by_light, rows = _adjoint(
-            weights.of_gaussians,
-            flat_array(T.to(means)),
-            [flat_array(part) for part in (means, quats, scales, sh)],
-            flat_array(light),
-            ctx.kept,
-            [flat_array(g) for g in grads],
-            n=n,
-        )
+        numbers = [flat_array(part) for part in (means, quats, scales, sh)]
+        given = weights.of_gaussians, flat_array(T.to(means)), numbers, flat_array(light)
+        *by_parts, by_light, rows = _adjoint(*given, ctx.kept, [flat_array(g) for g in grads], n=n)
         by_T = None
         if ctx.needs_input_grad[0]:
             (sums,) = _adjoint_of_joints(weights.of_pieces, rows, n=len(weights.piece_joints))

@@ -76,21 +76,17 @@ def _build_anny() -> dict[str, np.ndarray]:
             "pip install 'gva_mi[anny]' (0.6 GB), or use the built-in body: --source built-in"
         ) from None
     source = _Source(anny.Anny(rig="makehuman", topology="anny", facial_actions="all").float())
-    template, template_joints = source.person(source.average)
-    people = [source.person(phenotype) for phenotype in source.people()]
+    people = [source.person(phenotype) for phenotype in (source.average, *source.people())]
     surfaces, joints = (np.stack(parts) for parts in zip(*people, strict=True))
-    directions = [
-        _components(surfaces - template), _components(source.expressions(), centred=True)
-    ]  # fmt: skip
-    regressor = _regressor(
-        np.concatenate([template[None], surfaces]), np.concatenate([template_joints[None], joints])
-    )
+    template = surfaces[0]
+    shapes = _components(surfaces[1:] - template)
+    directions = shapes, _components(source.expressions(), centred=True)
     return {
         "v_template": template.astype(np.float32),
         "f": source.faces,
         "shapedirs": np.concatenate(directions, axis=2).astype(np.float32),
         "posedirs": np.zeros((len(template), 3, 486), np.float32),
-        "J_regressor": regressor,
+        "J_regressor": _regressor(surfaces, joints),
         "weights": source.weights_of_joints(),
         "kintree_table": kintree_table(),
         "hands_meanl": np.zeros(45, np.float32),

@@ -106,8 +106,7 @@ def _davenport(A: list[Any], one: float = 1) -> dict[tuple[int, int], Any]:
 def _davenport_adjoint(G: list[list[Any]]) -> list[Any]:
     """Adjoint of :func:`_davenport`, from a full 4x4 ``G`` to the nine entries of A_rot."""
     s = lambda i, j: G[i][j] + G[j][i]  # an entry off the diagonal stands twice in B
-    diagonal = G[0][0], G[1][1], G[2][2], G[3][3]
-    w, x, y, z = diagonal
+    w, x, y, z = (G[k][k] for k in range(4))
     return [0.25 * v for v in (
         w + x - y - z, s(1, 2) - s(0, 3), s(0, 2) + s(1, 3),
         s(0, 3) + s(1, 2), w - x + y - z, s(2, 3) - s(0, 1),

@@ -73,8 +73,7 @@ def export(
             body.
         overwrite: replace an existing file.
     """
-    suffix = out.suffix.lower()
-    _require_meant(out, suffix, options)
+    _require_meant(out, out.suffix.lower(), options)
     require_room(out, overwrite)
     _write(run, out, options, body_of_run(run, body))
     say(f"exported: {out}")

@@ -114,8 +114,7 @@ def _windows(options: GradcheckOptions, scene: Path | None) -> Iterator[tuple[st
     """Check the renderer in windows of a picture."""
     whole = person_scene(np.random.default_rng(0)) if scene is None else Scene.load(scene)
     for place, part in options.applied(whole).windows(options.window, options.count or 3):
-        report = check_renderer(render, part, seed=options.seed)
-        yield f"window at {place}", report
+        yield f"window at {place}", check_renderer(render, part, seed=options.seed)
 
 
 def _poses(options: GradcheckOptions, body: Path | None) -> Iterator[tuple[str, Report]]:

@@ -67,8 +67,7 @@ def view(
         with one_torch_thread():
             while True:
                 changed.clear()
-                seconds = session.step(pages(server), time.monotonic())
-                changed.wait(seconds)
+                changed.wait(session.step(pages(server), time.monotonic()))
 
 
 def _video_of(run: Path, subject: Path, poses: Path | None) -> Video:

@@ -107,21 +107,14 @@ def pivot(figures: Iterable[Figure], index: Sequence[str], columns: Sequence[str
         it are averaged. Rows and columns come in the order in which they appear.
     """
     found: dict[Key, dict[Key, dict[str, list[float]]]] = {}
+    key = lambda figure, names: tuple(getattr(figure, name) for name in names)
     for figure in figures:
         if figure.value is not None and math.isfinite(figure.value):
-            row, column = (
-                tuple(getattr(figure, name) for name in names)
-                for names in (index, (*columns, "metric"))
-            )
-            cell = found.setdefault(row, {}).setdefault(column, {})
+            cells = found.setdefault(key(figure, index), {})
+            cell = cells.setdefault(key(figure, (*columns, "metric")), {})
             cell.setdefault(figure.subject, []).append(figure.value)
-    return {
-        row: {
-            column: np.array([np.mean(own) for own in subjects.values()])
-            for column, subjects in cells.items()
-        }
-        for row, cells in found.items()
-    }
+    means = lambda cell: np.array([np.mean(own) for own in cell.values()])
+    return {row: {c: means(cell) for c, cell in cells.items()} for row, cells in found.items()}
 
 
 @dataclass(frozen=True)

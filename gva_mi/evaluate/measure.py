@@ -244,10 +244,8 @@ class Metrics:
     def tables(self) -> list[Table]:
         """Return the main figures for the console."""
         scores = where(self.figures, split=SPLITS, metric=("PSNR, dB", "SSIM"))
-        return [
-            *pose_tables(self.figures),
-            table(pivot(scores, ("split", "alignment", "region")), "renders"),
-        ]
+        cells = pivot(scores, ("split", "alignment", "region"))
+        return [*pose_tables(self.figures), table(cells, "renders")]
 
 
 def measure_run(

@@ -86,13 +86,10 @@ class _Points:
         whole = torch.ones(len(weights))
         if foreign:
             whole[ROOT_AND_BODY.stop :] = 0
-        regions = torch.stack(
-            [whole, hand_vertices(weights).float(), (weights[:, _FEET].sum(1) > 0.5).float()]
-        )
-        fingers = [
-            (weights[:, hand].sum(1) > 0.5).nonzero()[:, 0] for hand in (LEFT_HAND, RIGHT_HAND)
-        ]
-        return _Points(not foreign, regions / regions.sum(1, keepdim=True), tuple(fingers))
+        moved_by = lambda joints: weights[:, joints].sum(1) > 0.5
+        regions = torch.stack([whole, hand_vertices(weights).float(), moved_by(_FEET).float()])
+        left, right = (moved_by(hand).nonzero()[:, 0] for hand in (LEFT_HAND, RIGHT_HAND))
+        return _Points(not foreign, regions / regions.sum(1, keepdim=True), (left, right))
 
     def _of(self, posed: Posed) -> Tensor:
         return posed.vertices if self.vertices else posed.joints
@@ -103,13 +100,10 @@ class _Points:
         aligned = apart - (x.joints[:, :1] - y.joints[:, :1])
         free, put = (d.norm(dim=2) @ self.regions.to(d).T for d in (apart, aligned))
         fingers = self._in_wrist_frame(x) - self._in_wrist_frame(y)
-        names = ("body", "hands", "feet")
-        return (
-            dict(zip(names, free.T, strict=True))
-            | dict(zip((f"{name}_aligned" for name in names), put.T, strict=True))
-            | {"joints": _joints_apart(x, y).norm(dim=2).mean(1)}
-            | {"fingers": fingers.norm(dim=2).mean(1)}
-        )
+        names = [region + end for end in ("", "_aligned") for region in ("body", "hands", "feet")]
+        found = dict(zip(names, (*free.T, *put.T), strict=True))
+        found["joints"] = _joints_apart(x, y).norm(dim=2).mean(1)
+        return found | {"fingers": fingers.norm(dim=2).mean(1)}
 
     def _in_wrist_frame(self, posed: Posed) -> Tensor:
         """Return the fingers' points (T, n, 3) relative to their wrist."""

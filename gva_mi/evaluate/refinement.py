@@ -119,9 +119,8 @@ def measure(
         frames["", "", f"{stage} IoU"] = silhouette_iou(video, body, pose, shape, cameras)
     if truth is None:
         return frames
-    frames["", "", "true IoU"] = silhouette_iou(
-        video, truth.body, truth.pose, truth.shape, truth.cameras
-    )
+    person = truth.body, truth.pose, truth.shape, truth.cameras
+    frames["", "", "true IoU"] = silhouette_iou(video, *person)
     for part in (("body", "absolute"), ("body", "pelvis-aligned"), ("hands", "absolute")):
         if refined is not None:
             before, after = (frames[*part, f"{stage} error, mm"] for stage in states)
@@ -175,11 +174,8 @@ def means(per_frame: PerFrame, frames: Sequence[int] | None = None) -> list[Figu
 def pose_tables(figures: Iterable[Figure]) -> Iterator[Table]:
     """Yield errors, depths and IoU at each stage, a row for each part of the body."""
     known = [figure for figure in figures if not figure.metric.startswith("given")]
-    for title, ends in (
-        ("errors", ("error, mm", "change", "increased")),
-        ("depths", "depth, mm"),
-        ("silhouettes", "IoU"),
-    ):
+    errors = ("error, mm", "change", "increased")
+    for title, ends in (("errors", errors), ("depths", "depth, mm"), ("silhouettes", "IoU")):
         own = [figure for figure in known if figure.metric.endswith(ends)]
         if own:
             yield table(pivot(own, ("region", "alignment")), title)

@@ -242,9 +242,7 @@ def score_pictures(
             progress(done, done)
     if not found:
         raise InputError("score: there is no render to compare")
-    return [
-        figure for region, scores in found.items() for figure in mean_figures(scores, region=region)
-    ]
+    return sum((mean_figures(scores, region=region) for region, scores in found.items()), [])
 
 
 Color = np.ndarray | None  # (3,) in [0, 1]; None: pictures stay as they are

@@ -166,9 +166,8 @@ def _stance(off: np.ndarray, root: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 def _about_the_eye(x: np.ndarray, y: np.ndarray, given: Camera, real: Camera) -> Similarity:
     """Solve eq. 1 and 2 for points (N, 3)."""
-    (R, t), (R_real, t_real) = (
-        (c.T_camera_world[:3, :3], c.T_camera_world[:3, 3]) for c in (given, real)
-    )
+    matrices = (camera.T_camera_world for camera in (given, real))
+    (R, t), (R_real, t_real) = ((T[:3, :3], T[:3, 3]) for T in matrices)
     a, b = x @ R.T + t, y @ R_real.T + t_real
     scale = float((a * b).sum() / np.square(a).sum())
     return Similarity(scale, R_real.T @ R, R_real.T @ (scale * t - t_real))

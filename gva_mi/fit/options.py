@@ -40,16 +40,14 @@ class Rates:
     colours not the contrast of a pattern.
     """
 
-    means: PythonOnly[FallingRate] = (
-        4e-3  # metres, at the first step; falls exponentially to means_end
-    )
+    # Metres, at the first step; falls exponentially to means_end.
+    means: PythonOnly[FallingRate] = 4e-3
     means_end: PythonOnly[FallingRate] = 1e-5  # metres, at the last step
     quats: PythonOnly[Rate] = 1e-3
     log_scales: PythonOnly[Rate] = 5e-3
     logit_opacities: PythonOnly[Rate] = 5e-2
-    sh: PythonOnly[Rate] = (
-        5e-3  # colours; slopes learn more slowly, see gva_mi.avatar.skin_gaussians
-    )
+    # Colours; slopes learn more slowly, see gva_mi.avatar.skin_gaussians.
+    sh: PythonOnly[Rate] = 5e-3
     # Share of the slopes' difference from Lambert's law that each step takes away (decoupled weight
     # decay): the law alone holds where a person never shows the back in the light of the front.
     sh_decay: PythonOnly[Share] = 0.0
@@ -64,9 +62,8 @@ class Schedule:
 
     densify_every: PythonOnly[Every] = 200  # steps; 0: never
     densify_from: PythonOnly[Share] = 0.05  # share of all steps before the first round
-    densify_until: PythonOnly[Share] = (
-        0.5  # share of all steps after which there is no round, as in 3DGS
-    )
+    # Share of all steps after which there is no round, as in 3DGS.
+    densify_until: PythonOnly[Share] = 0.5
     reinit_at: PythonOnly[tuple[InnerShare, ...]] = (0.25, 0.5)  # shares of all steps; empty: never
     rebind_every: PythonOnly[Every] = 100  # steps between bindings to the outer skin; 0: never
 

@@ -303,8 +303,7 @@ class TrainedPoses:
         """Return the current poses of all frames."""
         if not self._clips:
             return self.given
-        found = [clip.pose(range(len(clip.frames))) for clip in self._clips]
-        return Pose.cat(found)
+        return Pose.cat([clip.pose(range(len(clip.frames))) for clip in self._clips])
 
     def state(self) -> list[dict[str, Any]]:
         """Return the state for a checkpoint."""

@@ -354,13 +354,9 @@ def _reached(means: Array, sizes: Array, view: Array, *, n: int, columns: int) -
 
 def joined(*boxes: Box | None) -> Box:
     """Return the smallest box that contains some others."""
-    some = [box for box in boxes if box is not None]
-    return Box(
-        min(box.left for box in some),
-        min(box.top for box in some),
-        max(box.right for box in some),
-        max(box.bottom for box in some),
-    )
+    sides = [(box.left, box.top, -box.right, -box.bottom) for box in boxes if box is not None]
+    left, top, right, bottom = map(min, zip(*sides, strict=True))
+    return Box(left, top, -right, -bottom)
 
 
 def in_tiles(box: Box, camera: Camera) -> Box:

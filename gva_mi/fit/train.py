@@ -140,8 +140,7 @@ def fit(
         run.finish(samples)
     write_arrays(out / run_folder.HISTORY, **run.history)
     if run.poses.trained:
-        poses = run.poses.all()
-        save_poses(out / run_folder.TRAINED_POSES, poses, video.shape, stage=2)
+        save_poses(out / run_folder.TRAINED_POSES, run.poses.all(), video.shape, stage=2)
     run.avatar.save(out / run_folder.AVATAR)
     run_folder.drop_state(out)
     return run.avatar
@@ -287,7 +286,6 @@ class Run:
 
 # ε; chosen: about a tenth of the gradient of a Gaussian in plain view.
 ADAM_EPSILON = {"means": 1e-5, "sh": 3e-7}
-DEFAULT_EPSILON = 1e-15  # of 3DGS
 VECTOR_PARAMETERS = ("means", "quats")  # whose coordinates share a v, of one-sided people
 
 
@@ -298,13 +296,9 @@ def make_adam(
 
     ``one_sided``: the pictures may show the person from one side only.
     """
+    epsilon = 1e-15  # of 3DGS
     groups = [
-        {
-            "name": k,
-            "params": [x],
-            "lr": getattr(rates, k),
-            "eps": ADAM_EPSILON.get(k, DEFAULT_EPSILON),
-        }
+        {"name": k, "params": [x], "lr": getattr(rates, k), "eps": ADAM_EPSILON.get(k, epsilon)}
         for k, x in avatar.canonical.named_parameters()
     ]
     if avatar.options.residual.enabled:
@@ -314,7 +308,7 @@ def make_adam(
     if lambert is not None:
         groups.append({"name": "strength", "params": [lambert.strength], "lr": rates.strength})
     adam = AdamOfVectors if one_sided else torch.optim.Adam
-    return adam(groups, lr=0.0, eps=DEFAULT_EPSILON, fused=True)
+    return adam(groups, lr=0.0, eps=epsilon, fused=True)
 
 
 class AdamOfVectors(torch.optim.Adam):

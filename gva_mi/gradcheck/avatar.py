@@ -80,9 +80,8 @@ class PosedAvatar:
         normal = lambda *shape: torch.randn(*shape, generator=generator, dtype=torch.float64)
         bodies = {dtype: load_body(body, dtype) for dtype in (torch.float64, torch.float32)}
         betas = 0.5 * normal(bodies[torch.float64].num_betas)
-        options = AvatarOptions(
-            seed=SeedOptions(count=gaussians, opacity=0.6), residual=ResidualOptions(enabled=True)
-        )
+        seeds = SeedOptions(count=gaussians, opacity=0.6)
+        options = AvatarOptions(seed=seeds, residual=ResidualOptions(enabled=True))
         # The network has a generator of its own: its size does not change the pose.
         of_network = Generator().manual_seed(seed)
         rest = bodies[torch.float32], Shape(betas.float())

@@ -216,10 +216,8 @@ class VideoScene:
             scene = replace(scene, shadows=scene._shadows_of(views, outside))
             if near == POSSIBLE_MARGINS[0]:
                 inside = list(on_all_cores(scene.inside, views))
-                possible = [
-                    x | (view.probability > CERTAIN_PERSON)
-                    for x, view in zip(inside, views, strict=True)
-                ]
+                pairs = zip(inside, views, strict=True)
+                possible = [x | (view.probability > CERTAIN_PERSON) for x, view in pairs]
         return scene
 
     def mask(self, view: GridPicture) -> np.ndarray:
@@ -360,9 +358,8 @@ def smoothest_cut(
 
 # Chosen: the blur of a phone's picture is a pixel or two wide.
 OPEN_BAND = 3  # pixels on each side of the cut where eq. 4 decides
-OUTLINE_BORDER = (
-    OPEN_BAND + MEAN_SQUARE + 2
-)  # pixels around the person that have to be in the picture
+# Pixels around the person that have to be in the picture.
+OUTLINE_BORDER = OPEN_BAND + MEAN_SQUARE + 2
 CUT_BLUR = 0.6  # pixels, standard deviation
 CUT_DEVIATION = 0.2  # square root of w at the cut
 CUT_FADING = 1.2  # pixels, over which this square root falls to 1 / e

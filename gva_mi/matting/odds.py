@@ -44,10 +44,8 @@ COLOR_BITS = 6  # bits of each channel: 64 bins
 COLOR_BLUR = 1.0  # bins, standard deviation
 HEIGHT_BANDS = 8  # from top to bottom. Chosen: about the height of a head
 BAND_BLUR = 0.7  # bands, standard deviation. Chosen: less than the distance of two bands
-ANY_HEIGHT_SHARE, ANY_COLOR_SHARE = (
-    0.1,
-    0.05,
-)  # shares of the colours of all heights, and of any colour at all
+# Shares of the colours of all heights, and of any colour at all.
+ANY_HEIGHT_SHARE, ANY_COLOR_SHARE = 0.1, 0.05
 
 
 class ColorsByHeight:
@@ -130,16 +128,14 @@ class Shadows:
 
     def shaded(self, height: np.ndarray) -> np.ndarray:
         """Return c (h, 1) of eq. 2, the background's share of shadow, for rows at heights (h,)."""
-        return np.where(
-            height > FEET_HEIGHT, np.float32(SHADED_SHARE_AT_FEET), np.float32(SHADED_SHARE)
-        )[:, None]
+        c = np.where(height > FEET_HEIGHT, SHADED_SHARE_AT_FEET, SHADED_SHARE)
+        return c.astype(np.float32)[:, None]
 
     def density(self, s: np.ndarray, height: np.ndarray) -> np.ndarray:
         """Return k (h, w), eq. 3, for rows at heights (h,): 0 the person's top, 1 the feet."""
-        mean = np.where(height > FEET_HEIGHT, SHADOW_MEAN_AT_FEET, SHADOW_MEAN).astype(np.float32)[
-            :, None
-        ]
-        w = np.where(height > FLOOR_HEIGHT, self.low, self.high).astype(np.float32)[:, None]
+        mean = np.where(height > FEET_HEIGHT, SHADOW_MEAN_AT_FEET, SHADOW_MEAN)
+        w = np.where(height > FLOOR_HEIGHT, self.low, self.high)
+        mean, w = (x.astype(np.float32)[:, None] for x in (mean, w))
         darker, brighter = np.maximum(1 - s, 0), np.maximum(s - 1, 0)
         k = (1 - w) * np.exp(-darker / mean) / mean + w / (1 - DARKEST_SHADOW)
         return k * np.exp(-brighter / BRIGHTER_MEAN)
@@ -170,20 +166,15 @@ def count_shadows(
 # Chosen, in the unit of L unless another one is named.
 NETWORK_WEIGHT = 0.7  # a of eq. 1: below 1, because the network's errors are alike in whole patches
 LARGEST_LOGIT = 5.0  # largest |logit(P)|: a network's probability beyond 0.993 is no evidence
-LARGEST_LOG_RATIO = (
-    6.0  # largest |log ratio| of the two densities, so that one colour cannot decide
-)
+# Largest |log ratio| of the two densities, so that one colour cannot decide.
+LARGEST_LOG_RATIO = 6.0
 SURE_PERSON = 0.95  # probability: b counts distances from pixels where P is less
 # b is 0 up to the first distance and grows to its largest value at the second one.
 INSIDE_FROM, INSIDE_FULL_FROM = 0.02, 0.05  # shares of the person's height
 INSIDE_BONUS = 4.0  # largest b
-UNEXPLAINED_WHERE_SEEN, UNEXPLAINED_WHERE_GUESSED = (
-    0.01,
-    0.5,
-)  # e: share of colours not of the plate
-STUDENT_FREEDOM = (
-    4.0  # degrees of freedom ν of Student's t. Chosen: heavier tails than a Gaussian's
-)
+UNEXPLAINED_WHERE_SEEN, UNEXPLAINED_WHERE_GUESSED = 0.01, 0.5  # e: share not of the plate
+# Degrees of freedom ν of Student's t. Chosen: heavier tails than a Gaussian's.
+STUDENT_FREEDOM = 4.0
 # Student's densities at 0 in D dimensions: Γ((ν + D) / 2) / Γ(ν / 2) / (ν π)^(D / 2).
 STUDENT_PEAK_2D, STUDENT_PEAK_3D = 0.1592, 0.0746
 
@@ -233,7 +224,5 @@ def _of_background(
     shaded = STUDENT_PEAK_2D / variance * apart(s[..., None] * B) ** (-(STUDENT_FREEDOM + 2) / 2)
     k = shadows.density(s, height) / np.sqrt(square(B) + variance)
     c = shadows.shaded(height)
-    e = np.where(
-        plate.seen, np.float32(UNEXPLAINED_WHERE_SEEN), np.float32(UNEXPLAINED_WHERE_GUESSED)
-    )
+    e = np.where(plate.seen, UNEXPLAINED_WHERE_SEEN, UNEXPLAINED_WHERE_GUESSED).astype(np.float32)
     return (1 - e) * ((1 - c) * lit + c * shaded * k) + e * background

@@ -81,9 +81,8 @@ class Plate:
         It is the plate, times the shade that is seen around the nearest bare pixels; where the
         plate is a guess, it is their mean colour.
         """
-        return np.where(
-            self.seen[..., None], self._shaded(image, bare), mean_around(image, bare)[0]
-        )
+        mean, _ = mean_around(image, bare)
+        return np.where(self.seen[..., None], self._shaded(image, bare), mean)
 
     def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate; where it differs from a picture's nearest bare pixels, it is a guess.
@@ -94,9 +93,8 @@ class Plate:
         if not known.any():
             return Plate.unknown(self.seen.shape)
         off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
-        return replace(
-            self, seen=self.seen & (mean_around(off, known)[0][..., 0] < AGREEING_DIFFERENCE)
-        )
+        agrees = mean_around(off, known)[0][..., 0] < AGREEING_DIFFERENCE
+        return replace(self, seen=self.seen & agrees)
 
     def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
         """Return the plate in the shade of the nearest bare pixels of a picture."""
@@ -134,9 +132,8 @@ def _continued(
     total = uniform_filter(color * seen[..., None], (MEAN_SQUARE, MEAN_SQUARE, 1), mode="constant")
     mean = (total / share[..., None])[tuple(nearest)]
     color = np.where(seen[..., None], color, mean)
-    return color, np.where(seen, spread, GUESSED_SPREAD + SPREAD_PER_PIXEL * away).astype(
-        np.float32
-    )
+    spread = np.where(seen, spread, GUESSED_SPREAD + SPREAD_PER_PIXEL * away)
+    return color, spread.astype(np.float32)
 
 
 def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -69,8 +69,7 @@ class NormalNetwork:
             found = ", ".join(f"{x.name} {x.type} {x.shape}" for x in inputs)
             raise InputError(f"{path}: takes {found}; expected {_EXPECTED_NETWORK}")
         names, self._picture = [x.name for x in self._session.get_outputs()], pictures[0]
-        usual = names[0] if len(names) == 1 else NORMAL_OUTPUT
-        self._output = spec.output or usual
+        self._output = spec.output or (names[0] if len(names) == 1 else NORMAL_OUTPUT)
         if self._output not in names:
             raise InputError(
                 f"{path}: has the outputs {', '.join(names)}; expected one output, or one with the "

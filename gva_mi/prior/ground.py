@@ -180,9 +180,8 @@ class Ground:
         precision = A.new_zeros(4, 4)
         precision[:2, :2] = torch.eye(2) / SLOPE_SIGMA**2
         precision[2:, 2:] = (2 * torch.eye(2) - 1) / HEEL_SIGMA**2
-        precision = precision + 1e-6 * torch.eye(
-            4
-        )  # if no point stands, the levels are undetermined
+        # If no point stands, the levels are undetermined.
+        precision = precision + 1e-6 * torch.eye(4)
         curved = torch.einsum("nq,nqi,nqj->ij", weights, A, A) + precision
         pull = torch.einsum("nq,nqi,nq->i", weights, A, height)
         return torch.cholesky_solve(pull[:, None], torch.linalg.cholesky(curved))[:, 0].to(places)

@@ -61,8 +61,7 @@ def join(clips: Sequence[range], poses: Sequence[Pose]) -> Pose:
             torch.lerp(ours.transl, theirs.transl, weight),
             torch.lerp(ours.expression, theirs.expression, weight),
         )
-        rest = other[len(ours) :]
-        whole = Pose.cat([whole[: clip.start], between, rest])
+        whole = Pose.cat([whole[: clip.start], between, other[len(ours) :]])
     return whole
 
 

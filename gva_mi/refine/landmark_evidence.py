@@ -40,9 +40,8 @@ from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 # already follow the landmarks' errors.
 RESIDUAL_CORRELATION_SECONDS = 0.2
 HEAD_SIGMA = np.radians(4.5)  # σ_A, radians; chosen by eye
-NEAREST_DEPTH = (
-    0.1  # metres in front of the camera; nearer points are projected as if there; chosen
-)
+# Metres in front of the camera; nearer points are projected as if there; chosen.
+NEAREST_DEPTH = 0.1
 _HEAD = JOINTS.index("head")
 # Fields of SeenLandmarks that begin with the frames.
 _OF_FRAMES = (
@@ -118,8 +117,7 @@ class SeenLandmarks:
     def part(self, frames: range) -> SeenLandmarks:
         """Return the landmarks of consecutive frames."""
         some = slice(frames.start, frames.stop)
-        cut = {name: getattr(self, name)[some] for name in _OF_FRAMES}
-        return replace(self, **cut)
+        return replace(self, **{name: getattr(self, name)[some] for name in _OF_FRAMES})
 
     def losses(
         self, frames: Sequence[int], T_world_rest: Tensor, shape: Shape, offsets: Tensor

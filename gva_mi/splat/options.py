@@ -29,9 +29,8 @@ class SplatOptions:
         gva_mi.core.errors.InputError: SplatOptions: near < far is needed, got 2.0, 1.0
     """
 
-    alpha_min: PythonOnly[InnerShare] = (
-        1 / 255
-    )  # a Gaussian is skipped in pixels where its alpha is below
+    # A Gaussian is skipped in pixels where its alpha is below.
+    alpha_min: PythonOnly[InnerShare] = 1 / 255
     alpha_max: PythonOnly[InnerShare] = 0.999  # alpha is clamped to it
     # A pixel stops before its transmittance falls to this.
     transmittance_min: PythonOnly[Share] = 1e-4

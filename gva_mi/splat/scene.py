@@ -116,8 +116,7 @@ class Scene:
         reach = sigmas * np.sqrt(sigma**2 + self.options.blur)[:, None]
         u = camera.project(np.where(ahead[:, None], means, np.nan))
         near = (u + reach > 0) & (u - reach < [width, height])
-        keep = torch.from_numpy(near.all(axis=1))
-        kept = {k: v[keep] for k, v in g.arrays().items()}
+        kept = {k: v[torch.from_numpy(near.all(axis=1))] for k, v in g.arrays().items()}
         return replace(self, gaussians=Gaussians(**kept), camera=camera)
 
     def through(self, model: CameraModel) -> Scene:
@@ -240,8 +239,7 @@ def person_scene(generator: np.random.Generator, gaussians: int = 20_000, size: 
     opacities = 1 / (1 + np.exp(-0.7 - 1.5 * generator.normal(size=n)))
     sh = 0.05 * generator.normal(size=(n, 16, 3))  # of degree 3
     sh[:, 0] = 1.4 * np.sin(means @ generator.normal(size=(3, 3)) * 4)
-    quats = generator.normal(size=(n, 4))
-    gaussians = Gaussians(means, quats, scales, opacities, sh=sh)
+    gaussians = Gaussians(means, generator.normal(size=(n, 4)), scales, opacities, sh=sh)
     T_camera_world = look_at((0.25, 1.05, 3.0), (0.0, 0.88, 0.0))
     focal = 1.45 * size
     camera = Camera(focal, focal, size / 2, size / 2, T_camera_world, size, size)

@@ -128,8 +128,7 @@ class BodyPrior:
         joints = [j for j in self.unknowns.joints if j]
         first = self.unknowns.per_frame - 3 * len(joints)
         shared = self.unknowns.shared
-        count = len(state.pelvis_position)
-        correlated = self.correlated[:, None].expand(count, 1)
+        correlated = self.correlated[:, None].expand(len(state.pelvis_position), 1)
         r = state.rotations[:, joints]
         some = lambda N: state.pelvis_position.new_zeros(N, self.unknowns.per_frame)
         own = some(3 * len(joints))

@@ -142,8 +142,7 @@ def _in_pairs(frames: Tensor, following: Tensor, second: Tensor) -> tuple[Tensor
     """Return diagonal blocks (N, 2F, 2F) of pairs of frames, and blocks below (N - 1, 2F, 2F)."""
     count, F = following.shape
     if count % 2:  # add a frame without coupling
-        one = torch.eye(F, dtype=frames.dtype)
-        frames = torch.cat([frames, one[None]])
+        frames = torch.cat([frames, torch.eye(F, dtype=frames.dtype)[None]])
         following, second = (torch.cat([x, 0 * x[:1]]) for x in (following, second))
     pairs = len(frames) // 2
     diagonal = frames.new_zeros(pairs, 2 * F, 2 * F)

@@ -158,8 +158,7 @@ def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Came
     T = torch.from_numpy(np.linalg.inv(after.T_camera_world) @ before.T_camera_world)
     R, t = T[:3, :3].to(pose.transl), T[:3, 3].to(pose.transl)
     pelvis, rotations = body.rest(shape).joints[0], pose.rotations.clone()
-    turned = R @ to_matrix(rotations[:, 0])
-    rotations[:, 0] = to_rotvec(turned)
+    rotations[:, 0] = to_rotvec(R @ to_matrix(rotations[:, 0]))
     return Pose(rotations, (pelvis + pose.transl) @ R.T + t - pelvis, pose.expression)
 
 

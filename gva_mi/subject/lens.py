@@ -135,10 +135,8 @@ def recorded_35mm(source: Pictures) -> float | None:
     if files is None:
         found = quicktime_numbers(source).get(_QUICKTIME_FOCAL, 0)
     else:
-        with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):
-            found = float(
-                image.getexif().get_ifd(_EXIF_TAGS).get(_EXIF_FOCAL, 0)
-            )  # or readable without
+        with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):  # of EXIF
+            found = float(image.getexif().get_ifd(_EXIF_TAGS).get(_EXIF_FOCAL, 0))
     return found if found in FOCAL_IN_35MM else None
 
 

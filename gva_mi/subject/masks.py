@@ -31,9 +31,8 @@ from gva_mi.subject.folder import array_or_picture
 from gva_mi.subject.pictures import VOID_LABEL, read_image
 
 INSIDE_ABOVE = 127  # a pixel of an 8-bit mask with a larger value is inside
-_LABEL_COUNT = (
-    64  # chosen: a mask of more different values is soft and dim, not a drawing of labels
-)
+# Chosen: a mask of more different values is soft and dim, not a drawing of labels.
+_LABEL_COUNT = 64
 _FULL_SHARE = 0.98  # of the unit. Chosen: a mask that is fully inside somewhere reaches it
 
 

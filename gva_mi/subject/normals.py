@@ -64,11 +64,8 @@ class NormalMaps:
         """
         if not (folder / NORMALS).is_dir():
             return None
-        about = (
-            _read_about(folder / NORMALS_RECORD, frames)
-            if (folder / NORMALS_RECORD).exists()
-            else {}
-        )
+        record = folder / NORMALS_RECORD
+        about = _read_about(record, frames) if record.exists() else {}
         convention = convention or about.get("convention", "perspective")
         return NormalMaps(folder / NORMALS, convention, about.get("boxes"))
 

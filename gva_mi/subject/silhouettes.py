@@ -32,9 +32,8 @@ FULL_MASK = 0.995  # share of a picture that a full mask covers: the rest is noi
 # head and feet are cut off; the background touches all four.
 INVERTED_BORDER = 0.5
 COMPARED_FRAMES = 8  # of the sanity check, which should take seconds
-LEAST_JOINTS_IN_MASKS = (
-    0.5  # share of the joints in the picture; noise and loose clothes leave more
-)
+# Share of the joints in the picture; noise and loose clothes leave more.
+LEAST_JOINTS_IN_MASKS = 0.5
 LEAST_IOU = 0.25  # of the body and the mask; wide clothes and occlusion leave more
 LEAST_JOINTS_IN_PICTURE = 0.2  # share of all joints; head and shoulders alone are a third
 TURNED_DEGREES = 60  # of the person, in most frames: nobody films a handstand, or who lies

@@ -46,9 +46,8 @@ from gva_mi.splat.formats.stored import Stored, pack, to_bytes, without_largest
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.kernels.sh import C0
 
-ROW = np.dtype(
-    [("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)]
-)  # 32 bytes
+# 32 bytes.
+ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
 
 def save_splat(path: Path, gaussians: Gaussians) -> None:

@@ -266,8 +266,7 @@ def rasterization(
     given = {"means": means, **shape_of, "opacities": opacities}
     given |= {"colors": colors, "viewmats": viewmats, "Ks": Ks}
     _require_tensors(given, backgrounds)
-    batch = _batch_of(given, sh_degree)
-    shape = (*batch, viewmats.shape[-3])
+    shape = (*_batch_of(given, sh_degree), viewmats.shape[-3])
     by_view = _colors_by_view(colors, shape, sh_degree, render_mode)
     behind = _backgrounds_by_view(backgrounds, shape, by_view[0].shape[-1], render_mode)
     bodies = _gaussians(means, quats, scales, covars, opacities)

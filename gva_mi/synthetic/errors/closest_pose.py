@@ -198,8 +198,7 @@ def _step(
     r = (targets - places)[:, limbs].flatten(1) / DISTANCE_SCALE
     damping = torch.full((J.shape[2],), TURN_SCALE**-2, dtype=J.dtype)
     damping[-3:] = 0
-    normal = J.mT @ J + torch.diag(damping)
-    factor = torch.linalg.cholesky(normal)
+    factor = torch.linalg.cholesky(J.mT @ J + torch.diag(damping))
     change = torch.cholesky_solve(J.mT @ r[..., None], factor)[..., 0]
     turn = so3.to_matrix(change[:, :-3].unflatten(1, (-1, 3)))
     above = torch.eye(3, dtype=J.dtype).repeat(len(J), len(JOINTS), 1, 1)

@@ -122,8 +122,7 @@ def noisy_mask(
     for centre in edge[rng.integers(len(edge), size=noise.notches)] if len(edge) else ():
         radius = noise.notch_radius * pixel * rng.uniform(0.4, 1.3)
         rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
-        away = np.hypot(rows - centre[0], columns - centre[1])
-        notch = np.maximum(radius - away, 0)
+        notch = np.maximum(radius - np.hypot(rows - centre[0], columns - centre[1]), 0)
         wobble += rng.choice([-1, -1, 1]) * notch
     grown = noise.grown * pixel
     return np.clip(distance + wobble + grown + 0.5, 0, 1).astype(np.float32)
@@ -137,8 +136,7 @@ def noisy_normals(
 
     pixel = normals.shape[1] / 512
     reach = max(noise.blur * pixel, 0.3)
-    channels = [gaussian_filter(normals[..., k], reach) for k in range(3)]
-    blurred = np.stack(channels, axis=-1)
+    blurred = np.stack([gaussian_filter(normals[..., k], reach) for k in range(3)], axis=-1)
     length = np.linalg.norm(blurred, axis=-1)
     # Where the mask extends past the surface, use the nearest normal.
     near = distance_transform_edt(length < 1e-3, return_distances=False, return_indices=True)

@@ -130,8 +130,7 @@ def covered(vertices: np.ndarray, cloth: Sequence[RestMesh]) -> np.ndarray:
     for mesh in cloth:
         lit = mesh.shade > 0.98
         normals = vertex_normals(mesh.vertices.astype(np.float64), mesh.faces)[lit]
-        tree = cKDTree(mesh.vertices[lit])
-        _, index = tree.query(vertices)
+        _, index = cKDTree(mesh.vertices[lit]).query(vertices)
         away = vertices - mesh.vertices[lit][index]
         height = np.einsum("vc,vc->v", away, normals[index])
         aside = np.linalg.norm(away - height[:, None] * normals[index], axis=1)

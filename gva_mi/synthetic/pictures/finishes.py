@@ -117,8 +117,7 @@ def cloth(rng: Generator, like: Sequence[Color] = ()) -> Finish:
 def books(rng: Generator) -> Finish:
     """Draw the backs of a row of books."""
     first, second = (palette(rng, _BOOKS) for _ in range(2))
-    width = float(rng.uniform(0.022, 0.04))
-    cell = (width, ENDLESS_CELL)
+    cell = (float(rng.uniform(0.022, 0.04)), ENDLESS_CELL)
     return Finish(first, second, share=0.5, cell=cell, joint=0.004, vary=0.6, rough=0.05)
 
 

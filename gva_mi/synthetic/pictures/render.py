@@ -275,8 +275,7 @@ class Renderer:
         """Return L of a cosine-distributed direction (eq. 3)."""
         import mitsuba as mi
 
-        local = mi.warp.square_to_cosine_hemisphere(uv)
-        direction = mi.Frame3f(n).to_world(local)
+        direction = mi.Frame3f(n).to_world(mi.warp.square_to_cosine_hemisphere(uv))
         pi = self._scene.ray_intersect_preliminary(mi.Ray3f(x, direction), active=active)
         blocked = pi.is_valid()
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)

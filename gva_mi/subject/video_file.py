@@ -73,9 +73,7 @@ _INTERLACED = (
     "the video is interlaced ({} of {} pictures): every other row is of another moment, so moving "
     "outlines look like combs; convert it first: ffmpeg -i VIDEO -vf bwdif=0 PROGRESSIVE.mp4"
 )
-_CUT_SHORT = (
-    "the video should last {:.3g} s, but its pictures end at {:.3g} s: was the file cut short?"
-)
+_CUT_SHORT = "the file lasts {:.3g} s, but its pictures end at {:.3g} s: was it cut short?"
 CUT_SECONDS = 0.5  # missing at the end of a video. Chosen: sound is rarely longer than pictures
 KEPT_BYTES = 1 << 27  # of decoded pictures. Chosen: 43 pictures of 1920 x 1080 in 4:2:0
 
@@ -112,7 +110,8 @@ class VideoFile(Sequence[np.ndarray]):
             self._moments.append(frame.pts)
             self._checksums.append(_checksum(frame))
         self._numbers = {moment: k for k, moment in enumerate(self._moments) if moment is not None}
-        lasts = length if self.times is None else self.times[-1]
+        shown = (frame.duration or 0) * self.tick  # seconds, the last picture
+        lasts = length if self.times is None else self.times[-1] + shown
         self.notes = [  # sentences for the user
             *([f"the video is HDR ({hdr}): its colours were mapped to sRGB"] if hdr else []),
             *([_SQUEEZED.format(aspect)] if abs(np.log(aspect)) > SQUARE_PIXELS else []),

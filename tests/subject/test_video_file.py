@@ -9,6 +9,7 @@ import av
 import numpy as np
 import pytest
 from av.stream import Disposition
+from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.stage1.pictures import even_pictures
@@ -265,7 +266,14 @@ def test_a_file_that_ends_early_is_said(name, codec, tmp_path):
     assert VideoFile(path).notes == []
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
     (note,) = VideoFile(path).notes
-    assert "should last 2 s, but its pictures end at" in note
+    assert "the file lasts 2 s, but its pictures end at" in note
+
+
+def test_a_last_picture_that_stays_is_no_file_that_ends_early(tmp_path):
+    first, *others = (Image.fromarray(shown(k)) for k in range(4))
+    times = [40, 40, 40, 3000]  # milliseconds
+    first.save(tmp_path / "a.gif", save_all=True, append_images=others, duration=times)
+    assert VideoFile(tmp_path / "a.gif").notes == []
 
 
 def test_a_pipe_is_refused_at_once(tmp_path):

@@ -126,3 +126,7 @@ def test_other_films_than_rgb_raise(splats):
     scene = splats.scene(splats.arrays(4, 1), ball=ball(), sky=SKY)
     with pytest.raises(ValueError, match="RGB or RGBA"):
         among(splats).render(scene, ahead(splats, pixel_format="luminance"))
+    cube = splats.scene(splats.arrays(4, 1), cube={"type": "cube"})
+    nested = {"type": "mesh_normals"}  # of four channels
+    with pytest.raises(ValueError, match="RGB or RGBA"):
+        splats.integrator(meshes="depth", nested=nested).render(cube, ahead(splats))

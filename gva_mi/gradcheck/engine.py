@@ -142,10 +142,10 @@ class Check:
         """
         probe = self.probes[name]
         pairs = lambda v: zip(self.weights.values(), moves(v), strict=True)
-        found = [
+        derivatives = [
             sum(float((w * d.double()).sum()) for w, d in pairs(v)) for v in probe.directions()
         ]
-        values = torch.tensor(found, dtype=torch.float64)
+        values = torch.tensor(derivatives, dtype=torch.float64)
         row = Comparison.of(method, name, values, probe.along(self.truth[name]), allowed)
         return replace(row, where=((), *probe.entries)[row.where[0]])
 

@@ -103,15 +103,15 @@ class HandNetwork:
             body: the body in it.
             before: the hands in the picture before.
         """
-        found, reach = {}, _WRIST_DISTANCE * 2 * body.radius
+        hands, reach = {}, _WRIST_DISTANCE * 2 * body.radius
         see = partial(self._see, image)
         for side in SIDES:
             near_wrist = lambda hand, side=side: _from_wrist(hand, body, side) < reach
             hand = found_again(see, before.get(side), _square_at_wrist(body, side), near_wrist)
             if hand is not None:
                 hand = with_mirrored(see, hand)
-                found[side] = replace(hand, square=_square_around_hand(hand.points))
-        return _one_each(found, body)
+                hands[side] = replace(hand, square=_square_around_hand(hand.points))
+        return _one_each(hands, body)
 
     def _see(
         self, image: np.ndarray, square: TurnedSquare, mirrored: bool = False

@@ -112,7 +112,8 @@ class FrameLosses:
             silhouette: λ1.
             weights: λc of the close-ups, by the name of the part.
         """
-        self.given = body, evidence, fine, silhouette, weights
+        self.given = body, evidence, fine, silhouette, weights  # for helper processes
+        self._evidence, self._fine, self._silhouette = evidence, fine, silhouette
         self._scene = MeshScene(body.faces, body.v_template)
         self._parts = {part: w for part in parts_of(body) if (w := weights[part.name]) > 0}
 
@@ -121,13 +122,13 @@ class FrameLosses:
 
         ``close`` says whether close-ups count, if there are any.
         """
-        (_, evidence, fine, silhouette, _), found = self.given, []
+        losses, fine, silhouette = [], self._fine, self._silhouette
         for k, body in zip(frames, bodies.unbind(), strict=True):
-            seen = evidence[k]
+            seen = self._evidence[k]
             closer = close_ups(fine[k], self._parts, body, seen) if close and fine else []
             views = [WeightedView(1.0, seen), *closer]
-            found.append(frame_loss(self._scene, body, views, silhouette, differentiated=True))
-        return found
+            losses.append(frame_loss(self._scene, body, views, silhouette, differentiated=True))
+        return losses
 
 
 class SharedFrameLosses:

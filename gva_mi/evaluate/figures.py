@@ -106,15 +106,15 @@ def pivot(figures: Iterable[Figure], index: Sequence[str], columns: Sequence[str
         A value (n,) of each subject in each cell: a subject counts once, so that several figures of
         it are averaged. Rows and columns come in the order in which they appear.
     """
-    found: dict[Key, dict[Key, dict[str, list[float]]]] = {}
+    grouped: dict[Key, dict[Key, dict[str, list[float]]]] = {}
     key = lambda figure, names: tuple(getattr(figure, name) for name in names)
     for figure in figures:
         if figure.value is not None and math.isfinite(figure.value):
-            cells = found.setdefault(key(figure, index), {})
+            cells = grouped.setdefault(key(figure, index), {})
             cell = cells.setdefault(key(figure, (*columns, "metric")), {})
             cell.setdefault(figure.subject, []).append(figure.value)
-    means = lambda cell: np.array([np.mean(own) for own in cell.values()])
-    return {row: {c: means(cell) for c, cell in cells.items()} for row, cells in found.items()}
+    means = lambda cell: np.array([np.mean(values) for values in cell.values()])
+    return {row: {c: means(cell) for c, cell in cells.items()} for row, cells in grouped.items()}
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ def table(
     single = len({column[-1] for column in columns}) == 1 < len(columns)
     head = [label_of(column[:-1] if single else column) for column in columns]
     rows = [
-        [label_of(row), *(write(row, c, own[c]) if c in own else "–" for c in columns)]
-        for row, own in cells.items()
+        [label_of(row), *(write(row, c, of_row[c]) if c in of_row else "–" for c in columns)]
+        for row, of_row in cells.items()
     ]
     return Table((title, *head), rows)
 

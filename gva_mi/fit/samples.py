@@ -270,9 +270,9 @@ class FrameSampler:
             self._people[k] = person
         place, plate = joined(*kept), None
         if still_camera:
-            some = spread(range(len(self)), PLATE_FRAMES)
-            people = map(self._people.__getitem__, some)
-            seen = zip(video.frames(self.frames[k] for k in some), people, strict=True)
+            shown = spread(range(len(self)), PLATE_FRAMES)
+            people = map(self._people.__getitem__, shown)
+            seen = zip(video.frames(self.frames[k] for k in shown), people, strict=True)
             plate = background_of(seen, place)
         behind = lambda person: person.behind(plate, place)
         for k, found in enumerate(on_all_cores(behind, self._people.values())):

@@ -160,11 +160,11 @@ def _inferred_models(
     seen = {name: turns[:, list(group), 2] for name, group in GROUPS.items()}  # line of sight
     seen |= {name: moves[:, list(axes)] for name, axes in PLACE_AXES.items()}
     slow = lambda name: fit_slow_part(-seen[name], times, before[name].white, before[name])
-    found = {name: slow(name) for name in seen}
-    floor = SLOW_FLOOR * sqrt(torch.tensor([found[name].slow for name in GROUPS]).square().mean())
+    models = {name: slow(name) for name in seen}
+    floor = SLOW_FLOOR * sqrt(torch.tensor([models[name].slow for name in GROUPS]).square().mean())
     for name in GROUPS:
-        found[name] = replace(found[name], slow=max(found[name].slow, float(floor)))
-    return found
+        models[name] = replace(models[name], slow=max(models[name].slow, float(floor)))
+    return models
 
 
 def _of_joints(

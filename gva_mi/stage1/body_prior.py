@@ -130,16 +130,16 @@ class BodyPrior:
         shared = self.unknowns.shared
         correlated = self.correlated[:, None].expand(len(state.pelvis_position), 1)
         r = state.rotations[:, joints]
-        some = lambda N: state.pelvis_position.new_zeros(N, self.unknowns.per_frame)
-        own = some(3 * len(joints))
-        own[:, first:] = torch.eye(3 * len(joints))
+        zeros = lambda N: state.pelvis_position.new_zeros(N, self.unknowns.per_frame)
+        eye = zeros(3 * len(joints))
+        eye[:, first:] = torch.eye(3 * len(joints))
         weights = self.precision[joints].flatten() / correlated
         apart = (r - self.relaxed[joints]).flatten(1)
-        yield PriorRows(apart, weights, own, own.new_zeros(len(own), shared))
+        yield PriorRows(apart, weights, eye, eye.new_zeros(len(eye), shared))
 
         angles = angles_of(self.anatomy, self.unknowns.joints)
         A = self.anatomy.A[angles][:, joints].double().flatten(1)
-        by_frame, by_shared = some(len(A)), state.pelvis_position.new_zeros(len(A), shared)
+        by_frame, by_shared = zeros(len(A)), state.pelvis_position.new_zeros(len(A), shared)
         by_frame[:, first:] = A
         if self.unknowns.angle_offsets:
             by_shared[:, self.unknowns.angle_offsets_column :] = -torch.eye(len(A))
@@ -153,7 +153,7 @@ class BodyPrior:
         low, high = self.anatomy.limits[mine].double().unbind(1)
         bend = r.flatten(1) @ bends.T
         past = (bend - high).clamp_min(0) - (low - bend).clamp_min(0)
-        by_frame = some(len(bends))
+        by_frame = zeros(len(bends))
         by_frame[:, first:] = bends
         weights = (past != 0) / (correlated * math.radians(LIMIT_SIGMA_DEGREES) ** 2)
         yield PriorRows(past, weights, by_frame, by_frame.new_zeros(len(bends), shared))
@@ -261,8 +261,8 @@ class SharedPrior:
             return
         apart, spread = self.parts(state)
         turn = torch.eye(len(apart), dtype=apart.dtype)
-        some = slice(self.unknowns.offsets_column, self.unknowns.angle_offsets_column)
-        turn[some, some] = self._sides()
+        offsets = slice(self.unknowns.offsets_column, self.unknowns.angle_offsets_column)
+        turn[offsets, offsets] = self._sides()
         if self.unknowns.camera and self.lines is not None:
             focal = self.unknowns.camera_column
             turn[focal + 2, focal] = -self._up(state)[0][1]
@@ -270,9 +270,9 @@ class SharedPrior:
         equations.shared_pull -= turn.T @ (apart / spread**2)
         if self.unknowns.betas:
             taller, slope, sigma = self.height_excess(state)
-            some = slice(0, len(slope))
-            equations.shared[some, some] += slope[:, None] * slope / sigma**2
-            equations.shared_pull[some] -= taller * slope / sigma**2
+            betas = slice(0, len(slope))
+            equations.shared[betas, betas] += slope[:, None] * slope / sigma**2
+            equations.shared_pull[betas] -= taller * slope / sigma**2
 
 
 def _left(name: str) -> str:

@@ -54,21 +54,21 @@ class NormalEquations:
             z(shared, shared), z(frames, F), z(shared),
         )  # fmt: skip
 
-    def add(self, some: slice, r: Tensor, w: Tensor, by_frame: Tensor, by_shared: Tensor) -> None:
+    def add(self, frames: slice, r: Tensor, w: Tensor, by_frame: Tensor, by_shared: Tensor) -> None:
         """Add weighted squares ``Σ w r² / 2`` of n frames.
 
         Args:
-            some: the n frames.
+            frames: the n frames.
             r: (n, N) residuals.
             w: (n, N) weights.
             by_frame: (n, N, F) ∂r / ∂(unknowns of the frame).
             by_shared: (n, N, S) ∂r / ∂(shared unknowns).
         """
         weighted = w[..., None] * by_frame
-        self.frames[some] += weighted.mT @ by_frame
-        self.pull[some] -= torch.einsum("nkf,nk->nf", weighted, r)
+        self.frames[frames] += weighted.mT @ by_frame
+        self.pull[frames] -= torch.einsum("nkf,nk->nf", weighted, r)
         if by_shared.any():
-            self.mixed[some] += weighted.mT @ by_shared
+            self.mixed[frames] += weighted.mT @ by_shared
             flat = by_shared.flatten(0, 1)
             weighted = w.flatten()[:, None] * flat
             self.shared += weighted.T @ flat

@@ -131,13 +131,13 @@ def recorded(source: Pictures, size: tuple[int, int]) -> float | None:
 
 def recorded_35mm(source: Pictures) -> float | None:
     """Return the 35 mm focal length (mm) recorded in the video file or first picture; or None."""
-    files, found = files_of(source), 0.0
+    files, focal = files_of(source), 0.0
     if files is None:
-        found = quicktime_numbers(source).get(_QUICKTIME_FOCAL, 0)
+        focal = quicktime_numbers(source).get(_QUICKTIME_FOCAL, 0)
     else:
         with opened(files[0]) as image, suppress(*MALFORMED, ZeroDivisionError):  # of EXIF
-            found = float(image.getexif().get_ifd(_EXIF_TAGS).get(_EXIF_FOCAL, 0))
-    return found if found in FOCAL_IN_35MM else None
+            focal = float(image.getexif().get_ifd(_EXIF_TAGS).get(_EXIF_FOCAL, 0))
+    return focal if focal in FOCAL_IN_35MM else None
 
 
 def asked_for(text: str, of_file: float | None, size: tuple[int, int]) -> float:

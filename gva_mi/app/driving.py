@@ -86,6 +86,8 @@ def render(
         ['000000.png', 'render.json']
     """
     run, out = Path(run), Path(out)
+    if out.suffix.lower() in (".mp4", ".mov", ".gif", ".png", ".jpg"):
+        raise InputError(f"{out}: expected a folder; with --video, video.mp4 is written into it")
     if cameras is not None and path != CameraPath():
         raise InputError("render: give --cameras, or say where cameras stand; not both")
     if video and alpha:

@@ -252,14 +252,13 @@ class StepFolder:
             expected = "the finished steps of a command"
             found = read_json(self._path, expected)
             with expecting(self._path, expected):
-                steps = {name: dict(step) for name, step in found["steps"].items()}
-                same = found["source"] == source
-                if not same and any(step["finished"] for step in steps.values()):
+                if found["source"] == source:
+                    self._steps = {name: dict(step) for name, step in found["steps"].items()}
+                elif any(step["finished"] for step in found["steps"].values()):
                     raise InputError(
                         f"{folder}: was made from another video; choose another folder, or give "
                         "--overwrite to replace it"
                     )
-                self._steps = steps if same else {}
         require_writable(folder)
         self._write()
 

@@ -25,7 +25,7 @@ from gva_mi.body.smplx import body_name, load_body
 from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import make_room, require_room
+from gva_mi.core.files import make_room, require_replaceable, require_room
 from gva_mi.evaluate.measure import Metrics, measure_run
 from gva_mi.evaluate.refinement import MeasuredRefinement, describe, write_refinement
 from gva_mi.evaluate.report import write_report
@@ -79,8 +79,7 @@ def prepare(
         >>> prepare("video.mp4", "me/subject")  # doctest: +SKIP
     """
     video, out = Path(video), Path(out)
-    if not overwrite and (out / PREPARED).exists():
-        raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
+    require_replaceable(out, PREPARED, overwrite)
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_video(
             folder, video, options, None if body is None else Path(body), person=person,

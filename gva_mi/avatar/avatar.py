@@ -47,7 +47,13 @@ from gva_mi.body.polar import apply_lbs
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.errors import expecting
-from gva_mi.core.files import read_arrays, require_array, shape_fault, write_arrays
+from gva_mi.core.files import (
+    read_arrays,
+    require_array,
+    require_keys,
+    shape_fault,
+    write_arrays,
+)
 from gva_mi.core.options import PythonOnly, from_json
 from gva_mi.splat.gaussians import Gaussians
 
@@ -286,7 +292,8 @@ class Avatar(nn.Module):
     @staticmethod
     def from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> Avatar:
         """Restore the avatar in the arrays of a file; ``path`` is for the InputError."""
-        texts = {key: str(arrays.get(key, "")) for key in ("format", "description")}
+        require_keys(path, arrays, ("format", "description"))
+        texts = {key: str(arrays[key]) for key in ("format", "description")}
         with expecting(path, AVATAR_FILE):
             return Avatar.from_record({**tensors_of(path, arrays), **texts})
 

@@ -14,7 +14,7 @@ from gva_mi.cli.arguments import Flat, Switch, given, nth_person
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_room
+from gva_mi.core.files import require_replaceable, require_room
 from gva_mi.readers.datasets import DATASETS
 from gva_mi.readers.estimators import KINDS
 from gva_mi.readers.motions import Motion, MotionOptions, motion_of_poses, read_motion
@@ -71,8 +71,7 @@ def prepare(
     if options.body is None:
         raise InputError("prepare: give --body, the body of the poses: a body file, or built-in")
     body = TargetBody.read(options.body)
-    if not overwrite and (out / PREPARED).exists():
-        raise InputError(f"{out}: was prepared already; give --overwrite to replace it")
+    require_replaceable(out, PREPARED, overwrite)
     with atomic_dir(out, PREPARED if overwrite else None) as folder, bar("prepare") as progress:
         notes = prepare_folder(folder, kind, source, options, body, progress)
     for note in notes:

@@ -36,6 +36,8 @@ def require_file(path: Path, expected: str) -> None:
     A pipe would be waited for, and a device may never end.
     """
     path = Path(path)
+    if path.parent.is_file():
+        raise InputError(f"{path.parent}: is a file; expected a folder with {path.name}")
     if not path.is_file():
         kind = "is a device or a pipe" if path.exists() else "no such file"
         kind = "is a folder" if path.is_dir() else kind

@@ -40,6 +40,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_bytes, read_json, write_arrays
 from gva_mi.core.stamp import STAMP_BYTES, stamp, write_record
 from gva_mi.splat import Gaussians
+from gva_mi.subject.folder import CAMERAS
 from gva_mi.subject.opened import OpenedSubject, open_subject
 from gva_mi.subject.video import Video
 
@@ -166,7 +167,7 @@ def source_of(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
         InputError: the file does not exist any more.
     """
     path = _recorded(run, what, subject)
-    if path is not None and not path.exists():
+    if path is not None and not path.exists() and (subject / CAMERAS).exists():
         raise InputError(
             f"{run}: was fitted with {path}, which does not exist any more; give it with --{what}"
         )
@@ -316,10 +317,7 @@ def trained_poses(run: Path) -> Path | None:
         return path
     made_with = load_options(run)["options"] if (run / OPTIONS).exists() else {}
     if made_with.get("poses", {}).get("trained"):
-        raise InputError(
-            f"{path}: no such file; expected the poses that this run trained with its avatar: "
-            "restore them, or fit again with --overwrite"
-        )
+        raise InputError(f"{path}: no such file; restore the run's trained poses, or fit again")
     return None
 
 
@@ -336,8 +334,5 @@ def under_trained_poses(video: Video, run: Path) -> Video:
         return video
     pose, shape = load_poses(path, len(video))
     if not torch.equal(shape.betas, video.shape.betas):
-        raise InputError(
-            f"{path}: its betas are of another person than those of {video.folder}; expected the "
-            "poses that this run trained with its avatar"
-        )
+        raise InputError(f"{path}: its betas are of another person than those of {video.folder}")
     return replace(video, pose=pose)

@@ -75,10 +75,7 @@ def _place(folder: Path | None) -> Path:
     if given := folder or os.environ.get(WEIGHTS_VARIABLE):
         given = Path(given).expanduser()
         if not given.is_dir():  # perhaps mistyped: nothing is fetched into it
-            raise InputError(
-                f"{given}: no such folder; expected the folder of {', '.join(_SHA256)}, or an "
-                "empty one to fetch them into"
-            )
+            raise InputError(f"{given}: no such folder; expected the folder of the networks")
         return given
     cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return cache / "gva_mi" / f"mediapipe-{MEDIAPIPE_VERSION}"

@@ -163,6 +163,8 @@ def _capture(
 
     ``makes_masks`` says that a network makes the masks.
     """
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder; expected poses or a data set")
     if kind == "auto" and source.is_dir():
         kind = dataset_of(source) or kind
     if kind in DATASETS and options.lens is not None:

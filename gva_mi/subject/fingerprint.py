@@ -117,10 +117,7 @@ def require_listed(folder: Path, count: int) -> None:
         wanted |= {f"{masks}/{frame_name(k)}": masks for k in range(count)}
     for part, other in wanted.items():
         if not (folder / part).exists():
-            raise InputError(
-                f"{folder}: has no {part} any more, which belongs to {other}; restore it, or make "
-                "the folder again"
-            )
+            raise InputError(f"{folder}: has lost its {part}, which {other} needs; restore it")
 
 
 def _record(file: Path) -> dict:

@@ -226,8 +226,8 @@ def read_video(
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(
-            f"{folder}: no such folder; expected a subject with video.mp4 or frames/, masks/, "
-            "cameras.npz and poses.npz"
+            f"{folder}: {'is a file' if folder.exists() else 'no such folder'}; expected a subject "
+            "with video.mp4 or frames/, masks/, cameras.npz and poses.npz"
         )
     images, sizes = _open_pictures(folder, attempt)
     count = max(sizes, default=-1) + 1 or None

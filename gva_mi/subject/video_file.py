@@ -39,6 +39,7 @@ import numpy as np
 
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
+from gva_mi.core.files import require_file
 from gva_mi.subject.pictures import in_8_bits, require_size
 
 if TYPE_CHECKING:
@@ -226,10 +227,7 @@ def open_stream(path: Path) -> av.VideoStream:
     import av
 
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such video file or folder of pictures")
-    if not path.is_file():  # FFmpeg would wait for a pipe
-        raise InputError(f"{path}: a folder, a pipe or a device; expected a video file")
+    require_file(path, "a video file or a folder of pictures")
     with decoding(path):
         videos = av.open(str(path)).streams.video
         cover = av.stream.Disposition.attached_pic

@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError, __version__
+from gva_mi.app.pipeline import Step, StepFolder
+from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
 from gva_mi.core.console import complete_streams, say
 from gva_mi.core.errors import expecting
 from gva_mi.core.options import ranges
 from gva_mi.evaluate.measure import ALIGNED
+from gva_mi.subject.pictures import write_image
 
 TINY = ("--size", 64, "--frames", 6)
 
@@ -296,3 +299,44 @@ with open(sys.argv[1], "w") as file:
     line = f"{sys.executable} -c '{program}' {tmp_path / 'a'} >&-"
     run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
     assert run.returncode == 0 and not run.stderr and (tmp_path / "a").read_text() == ""
+
+
+@pytest.mark.parametrize("command, told", [
+    ("demo --out {0}/file", "file: is a file; expected a folder"),
+    ("synth {0}/file/out", "file: a file is in the way; expected a folder"),
+    ("avatar {0}/subject --out {0}/o", "is a subject's folder; its pictures are"),
+    ("prepare video {0}/frames {0}/o --keypoints {0}/none", "none: no such file; expected key"),
+    ("prepare auto {0}/none {0}/o --body built-in", "none: no such file or folder"),
+    ("evaluate {0}/run/avatar.npz {0}/subject", "avatar.npz: is a file; expected a folder"),
+    ("evaluate {0}/run {0}/none", "none: no such folder; expected a subject"),
+    ("check {0}/file", "file: is a file; expected a subject"),
+    ("render {0}/run/poses.npz --out {0}/o", "poses.npz: key 'format' is missing"),
+    ("render {0}/run --out {0}/turn.mp4", "turn.mp4: expected a folder; with --video"),
+    ("motion {0}/file {0}/o.npz", "file: damaged, cut short, or of an unknown kind; expected a mo"),
+])  # fmt: skip
+def test_what_beginners_mistake_for_another_thing_is_named(command, told, tmp_path, known, cli):
+    (tmp_path / "file").write_text("hello")
+    for folder in ("subject/frames", "frames"):
+        write_image(tmp_path / folder / "000000.png", np.zeros((64, 64, 3), np.uint8))
+    known.save(tmp_path / "run/avatar.npz")
+    save_poses(tmp_path / "run/poses.npz", Pose.rest(), Shape(known.rig.betas), stage=2)
+    about = {"options": {}, "sources": {"poses": "poses.npz"}}
+    (tmp_path / "run/options.json").write_text(json.dumps(about))
+    before = files(tmp_path / "run")
+    err = cli.fails(*command.format(tmp_path).split())
+    assert told in err and err.count("\ngva-mi: ") + err.startswith("gva-mi: ") == 1, err
+    assert files(tmp_path / "run") == before
+
+
+def test_a_folder_in_which_no_step_was_finished_takes_another_video(tmp_path):
+    made = tmp_path / "made.txt"
+
+    def follow(source, work):
+        step = Step("write", "avatar", None, [], [made], lambda begun: work())
+        StepFolder(tmp_path / "out", "steps.json", source, overwrite=False).follow([step])
+
+    with pytest.raises(ZeroDivisionError):
+        follow("mistyped", lambda: 1 / 0)
+    follow("the video", lambda: made.write_text("done"))
+    with pytest.raises(InputError, match="was made from another video"):
+        follow("another", lambda: None)

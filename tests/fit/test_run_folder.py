@@ -50,7 +50,9 @@ def test_trained_poses_stay_with_their_video(video, tmp_path):
 
 def test_trained_poses_that_got_lost_or_are_of_another_person_are_refused(video, tmp_path):
     run_folder.prepare(tmp_path, {"poses": {"trained": True}}, video, resume=True)
-    with pytest.raises(InputError, match="poses.npz: no such file; expected the poses that this"):
+    with pytest.raises(
+        InputError, match="poses.npz: no such file; restore the run's trained poses"
+    ):
         run_folder.under_trained_poses(video, tmp_path)
     path, other = tmp_path / run_folder.TRAINED_POSES, Shape(video.shape.betas + 0.1)
     save_poses(path, video.pose, other, stage=2)

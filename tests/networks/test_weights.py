@@ -71,7 +71,7 @@ def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_pat
 
 def test_a_mistyped_folder_is_not_made(small_wheel, tmp_path, monkeypatch):
     for given in (tmp_path / "mistyped", None):
-        with pytest.raises(InputError, match="mistyped: no such folder; expected the folder of"):
+        with pytest.raises(InputError, match="mistyped: no such folder; expected the folder"):
             weights_file(NAMES[0], given)
         monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "mistyped"))
     assert not (tmp_path / "mistyped").exists()

@@ -86,12 +86,12 @@ def test_a_prepared_video_knows_its_frame_rate(tmp_path):
         assert prepared_from(tmp_path) == expected
 
 
-@pytest.mark.parametrize("lost, belongs", [
+@pytest.mark.parametrize("lost, needs", [
     ("splits.json", "synth.json"), ("truth", "synth.json"), ("truth/poses.npz", "synth.json"),
     ("truth/masks", "synth.json"), ("truth/masks/000002.png", "truth/masks"),
     ("prepare.json", "landmarks.npz"),
 ])  # fmt: skip
-def test_a_file_that_got_lost_is_named(subject, lost, belongs):
+def test_a_file_that_got_lost_is_named(subject, lost, needs):
     """Every one of them changed figures, or took them away, without a word."""
     folder = subject
     shutil.copytree(folder / "masks", folder / "truth/masks")
@@ -103,7 +103,7 @@ def test_a_file_that_got_lost_is_named(subject, lost, belongs):
     require_listed(folder, 3)
     path = folder / lost
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    with pytest.raises(InputError, match=f"has no {lost} any more, which belongs to {belongs};"):
+    with pytest.raises(InputError, match=f"has lost its {lost}, which {needs} needs; restore it"):
         require_listed(folder, 3)
 
 
@@ -112,6 +112,6 @@ def test_steps_ask_for_lost_files(subject, cli):
     SubjectWriter(folder).splits({"train": [0, 1], "test": [2]})
     SubjectWriter(folder).record("prepare.json", {"kind": "auto"})
     (folder / "splits.json").unlink()
-    with pytest.raises(InputError, match="has no splits.json any more"):
+    with pytest.raises(InputError, match="has lost its splits.json"):
         load_video(folder)
-    assert "has no splits.json any more" in " ".join(cli("check", folder)[1].split())
+    assert "has lost its splits.json" in " ".join(cli("check", folder)[1].split())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import sys
 from contextlib import suppress
 from typing import NoReturn
@@ -51,6 +52,9 @@ def main(arguments: list[str] | None = None) -> None:
         _end(INTERRUPTED, f"stopped; {AFTER_STOP.get(verb, ALL_COMPLETE)}", "\n")
     except BrokenPipeError:  # the reader of the output has closed it
         _end(BROKEN_PIPE)
+    except shutil.Error as error:  # while a folder was copied: from, to and reason of each file
+        _, to, reason = error.args[0][0]
+        _end(BAD_INPUT, f"{to}: {reason}; {ALL_COMPLETE}")
     except OSError as error:  # a full disk, an unreadable folder
         if error.strerror is None or (error.filename is None and error.errno not in DISK_FULL):
             raise

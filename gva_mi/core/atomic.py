@@ -158,7 +158,7 @@ def require_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):
-        raise InputError(f"{folder}: a file is in the way; expected a folder") from None
+        raise InputError(f"{folder}: cannot be written to: a file is in the way") from None
     except OSError as error:
         raise InputError(f"{folder}: cannot be written to ({error.strerror})") from None
 

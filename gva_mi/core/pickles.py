@@ -22,7 +22,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from gva_mi.core.errors import InputError, is_memory
+from gva_mi.core.errors import InputError
 from gva_mi.core.files import known_container, reason_of_read, require_file
 
 _PLAIN_DTYPE = re.compile(r"[?biufc]\d{0,2}|[SU]\d{0,6}|O8?")
@@ -46,9 +46,7 @@ def read_objects(path: Path, expected: str) -> Any:  # noqa: ANN401
     except Refused as error:
         fault = f"holds {error}, which is not read because it may run code or is no plain array"
     except Exception as error:  # a damaged file can fail in any opcode, and in any way
-        fault = "damaged, cut short, or of an unknown kind"
-        if isinstance(error, OSError) or is_memory(error):
-            fault = f"not readable ({reason_of_read(error)})"
+        fault = f"damaged, cut short, or of an unknown kind ({reason_of_read(error)})"
         fault = known_container(path) or fault
     raise InputError(f"{path}: {fault}; expected {expected}")
 

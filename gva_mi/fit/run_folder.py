@@ -299,10 +299,7 @@ def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     folder = run if run.is_dir() else run.parent
     path = poses or trained_poses(folder)
     if path is None:
-        raise InputError(
-            f"{folder}: holds no {TRAINED_POSES}, which a fit that trains poses writes; "
-            "give --poses"
-        )
+        raise InputError(f"{folder}: holds no {TRAINED_POSES} that were trained; give --poses")
     return *load_poses(path), path
 
 

@@ -97,7 +97,7 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(run, monkeypatch, cli)
     (run.parent / "alone").mkdir()
     shutil.copy("run/avatar.npz", "alone")
     err = cli.fails("export", "alone/avatar.npz", "--out", "a.ply", "--frame", 0)
-    assert "holds no poses.npz, which a fit that trains poses writes; give --poses" in err
+    assert "holds no poses.npz that were trained; give --poses" in err
     assert cli("export", "run/avatar.npz", "--out", "posed.ply", "--frame", 0)[0] == 0
 
 

@@ -7,20 +7,24 @@ import shutil
 import subprocess
 import sys
 from contextlib import contextmanager
+from fractions import Fraction
 
 import numpy as np
 import pytest
+import torch
 
-from gva_mi.avatar.export import save_gltf
-from gva_mi.body.pose import Pose
+from gva_mi.avatar.export import save_amass, save_gltf
+from gva_mi.body.pose import Pose, Shape
 from gva_mi.core.atomic import folder_lock
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_arrays, write_json
+from gva_mi.evaluate.page import write_page
 from gva_mi.fit.run_folder import save_state
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video_file import write_video
+from gva_mi.synthetic.pictures.phone_video import write_phone_video
 
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 
@@ -41,6 +45,13 @@ WRITERS = {
     "a.json": lambda path, known: write_json(path, {"a": "x" * 1000}),
     "a.png": lambda path, known: write_image(path, NOISE),
     "a.mp4": lambda path, known: write_video(path, [NOISE] * 3),
+    "phone.mp4": lambda path, known: write_phone_video(
+        path, [NOISE] * 3, Fraction(8), np.random.default_rng(0)
+    ),
+    "a.html": lambda path, known: write_page(
+        path, title="x" * 1000, subtitle="", headlines=[], sections=[], settings={}
+    ),
+    "amass.npz": lambda path, known: save_amass(path, Pose.rest(9), Shape(torch.zeros(10)), 30),
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
     "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
@@ -69,6 +80,19 @@ def test_a_full_disk_is_one_sentence(tmp_path, cli, known):
         code, _, err = cli("export", tmp_path / "avatar.npz", "--out", out)
     assert code == 2 and err.endswith("a.glb: File too large; all files on disk are complete\n")
     assert not out.exists() and not list(tmp_path.glob("*.part"))
+
+
+def test_a_disk_that_fills_while_a_folder_is_copied_is_one_sentence(tmp_path, cli, monkeypatch):
+    (tmp_path / "from").mkdir()
+    (tmp_path / "from/large.bin").write_bytes(NOISE.tobytes())
+
+    def copied():
+        shutil.copytree(tmp_path / "from", tmp_path / "to", copy_function=shutil.copyfile)
+
+    monkeypatch.setattr("gva_mi.__main__.load", lambda verb: copied)
+    with full_disk():
+        code, _, err = cli("study")
+    assert code == 2 and "to/large.bin" in err and "File too large" in err and err.count("\n") == 1
 
 
 COMMANDS = {  # {} is the folder that output goes to

@@ -12,6 +12,7 @@ from gva_mi.app.driving import motion_of
 from gva_mi.avatar.export import save_amass, save_gltf
 from gva_mi.avatar.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose
+from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import body_name, load_body
 from gva_mi.cli.arguments import Flat, Switch, given
 from gva_mi.core.console import say
@@ -19,7 +20,8 @@ from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, options_of
 from gva_mi.fit.run_folder import body_of_run, load_avatar
-from gva_mi.splat.axes import half_turned, with_axes
+from gva_mi.readers.up_axis import LYING_DEGREES, Axis, Upward, turn_to_y
+from gva_mi.splat.axes import rotated, with_axes
 from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.splat.formats.stored import with_degree
@@ -27,8 +29,8 @@ from gva_mi.splat.gaussians import MAX_DEGREE
 
 SAVE = {".ply": save_ply, ".splat": save_splat, ".spz": save_spz}  # files of Gaussians
 FORMATS = {  # what each file holds, and the options that have an effect on it
-    ".ply": ("Gaussians in one pose, for viewers of 3DGS", ("poses", "frame", "sh_degree")),
-    ".splat": ("the same in 32 bytes each, for viewers in a browser", ("poses", "frame")),
+    ".ply": ("Gaussians in one pose, for viewers of 3DGS", ("poses", "frame", "sh_degree", "up")),
+    ".splat": ("the same in 32 bytes each, for viewers in a browser", ("poses", "frame", "up")),
     ".spz": ("Niantic's, a quarter of a .ply", ("poses", "frame", "sh_degree")),
     ".glb": ("the surface with skeleton, skin, colours, and a motion", ("poses", "fps")),
     ".npz": (
@@ -50,6 +52,7 @@ class ExportOptions:
     # Degree of the Gaussians' spherical harmonics, which are cut or padded with zeros; with 3, a
     # Gaussian takes 248 bytes in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
+    up: Axis = "-y"  # the file's axis that is up; in files of 3DGS it is -y
     no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
 
 
@@ -119,8 +122,12 @@ def _write(run: Path, out: Path, options: ExportOptions, body: Path | None) -> N
             raise InputError(
                 f"export: --frame {frame} is out of range; there are {len(motion)} poses"
             )
-        gaussians = avatar(Pose.rest() if motion is None else motion[frame])
-        gaussians = half_turned(with_axes(gaussians))
+        pose = Pose.rest() if motion is None else motion[frame]
+        arrays = (x.double().numpy() for x in (pose.rotations, pose.transl, avatar.rig.joints))
+        if Upward.of(*arrays, rate=1).lean("y") > LYING_DEGREES:
+            say(f"{out}: doubtful: the person lies; expected poses in a world with y up")
+        R = to_matrices(turn_to_y(options.up)).T
+        gaussians = rotated(with_axes(avatar(pose)), R)
         if options.sh_degree is not None:
             gaussians = with_degree(gaussians, options.sh_degree)
         SAVE[suffix](out, gaussians)

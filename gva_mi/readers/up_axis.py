@@ -16,6 +16,7 @@ Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 UP_AXES: tuple[Axis, ...] = get_args(Axis)
 # All chosen.
 LEAN_NOTE_DEGREES = 20  # a person who leans by more from the up axis is worth a note
+LYING_DEGREES = 60  # a person who leans by more lies, or stands on the head: worth a doubt
 _UP_COSINE = 0.7  # of the angle between the up axis and the direction from feet to head: 45 degrees
 _BEGINNING_SECONDS = 0.5  # people begin upright, even if they lie down, swim or do handstands later
 _FLOOR_TOLERANCE = 0.15  # metres that the lowest joint may drift more than along the evenest axis
@@ -84,7 +85,12 @@ def upright(rotations: np.ndarray, places: np.ndarray, up: str) -> tuple[np.ndar
 
     ``up`` is one of :data:`UP_AXES`.
     """
-    turn = np.array(_QUARTER_TURNS_TO_Y[up], np.float64) * np.pi / 2
+    turn = turn_to_y(up)
     rotations = rotations.copy()
     rotations[:, 0] = composed(turn, rotations[:, 0])
     return rotations, places @ to_matrices(turn).T
+
+
+def turn_to_y(up: str) -> np.ndarray:
+    """Return the rotation (3,), axis-angle, that turns an axis of :data:`UP_AXES` to y."""
+    return np.array(_QUARTER_TURNS_TO_Y[up], np.float64) * np.pi / 2

@@ -19,11 +19,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from gva_mi.core.cpu import sqrt
-from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians
+from gva_mi.splat.gaussians import MAX_DEGREE, Gaussians, degree_of
 from gva_mi.splat.kernels.sh import basis
 
 _GENERIC_DIRECTION = (0.3, 0.5, 0.7)  # chosen: no basis function is zero there
@@ -52,6 +53,27 @@ def half_turned(gaussians: Gaussians) -> Gaussians:
         sh = gaussians.sh
         changed["sh"] = sh * sh.new_tensor(of_colors[: sh.shape[1]])[:, None]
     return replace(gaussians, **changed)
+
+
+def rotated(gaussians: Gaussians, R: np.ndarray) -> Gaussians:
+    """Rotate Gaussians (torch tensors, with quaternions) by R (3, 3), colours included.
+
+    Example:
+        >>> from gva_mi.splat.scene import random_scene
+        >>> one = random_scene(torch.Generator().manual_seed(0), gaussians=1).gaussians
+        >>> (rotated(one, np.diag([1.0, -1.0, -1.0])).means / one.means).tolist()
+        [[1.0, -1.0, -1.0]]
+    """
+    turn = torch.tensor(R, dtype=torch.float64)
+    w, x, y, z = _quaternions(turn[None])[0]
+    left = torch.stack([w, -x, -y, -z, x, w, -z, y, y, z, w, -x, z, -y, x, w]).view(4, 4)
+    found = {"means": gaussians.means.double() @ turn.T, "quats": gaussians.quats.double() @ left.T}
+    if gaussians.sh is not None:  # basis(R^T d) = basis(d) M for any directions d
+        d = torch.cos(torch.arange(150, dtype=turn.dtype) ** 2).view(50, 3)
+        of = lambda d: torch.stack(basis(degree_of(gaussians.sh.shape[1]), *d.T), dim=1)
+        M = torch.linalg.lstsq(of(d), of(d @ turn)).solution
+        found["sh"] = torch.einsum("kl,nlc->nkc", M, gaussians.sh.double())
+    return replace(gaussians, **{k: x.to(gaussians.means) for k, x in found.items()})
 
 
 UPPER_TRIANGLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # index of each entry of a symmetric matrix, by rows

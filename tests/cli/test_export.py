@@ -2,6 +2,7 @@
 
 import gzip
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,29 @@ def test_exported_people_stand_upright_in_the_axes_of_each_format(run, known, cl
     assert np.corrcoef(ply[:, 1], up)[0, 1] < -0.9
     assert np.corrcoef(spz.view("<i4")[:, 1, 0], up)[0, 1] > 0.9
     assert np.allclose(np.sort(splat[:, 1]), np.sort(ply[:, 1]))
+    for axis, (k, sign) in {"z": (2, 1), "-x": (0, -1), "y": (1, 1)}.items():
+        cli.works(
+            "export", run, "--out", run / "up.ply", "--frame", 0, f"--up={axis}", "--overwrite"
+        )
+        found = load_ply(run / "up.ply").means[:, k].numpy()
+        assert np.allclose(sign * found, -ply[:, 1], atol=1e-5)
+    assert "--up is for .ply and .splat, not for .spz" in cli.fails(
+        "export", run, "--out", run / "b.spz", "--up", "z"
+    )
+
+
+def test_a_person_who_lies_is_doubted(run, turning, tmp_path, cli):
+    """As by poses in a world with z up."""
+    pose, shape = turning(2)
+    for degrees, doubts in ((0, 0), (-90, 1)):
+        rotations = pose.rotations.clone()
+        rotations[:, 0] = torch.tensor([np.radians(degrees), 0, 0])
+        save_poses(tmp_path / "p.npz", replace(pose, rotations=rotations), shape, stage=1)
+        given = ("--poses", tmp_path / "p.npz", "--overwrite")
+        said = cli.works("export", run, "--out", run / "lies.ply", *given)
+        assert (
+            said.count("doubtful: the person lies; expected poses in a world with y up") == doubts
+        )
 
 
 def test_harmonics_have_the_degree_that_is_asked_for(run, cli):

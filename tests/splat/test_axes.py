@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
-from gva_mi.splat.axes import half_turned
+from gva_mi.body.rotations import to_matrices
+from gva_mi.readers.up_axis import UP_AXES, turn_to_y
+from gva_mi.splat.axes import half_turned, rotated
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.scene import random_scene
 from gva_mi.splat.torch_render import render
@@ -27,6 +30,22 @@ def test_a_camera_turned_with_the_gaussians_sees_the_same_picture():
         assert (plain.color - wrong.color).abs().max() > 0.01  # it sees the colours' directions
         again = half_turned(half_turned(given)).arrays()
         assert all(torch.equal(again[name], x) for name, x in given.arrays().items())
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_a_camera_rotated_with_the_gaussians_sees_the_same_picture(up):
+    """Quarter turns, and one about an oblique axis, with colours of degree 4."""
+    s = random_scene(torch.Generator().manual_seed(0), gaussians=30, degree=4)
+    for R in (to_matrices(turn_to_y(up)), to_matrices(turn_to_y(up) + [0.3, -0.2, 0.5])):
+        T = s.camera.T_camera_world.copy()
+        T[:3, :3] = T[:3, :3] @ R.T
+        camera, g = replace(s.camera, T_camera_world=T), rotated(s.gaussians, R)
+        with torch.no_grad():
+            plain = render(s.gaussians, s.camera, s.options, s.background)
+            turned = render(g, camera, s.options, s.background)
+        assert (plain.color - turned.color).abs().max() < 1e-8
+    axis = torch.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
+    assert np.allclose(to_matrices(turn_to_y(up)) @ axis.numpy(), [0, 1, 0])
 
 
 def test_signs_equal_niantics_converter_from_rdf_to_rub():

@@ -165,8 +165,8 @@ def motion_of(
     if given is None or is_pose_file(given):
         pose, shape, path = run_folder.load_motion(run, given)
     else:
-        found, path = read_motion(given, TargetBody.read(body), MotionOptions(fps=fps)), given
-        pose, shape = found.pose, found.shape
+        found = read_motion(given, TargetBody.read(body), MotionOptions(fps=fps, default_fps=fps))
+        pose, shape, path = found.pose, found.shape, given
         for note in found.notes:
             say(f"{given}: {note}")
     count = max(len(avatar.rig.betas), len(shape.betas))

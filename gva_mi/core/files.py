@@ -59,7 +59,7 @@ def read_arrays(
     try:
         with np.load(path, allow_pickle=False) as file:
             for name in file.files:
-                if only is None or name in only:
+                if name in only if only is not None else Path(name).name[0] != ".":
                     found[name] = file[name]
         if not all(isinstance(x, np.ndarray) for x in found.values()):
             raise ValueError("it is not an array of numpy")
@@ -247,6 +247,10 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
 
 # Formats that are not read here, and how to convert them, by the first bytes of a file.
 _BEGINNINGS = {
+    b"glTF": "a .glb, a scene: export its skeleton's motion as .bvh",
+    b"NGSP": "an .spz of Gaussians, of a version without gzip: save them as .ply",
+    b"\x1f\x8b": "compressed by gzip, such as an .spz of Gaussians: save them as .ply",
+    b"ply": "a .ply of points, a mesh or Gaussians",
     b"version https://git-lfs": "a Git LFS pointer instead of the file: git lfs pull fetches it",
     b"<!DOCTYPE": "a web page, such as of a download that asks for an account",
     b"<!doctype": "a web page, such as of a download that asks for an account",
@@ -261,7 +265,9 @@ def known_container(path: Path) -> str | None:
     """Name an unsupported container format and how to convert it, or return None."""
     try:
         with path.open("rb") as file:
-            start = file.read(64)
+            start = file.read(1 << 16)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
+    if b"KHR_gaussian_splatting" in start:  # in the JSON of a .glb or .gltf
+        return "Gaussians by glTF's KHR_gaussian_splatting: save them as .ply"
     return next((text for known, text in _BEGINNINGS.items() if start.startswith(known)), None)

@@ -57,7 +57,7 @@ def _load(path: Path) -> Any:  # noqa: ANN401
             names = file.namelist()
             if any(Path(name).name == "data.pkl" for name in names):
                 return _load_torch(path)
-            arrays = [name for name in names if name.endswith(".npy")]
+            arrays = [x for x in names if x.endswith(".npy") and Path(x).name[0] != "."]
             load = lambda name: _load_npy(BytesIO(file.read(name)))
             return {name.removesuffix(".npy"): load(name) for name in arrays}
     data = path.read_bytes()

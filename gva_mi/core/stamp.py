@@ -112,7 +112,7 @@ def _libraries() -> dict[str, str]:
 
 def _bytes_of_path(path: Path) -> Iterator[bytes]:
     """Yield names and content of a file, or of a folder's files; for a missing file its name."""
-    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    files = sorted(x for x in path.rglob("[!.]*") if x.is_file()) if path.is_dir() else [path]
     for file in files:
         size = file.stat().st_size if file.exists() else -1
         yield f"{path.name}/{file.relative_to(path)}:{size}\n".encode()

@@ -298,7 +298,7 @@ def pairs_of_pictures(
     _require_all(rendered, seen, truth)
     inside: dict[int, np.ndarray] = {}
     if masked is not None:
-        named = masked.is_dir() and not any(masked.glob("*.npy"))
+        named = masked.is_dir() and not any(masked.glob("[!.]*.npy"))
         numbers = _by_number(masked, files_of(masked)) if named else seen
         found = list(masks(masked))
         if len(found) != len(numbers):

@@ -104,7 +104,7 @@ def stamps(video: Video) -> dict[str, str]:
     hashed as they are: a re-encoded video is another video, even if the encoding is lossless.
     """
     folder, pose = video.folder, video.pose
-    pictures = sorted((folder / "frames").glob("*.png")) or [folder / "video.mp4"]
+    pictures = sorted((folder / "frames").glob("[!.]*.png")) or [folder / "video.mp4"]
     cameras = [x for c in video.cameras for x in (c.K, c.T_camera_world, [c.width, c.height])]
     poses = [pose.rotations, pose.transl, pose.expression, video.shape.betas]
     return {
@@ -258,7 +258,7 @@ class Snapshot:
 
 def load_snapshots(out: Path) -> Iterator[Snapshot]:
     """Yield the Gaussians around each re-initialisation of a run, by step."""
-    for path in sorted((out / REINIT).glob("*.npz")):
+    for path in sorted((out / REINIT).glob("[!.]*.npz")):
         expected = "the Gaussians around a re-initialisation"
         arrays = read_arrays(path, expected)
         with expecting(path, expected):

@@ -3,7 +3,7 @@
 :data:`ARRAY_NAMES` is the table: our name of an array, and the names under which programs write it.
 The first name that a file holds is taken, also in camel case or with the name of a model before it
 (``smplx_body_pose``, ``bodyPose``). The arrays may lie in a dictionary of their own, such as
-``params``.
+``params``, or in several (:func:`posed_parts`).
 
 Rotations are axis-angle or matrices, flat or joint by joint. The numbers of a row name the body:
 
@@ -35,10 +35,10 @@ from gva_mi.body.pose import BODY, JOINTS, LEFT_HAND, RIGHT_HAND, SMPLX_FIELDS
 from gva_mi.body.rotations import composed, nearest_rotations, to_matrices, to_rotvecs
 from gva_mi.core.errors import InputError
 
-ALL_JOINTS_NAMES = ("poses", "pose", "fullpose", "full_pose", "thetas")  # all joints in a row
+ALL_JOINTS_NAMES = ("poses", "pose", "fullpose", "full_pose", "pose_aa", "thetas")  # in a row
 ARRAY_NAMES = {
-    "global_orient": ("global_orient", "root_orient", "root_pose", "global_rot"),
-    "body_pose": ("body_pose", "pose_body"),
+    "global_orient": ("global_orient", "root_orient", "root_pose", "poses_root", "global_rot"),
+    "body_pose": ("body_pose", "pose_body", "poses_body"),
     "left_hand_pose": ("left_hand_pose", "lhand_pose", "pose_lhand", "left_hand", "lhand"),
     "right_hand_pose": ("right_hand_pose", "rhand_pose", "pose_rhand", "right_hand", "rhand"),
     "hands": ("pose_hand", "hand_pose"),  # left before right
@@ -49,6 +49,7 @@ ARRAY_NAMES = {
     "transl": (
         "trans", "transl", "translation", "global_transl", "global_body_translation", "global_t",
         "root_trans", "root_translation", "root_pos", "cam_trans", "body_translation", "tran", "Th",
+        "trans_orig",
     ),
     "scaled": ("scaling", "body_scale"),  # of AIST++: x = s b + t
     "betas": ("betas", "beta", "shape", "shapes", "body_shape"),
@@ -71,7 +72,7 @@ _HANDS_AND_FACE = {
 }  # fmt: skip
 # Length of a row: number of joints in it, as axis-angle (3 each) or matrices (9 each).
 _JOINTS_BY_ROW_LENGTH = {k * n: n for n in (*FORMATS, BODY.stop) for k in (3, 9)}
-_ROW_LENGTHS_BELOW_ROOT = (63, 69)  # axis-angle of the joints below the root: SMPL-X's, SMPL's
+_BELOW_ROOT = {63, 69, 189, 207}  # length of a row of the joints below the root: SMPL-X's, SMPL's
 _MODEL_PREFIX = re.compile("^((smpl[xh]?|pred|gt)_)+")  # what programs write before a name
 _CAMEL_CASE_BREAK = re.compile("(?<=[a-z0-9])(?=[A-Z])")
 _NESTING_DEPTH = 3  # levels of dictionaries that are searched. Chosen: no known program has more
@@ -188,14 +189,18 @@ def unnested(found: Any, deep: int = _NESTING_DEPTH) -> Any:  # noqa: ANN401
 
     This is done if exactly one inner dictionary holds poses. Anything else is returned as it is.
     """
+    inner = posed_parts(found, deep)
+    return next(iter(inner.values())) if len(inner) == 1 else found
+
+
+def posed_parts(found: Any, deep: int = _NESTING_DEPTH) -> dict[Any, dict]:  # noqa: ANN401
+    """Return the inner dictionaries that hold poses, each with what is beside them."""
     if not isinstance(found, Mapping) or holds_pose(found) or not deep:
-        return found
+        return {}
     inner = {name: unnested(one_object(x), deep - 1) for name, x in found.items()}
-    posed = [name for name, x in inner.items() if holds_pose(x)]
-    if len(posed) != 1:
-        return found
-    outer = {name: x for name, x in found.items() if name != posed[0]}
-    return outer | dict(inner[posed[0]])
+    inner = {name: x for name, x in inner.items() if holds_pose(x)}
+    outer = {name: x for name, x in found.items() if name not in inner}
+    return {name: outer | dict(x) for name, x in inner.items()}
 
 
 def one_object(found: Any) -> Any:  # noqa: ANN401
@@ -207,15 +212,28 @@ def one_object(found: Any) -> Any:  # noqa: ANN401
 def _rotations(arrays: NamedArrays) -> FoundBody | None:
     """Find the joints of T frames; None if the arrays hold no poses."""
     name, pose = arrays.take(*ALL_JOINTS_NAMES)
-    below_root = name is None or math.prod(pose.shape[pose.ndim > 1 :]) in _ROW_LENGTHS_BELOW_ROOT
+    below_root = name is None or math.prod(pose.shape[pose.ndim > 1 :]) in _BELOW_ROOT
     if name is None:
         name, pose = arrays.take("body_pose")
-    root, orient = arrays.take("global_orient") if below_root else (None, None)
     if name is None:
         return None
-    if root is None:
+    root, orient = arrays.take("global_orient")
+    if root is None and {pose.size, math.prod(pose.shape[1:])} & _BELOW_ROOT:
+        root, orient = arrays.take("Rh")  # find_body turns the body by it
+        if root is None:
+            raise InputError(
+                f"{arrays.where}: '{name}' {pose.shape} lacks the root's rotation, and no array "
+                f"beside it is one of {', '.join(ARRAY_NAMES['global_orient'])}"
+            )
+        orient = 0 * orient
+    if root is None or not below_root:
         body, form = _of_all_joints(arrays.where, name, pose)
         arrays.cover(*(JOINTS_OF_ARRAY if body.has_hands else ("global_orient", "body_pose")))
+        own = body.rotations[:, :1]
+        if root is not None and not own.any():
+            own[:] = axis_angles(arrays.where, root, orient, len(own), 1)
+        elif root is not None and np.abs(np.resize(orient, own.shape) - own).max() > 1e-3:
+            arrays.taken.discard(root)  # a note names it
     else:
         body = _of_root_and_body(arrays.where, root, orient, name, pose)
         form = body.form
@@ -275,14 +293,18 @@ def _with_extremities(arrays: NamedArrays, body: FoundBody, form: str) -> FoundB
 
     With any of these the body is a ``form``.
     """
-    names = {}
+    names, frames, mittens = {}, len(body.rotations), False
     for ours, part in _HANDS_AND_FACE.items():
         name, x = arrays.take(ours)
-        if name is not None:
+        count = part.stop - part.start
+        if name is not None and "hand" in ours and x.size == frames * count // 5:
+            mittens = True  # SMPL's hands: one joint each
+        elif name is not None:
             names[ours] = name
-            count = part.stop - part.start
-            body.rotations[:, part] = axis_angles(arrays.where, name, x, len(body.rotations), count)
-    form = form if names else body.form
+            if x.ndim > 2 and x.shape[-2:] == (3, 3):  # zeros: the joint was not estimated
+                x = np.where(x.any((-2, -1), keepdims=True), x, np.eye(3))
+            body.rotations[:, part] = axis_angles(arrays.where, name, x, frames, count)
+    form = SMPL.name if mittens else form if names else body.form
     if form == SMPLX.name and names.get("hands") == "pose_hand" and "jaw_pose" not in names:
         form = SMPLH.name  # AMASS's
     return replace(body, form=form, has_hands=any("hand" in ours for ours in names))

@@ -76,6 +76,7 @@ class Capture:
     meaning: MaskMeaning | None = None  # of the masks' values; None: unknown
     counts_may_differ: bool = False  # of pictures, masks and poses: the smallest count is used
     note: str = ""
+    size: Sequence[int] = ()  # (W, H) of the pictures that K is of, if recorded
     video_camera: FixedCamera | None = None  # the one that becomes the video, of several
     other_cameras: Mapping[str, Callable[[], FixedCamera]] = field(default_factory=dict)  # by name
 
@@ -128,7 +129,8 @@ def _instantavatar(folder: Path, camera: str | None, body: TargetBody) -> Captur
     track = make_track(str(path), "0", None, poses, K[:3, :3], body)
     track = track.seen_from(T[:3, :3], T[:3, 3])
     images = tuple(files_of(folder / "images"))
-    return Capture([track], images, folder / "masks", counts_may_differ=True)
+    size = [int(lens[x]) for x in ("width", "height")] if {"width", "height"} <= set(lens) else ()
+    return Capture([track], images, folder / "masks", counts_may_differ=True, size=size)
 
 
 def _zju(folder: Path, camera: str | None, body: TargetBody) -> Capture:
@@ -160,7 +162,8 @@ def _zju(folder: Path, camera: str | None, body: TargetBody) -> Capture:
 
 def _zju_camera(folder: Path, found: Mapping[str, Any], k: int) -> FixedCamera:
     """Read ZJU-MoCap's k-th camera, whose T is in millimetres."""
-    K, D, R, T = (np.asarray(found["cams"][key][k], np.float64) for key in "KDRT")
+    cams = {"D": np.zeros((k + 1, 5)), **found["cams"]}  # a pinhole's file may lack D
+    K, D, R, T = (np.asarray(cams[key][k], np.float64) for key in "KDRT")
     names = [_inside(folder, frame["ims"][k]) for frame in found["ims"]]
     masks = folder / ("mask_cihp" if (folder / "mask_cihp").is_dir() else "mask")
     return FixedCamera(

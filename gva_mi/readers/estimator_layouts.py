@@ -23,12 +23,20 @@ from gva_mi.body.pose import SMPLX_FIELDS
 from gva_mi.body.rotations import to_matrices
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
-from gva_mi.readers.body_arrays import NamedArrays, one_object, unnested
+from gva_mi.readers.body_arrays import (
+    ALL_JOINTS_NAMES,
+    ARRAY_NAMES,
+    NamedArrays,
+    find_body,
+    one_object,
+    posed_parts,
+    unnested,
+)
 from gva_mi.readers.people import Arrays, Row, SeenPerson, followed, stacked
 from gva_mi.readers.source_files import files_in, first_of, holds, read_named
 from gva_mi.readers.target_body import MEAN_PELVIS, TargetBody
 from gva_mi.subject.lens import EXPECTED_CAMERA, centred, pinhole_K, rescaled
-from gva_mi.subject.numbering import frame_numbers, frames_named
+from gva_mi.subject.numbering import frame_numbers, frames_named, numbers_in
 
 People = Iterable[SeenPerson]
 
@@ -50,6 +58,7 @@ class VideoInfo:
     size: tuple[int, int]  # (W, H) of the video, pixels
     focal: float | None = None  # pixels, where the file says none
     body: TargetBody | None = None  # that poses are converted to
+    is_known: bool = True  # False: there is no video, and ``size`` is any
 
 
 def person_under(name: str) -> Callable[[str, dict], People]:
@@ -157,20 +166,41 @@ def smplerx_people(where: str, found: Path) -> People:
     return followed(where, rows, "transl")
 
 
-def named_person(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
-    """Read one person from a file, or from one file per frame, by :mod:`.body_arrays`."""
-    if isinstance(found, dict):
-        found = unnested(found)
-        if NamedArrays(where, found).find("transl") is None:
-            raise InputError(f"{where}: holds no translation; expected transl (T, 3) in the camera")
+def named_people(where: str, found: Any) -> Iterator[SeenPerson]:  # noqa: ANN401
+    """Read people by the names of :mod:`.body_arrays`.
+
+    A file holds arrays of one person; or of several, the first axis counting them; or a dictionary
+    for each person, or for each frame. A folder holds a file for each frame.
+    """
+    parts = posed_parts(found)
+    if isinstance(found, Path):
+        expected = "a body's parameters by name"
+        parts = {path: unnested(read_named(path, expected)) for path in files_in(found)}
+    poses = lambda name: len(find_body(f"{where}: {name}", parts[name]).rotations)
+    one_pose = lambda name: numbers_in(name) and poses(name) == 1
+    if isinstance(found, Path) or (len(parts) > 1 and all(map(one_pose, parts))):
+        first = next(iter(parts.values()))
+        numbers = [k for k, x in first.items() if np.asarray(x).dtype.kind in "fiu"]
+        rows = [{k: part[k] for k in numbers if k in part} for part in parts.values()]
+        frames = frames_named(list(parts)).tolist()
+        yield from stacked(where, (Row("0", k, row) for k, row in zip(frames, rows, strict=True)))
+    elif len(parts) > 1:
+        yield from (SeenPerson(str(name), None, part) for name, part in parts.items())
+    else:
+        yield from _by_first_axis(where, unnested(found))
+
+
+def _by_first_axis(where: str, found: dict) -> Iterator[SeenPerson]:
+    """Yield the people of arrays (people, T, ...), as 3DPW and SLAHMR write them, or the one."""
+    arrays = NamedArrays(where, found)
+    count, *shape = np.shape(found.get(arrays.find("transl"))) or (0,)
+    if len(shape) != 2 or shape[1] != 3 or min(count, shape[0]) < 2:
         yield SeenPerson("0", None, found)
         return
-    files = files_in(found)
-    each = [unnested(read_named(path, "a body's parameters by name")) for path in files]
-    numbers = [k for k, x in each[0].items() if np.asarray(x).dtype.kind in "fiu"]
-    rows = [{k: frame[k] for k in numbers if k in frame} for frame in each]
-    frames = frames_named(files).tolist()
-    yield from stacked(found, (Row("0", k, row) for k, row in zip(frames, rows, strict=True)))
+    known = {arrays.find(name) for name in (*ALL_JOINTS_NAMES, *ARRAY_NAMES)} - {None}
+    of_all = [x for x in known if np.ndim(found[x]) > 1 and len(found[x]) == count]
+    for k in range(count):
+        yield SeenPerson(str(k), None, found | {name: found[name][k] for name in of_all})
 
 
 def no_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
@@ -205,18 +235,25 @@ def romp_lens(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
 
 
 def lens_by_name(where: str, arrays: Arrays, info: VideoInfo) -> np.ndarray:
-    """Return the camera in a file, or a centred one with the user's focal length."""
+    """Return the camera in a file, or a centred one with the user's focal length.
+
+    It is rescaled to the video, if the file records the size of its pictures.
+    """
+    size = [np.ravel(arrays[x])[0] for x in ("width", "height") if arrays.get(x) is not None]
+    size = size if len(size) == 2 and info.is_known else info.size
     for name in ("K", "cam_K", "intrinsic", "intrinsics"):
         if arrays.get(name) is not None:
             K = np.asarray(arrays[name], np.float64)
             if K.shape[-2:] != (3, 3) or K.ndim > 3:
                 raise InputError(f"{where}: '{name}' must be (3, 3) or (T, 3, 3), got {K.shape}")
-            return K.reshape(-1, 3, 3)
+            return rescaled(where, K.reshape(-1, 3, 3), size, info.size)
     names = ("focal", "focal_length", "focal_l")
-    focal = next((x for name in names if (x := arrays.get(name)) is not None), info.focal)
+    focal = next((x for name in names if (x := arrays.get(name)) is not None), None)
+    if focal is None:
+        focal, size = info.focal, info.size
     if focal is None:
         raise InputError(f"{where}: holds no camera (K, or focal); give --lens, such as 26mm")
     focal = np.ravel(np.asarray(focal, np.float64))
     if not focal.size or not (focal > 0).all():
         raise InputError(f"{where}: 'focal' must be one number above 0, or (T,); got {focal}")
-    return np.stack([centred(f, info.size) for f in focal])
+    return rescaled(where, np.stack([centred(f, size) for f in focal]), size, info.size)

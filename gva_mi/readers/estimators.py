@@ -36,10 +36,11 @@ import numpy as np
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.readers.body_arrays import (
     NOT_BODY_NAMES,
+    NamedArrays,
     holds_pose,
     is_numbers,
     listed_names,
-    unnested,
+    posed_parts,
 )
 from gva_mi.readers.estimator_layouts import (
     People,
@@ -48,7 +49,7 @@ from gva_mi.readers.estimator_layouts import (
     hybrik_person,
     is_romp,
     lens_by_name,
-    named_person,
+    named_people,
     no_lens,
     people_by_name,
     person_under,
@@ -99,11 +100,13 @@ class Estimator:
 
     def tracks(self, where: str, found: Any, info: VideoInfo) -> list[Track]:  # noqa: ANN401
         """Return the people in a source, one track each, in the camera's axes, frames ascending."""
-        tracks = []
-        for person in self.people(where, found):
-            at = f"{where}: person {person.name}"
+        tracks, people = [], list(self.people(where, found))
+        for person in people:
+            at = where if len(people) == 1 else f"{where}: person {person.name}"
             K = np.asarray(self.lens(at, person.arrays, info), np.float64)
             given, notes = self._named(person.arrays)
+            if info.is_known and NamedArrays(at, given).find("transl") is None:
+                raise InputError(f"{at}: no translation; expected transl (T, 3) in the camera")
             track = make_track(
                 at, person.name, person.frames, given, K, info.body, self.gives_pelvis
             )
@@ -172,8 +175,8 @@ KINDS: dict[str, Estimator] = {
     # Any program that uses public names: the last row, because it recognises most.
     "parameters": Estimator(
         expects="global_orient, body_pose and transl by name, in a file or one a frame",
-        recognises=lambda found: holds_pose(unnested(first_of(found))),
-        people=named_person,
+        recognises=lambda found: holds_pose(x := first_of(found)) or bool(posed_parts(x)),
+        people=named_people,
         lens=lens_by_name,
         up=None,
         first_number=None,

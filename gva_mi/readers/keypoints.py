@@ -64,7 +64,7 @@ def read_keypoints(path: Path) -> dict[int, list[np.ndarray]]:
     point was not found.
     """
     with expecting(path, _EXPECTED_KEYPOINTS):
-        files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+        files = sorted(path.glob("[!.]*.json")) if path.is_dir() else [path]
         seen = [
             (file if path.is_dir() else frame, person)
             for file in files

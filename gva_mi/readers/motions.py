@@ -22,13 +22,13 @@ import numpy as np
 import torch
 
 from gva_mi.body.gestures import GESTURES, put_hand
-from gva_mi.body.pose import SIDES, Pose, Shape
+from gva_mi.body.pose import JOINTS, SIDES, Pose, Shape
 from gva_mi.core.console import listed
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import PythonOnly, Within, options_of
-from gva_mi.readers.body_arrays import plain_name, unnested
+from gva_mi.readers.body_arrays import plain_name
 from gva_mi.readers.bvh import read_bvh
-from gva_mi.readers.estimators import KINDS, WORLDS, Estimator, VideoInfo, kind_of
+from gva_mi.readers.estimators import KINDS, WORLDS, VideoInfo, kind_of
 from gva_mi.readers.joint_motions import HUMANML3D_FPS, joints_in, joints_track
 from gva_mi.readers.people import choose
 from gva_mi.readers.retarget import bvh_track
@@ -38,6 +38,7 @@ from gva_mi.readers.track import Track, interpolate, make_track, median_betas, t
 from gva_mi.readers.up_axis import LEAN_NOTE_DEGREES, UP_AXES, Axis, Upward, upright
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.lens import is_one_lens, usual_lens
+from gva_mi.subject.silhouettes import joints_in_world
 
 EXPECTED_MOTION = "a motion such as AMASS's .npz or AIST++'s .pkl"
 MOST_FRAMES = 1_000_000  # of one motion, after resampling. Chosen: 11 hours at 25 a second
@@ -46,7 +47,11 @@ FPS_RANGE = Within(0.001, 10_000)  # frames a second
 FrameRate = Annotated[float, FPS_RANGE]
 FPS_NAMES = ("mocap_framerate", "mocap_frame_rate", "fps", "framerate", "frame_rate")
 AIST_FPS = 60.0  # frames a second of AIST++, whose files do not hold it
-_FASTEST_PERSON = 15.0  # metres a second; the world record sprint reached 12.5
+# While a person walks, one foot stays. In centimetres, both feet go as far as the pelvis. Chosen:
+# metres a second, slower than a walk; share of the pelvis's path, above that of a sprint; half a
+# step, in which a foot stays.
+_GLIDE_SPEED, _GLIDE_SHARE, _GLIDE_SECONDS = 0.5, 0.9, 0.5
+_PELVIS_AND_ANKLES = [JOINTS.index(x) for x in ("pelvis", "left_ankle", "right_ankle")]
 _MOSH_NAMES = {  # names of MoSh++ (SOMA) and of MoSh: AMASS's names
     "fullpose": "poses", "trans": "trans", "betas": "betas", "expression": "expression",
     "pose_est_fullposes": "poses", "pose_est_trans": "trans", "shape_est_betas": "betas",
@@ -56,8 +61,9 @@ _MOSH_DETAILS = "stageii_debug_details"  # MoSh++'s name for frame rate and sett
 _MOSH_BETAS = 10  # if the settings do not say how many
 # Shapes of a frame in an array without names: axis-angle, flat or by joint.
 _POSE_ROW_SHAPES = {(72,), (156,), (165,), (24, 3), (52, 3), (55, 3)}
+_Found = tuple[Track, float | None, str | None]  # with frames a second and up axis, if known
 # An estimator's file does not say the size of its pictures: W, H in pixels, which a motion ignores.
-_ANY_VIDEO = VideoInfo((1000, 1000), 1.0)
+_ANY_VIDEO = VideoInfo((1000, 1000), 1.0, is_known=False)
 
 
 @options_of("motion")
@@ -67,6 +73,7 @@ class MotionOptions:
     fps: FrameRate = 25.0  # frames a second of the poses; gva-mi render plays 25
     # Frames a second of the source; without it, what its file says.
     source_fps: FrameRate | None = None
+    default_fps: PythonOnly[FrameRate | None] = None  # of a file that says none; None: refuse it
     up: Literal["auto"] | Axis = "auto"  # the source's axis that is up
     hands: PythonOnly[Literal["relaxed", "flat"]] = "relaxed"  # where the source has none
     # The estimator's name of one of several people; without it, the person seen longest.
@@ -88,7 +95,11 @@ def read_motion(path: Path, body: TargetBody, options: MotionOptions) -> Motion:
     ``path`` is .bvh, .npz, .npy, .pkl or .pt, or an estimator's folder; pickles run no code.
     """
     body = body.for_source(path)
-    return _resampled(str(path), *_read(path, body, options), body, options)
+    track, rate, up = _read(path, body, options)
+    if rate is None:
+        rate, note = options.default_fps, "no frame rate is known: each pose is one frame"
+        track = replace(track, notes=(*track.notes, f"{note}; gva-mi motion takes --source-fps"))
+    return _resampled(str(path), track, rate, up, body, options)
 
 
 def motion_of_poses(
@@ -135,10 +146,8 @@ def _resampled(
     if (lean := upward.lean(up)) >= LEAN_NOTE_DEGREES:
         notes.append(f"the person leans {lean:.0f} degrees from that axis; --up takes another")
     rotations, places = upright(rotations, places, up)
-    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    if len(steps) and (speed := np.median(steps) * options.fps) > _FASTEST_PERSON:
-        notes.append(f"doubtful: the pelvis goes {speed:.0f} m in a second: in centimetres or "
-                     "millimetres? Translations must be metres")  # fmt: skip
+    joints = joints_in_world(rotations, places - body.joints[0], body.joints)
+    notes += _doubt_of_unit(joints, options.fps)
     betas, varied = median_betas(track.betas if track.form == "SMPL-X" else None)
     expression, of_face = body.expression(track.form, expression)
     notes = [*notes, *varied, *of_face]
@@ -148,12 +157,12 @@ def _resampled(
     return Motion(Pose.of_arrays(rotations, places - places[0], expression), shape, tuple(notes))
 
 
-def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, float, str | None]:
-    """Read one person's track, its frames per second, and the format's up axis."""
+def _read(path: Path, body: TargetBody, options: MotionOptions) -> _Found:
+    """Read one person's motion, in world or camera axes (module docstring)."""
     where = str(path)
     if path.suffix.lower() == ".bvh":
         clip = read_bvh(path)
-        rate = rate_of(where, {"fps": 1 / clip.frame_time}, options.source_fps)
+        rate = rate_of(where, {"fps": 1 / clip.frame_time}, options)
         return bvh_track(path, clip, body), rate, None
     found = _from_mosh(read_source(path, EXPECTED_MOTION))
     if (places := joints_in(path, found, options.person)) is not None:
@@ -165,23 +174,36 @@ def _read(path: Path, body: TargetBody, options: MotionOptions) -> tuple[Track, 
         raise InputError(f"{path}: holds no arrays by name; expected {EXPECTED_MOTION}")
     world = next((kind for kind, record in WORLDS.items() if record.recognises(found)), None)
     kind = world or kind_of(found)
-    if kind is not None and (kind != "parameters" or isinstance(found, Path)):
-        record = WORLDS[kind] if world else KINDS[kind]
-        track = _estimated(kind, record, path, found, options.person, body)
-        return track, rate_of(where, {}, options.source_fps), record.up
-    if isinstance(found, Path):
+    if kind is None and isinstance(found, Path):
         poses = [n for n in (REFINED_POSES, POSES) if (path / n).is_file()]
         hint = f"; its motion is {path / poses[0]}" if poses else ""
         raise InputError(
             f"{path}: holds no motion in a known format; expected a file such as AMASS's .npz or "
             "AIST++'s .pkl, or the folder of ROMP, BEV or SMPLer-X" + hint
         )
-    found = unnested(found)
-    K = KINDS["parameters"].lens(where, found, _ANY_VIDEO)
-    K = K if len(K) > 1 and not is_one_lens(K) else np.eye(3)
-    track = _before_one_lens(make_track(where, "0", None, found, K, body))
-    own = "y" if {"smpl_scaling", "stage"} & set(found) else None  # AIST++, and our own
-    return track, rate_of(where, found, options.source_fps), own
+    kind = kind or "parameters"
+    record = WORLDS[kind] if world else KINDS[kind]
+    if record.needs_video:
+        raise InputError(
+            f"{path}: written by {kind}, whose positions depend on a lens that it assumed; "
+            f"expected a motion in metres, or gva-mi prepare {kind} with its video"
+        )
+    with expecting(f"{path} (read as {kind})", "a motion of one person at least"):
+        tracks = record.tracks(where, found, replace(_ANY_VIDEO, body=body))
+        track, notes = choose(where, tracks, options.person, None)
+    arrays, up = {}, record.up
+    if kind == "parameters":
+        arrays = next(x.arrays for x in record.people(where, found) if x.name == track.person)
+        up = "y" if {"smpl_scaling", "stage"} & set(arrays) else None  # AIST++, and our own
+    else:
+        axes = "its world" if world else "the camera, which is taken to stand still"
+        notes = [f"{kind}, in the axes of {axes}", *notes]
+    if not is_one_lens(track.K):
+        K = usual_lens(track.K)
+        track = through_lens(track, K)
+        notes.append(f"each frame has another lens; all were moved to one of {K[0, 0]:.0f} pixels")
+    track = replace(track, notes=(*notes, *track.notes))
+    return track, rate_of(where, arrays, options), up
 
 
 def _from_mosh(found: Any) -> Any:  # noqa: ANN401
@@ -216,57 +238,33 @@ def _named_rows(where: object, rows: np.ndarray) -> dict[str, np.ndarray]:
     return {"poses": rows}
 
 
-def rate_of(where: str, found: Mapping[str, Any], given: float | None) -> float:
-    """Return a motion's frames per second: ``given``, or the number in its arrays.
+def rate_of(where: str, found: Mapping[str, Any], options: MotionOptions) -> float | None:
+    """Return a motion's frames per second: the option, or the number in its arrays.
 
-    A nearly whole number is rounded: 120.00004 becomes 120.
+    A nearly whole number is rounded: 120.00004 becomes 120. None: there is none, and the options
+    have a default.
     """
-    if given is not None:
-        return given
+    if options.source_fps is not None:
+        return options.source_fps
     found = {plain_name(name): x for name, x in found.items()}
     name = next((name for name in FPS_NAMES if name in found), None)
     if name is None and "scaling" in found:
         return AIST_FPS
+    if name is None and options.default_fps is not None:
+        return None
     if name is None:
         raise InputError(
             f"{where}: holds no frame rate (none of {', '.join(FPS_NAMES)}); give --source-fps of "
             "gva-mi motion"
         )
     try:
-        rate = float(np.ravel(found[name])[0])
-    except (ValueError, TypeError, IndexError):
-        rate = np.nan
-    if rate not in FPS_RANGE:
-        raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}")
+        rate, *others = np.unique(np.ravel(found[name]).astype(np.float64))
+    except (ValueError, TypeError):
+        rate, others = np.nan, []
+    if not 1 <= rate <= FPS_RANGE.high or others:
+        why = f"; seconds between frames? --source-fps {1 / rate:.4g}" if 0 < rate < 1 else ""
+        raise InputError(f"{where}: '{name}' must be frames a second, got {found[name]!s:.40}{why}")
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 1 else rate
-
-
-def _estimated(
-    kind: str, record: Estimator, path: Path, found: Any,  # noqa: ANN401
-    person: str | None, body: TargetBody,
-) -> Track:  # fmt: skip
-    """Return one person of an estimator's output, in world or camera axes (module docstring)."""
-    if record.needs_video:
-        raise InputError(
-            f"{path}: written by {kind}, whose positions depend on a lens that it assumed; "
-            f"expected a motion in metres, or gva-mi prepare {kind} with its video"
-        )
-    with expecting(f"{path} (read as {kind})", "a motion of one person at least"):
-        tracks = record.tracks(str(path), found, replace(_ANY_VIDEO, body=body))
-        axes = "in the axes of the camera, which is taken to stand still"
-        axes = "in the axes of its world" if record is WORLDS.get(kind) else axes
-        track, chosen = choose(str(path), tracks, person, None)
-    return _before_one_lens(track, f"{kind}, {axes}", *chosen)
-
-
-def _before_one_lens(track: Track, *notes: str) -> Track:
-    """Return a track with notes, moved to one usual lens if each frame has another one."""
-    if not is_one_lens(track.K):
-        K = usual_lens(track.K)
-        track = through_lens(track, K)
-        lens = f"{K[0, 0]:.0f} pixels"
-        notes += (f"each frame has another lens; all were moved to one of {lens}",)
-    return replace(track, notes=(*notes, *track.notes))
 
 
 def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -286,6 +284,17 @@ def _timeline(where: str, track: Track) -> tuple[np.ndarray, np.ndarray, np.ndar
     rotations = np.full((count, *track.rotations.shape[1:]), np.nan)
     rotations[rows], others[rows] = track.rotations, np.hstack([track.places, face])
     return rotations, others, np.isfinite(rotations).all((1, 2)) & np.isfinite(others).all(1)
+
+
+def _doubt_of_unit(joints: np.ndarray, fps: float) -> list[str]:
+    """Return a warning if joints (T, 55, 3) glide without a step, as in another unit."""
+    k = max(1, min(round(_GLIDE_SECONDS * fps), len(joints) - 1))
+    moved = np.linalg.norm(joints[k:] - joints[:-k], axis=2)[:, _PELVIS_AND_ANKLES] * fps / k
+    speed = float(np.median(moved[:, 0])) if len(moved) else 0.0
+    share = moved.min(1) / moved[:, 0].clip(1e-9)
+    if speed <= _GLIDE_SPEED or np.quantile(share, 0.25) <= _GLIDE_SHARE:
+        return []
+    return [f"doubtful: the pelvis goes {speed:.1f} m in a second without a step: in centimetres?"]
 
 
 def _check_gaps(where: str, known: np.ndarray, rate: float) -> None:

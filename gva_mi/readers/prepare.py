@@ -23,7 +23,7 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BUILT_IN_NAME
 from gva_mi.core.console import Progress
-from gva_mi.core.errors import InputError
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.options import options_of
 from gva_mi.networks.normals import NormalNetwork, NormalsSpec
 from gva_mi.readers.datasets import (
@@ -44,7 +44,7 @@ from gva_mi.splat import Camera
 from gva_mi.subject import footage
 from gva_mi.subject.fingerprint import fingerprint
 from gva_mi.subject.folder import FRAMES, PREPARED, SubjectWriter, frame_name
-from gva_mi.subject.lens import asked_for, recorded, undistort
+from gva_mi.subject.lens import asked_for, recorded, rescaled, undistort
 from gva_mi.subject.masks import require_person
 from gva_mi.subject.normals import Convention
 from gva_mi.subject.numbering import first_number
@@ -135,7 +135,8 @@ def prepare_folder(
         seen = [prompt if inside[k] else None for k, prompt in enumerate(prompts)]
         picture = lambda k: read_image(out / FRAMES / frame_name(k), 3)
         more += write_masks(writer, mask_network, picture, seen, progress)
-    cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
+    with expecting(where, "the K of a pinhole, without skew"):
+        cameras = [Camera.from_matrices(K, _T_CAMERA_WORLD, *size) for K in track.K]
     writer.cameras(cameras)
     pose, shape, of_body = _poses(track, body)
     if normal_network:
@@ -182,6 +183,9 @@ def _capture(
     if image is None:
         raise InputError(f"{source}: holds no picture")
     size = image.shape[1::-1]
+    if capture.size:
+        fitted = lambda K: rescaled(str(source), K, capture.size, size)
+        capture = replace(capture, tracks=[replace(t, K=fitted(t.K)) for t in capture.tracks])
     if kind not in DATASETS:
         lens = options.lens
         focal = None if lens is None else asked_for(lens, recorded(frames, size), size)

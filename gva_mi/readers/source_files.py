@@ -20,8 +20,10 @@ _SUFFIXES = (".pkl", ".pickle", ".npz", ".npy", ".pt")  # of files that read_obj
 
 
 def read_source(source: Path, expected: str = "what a pose estimator wrote") -> Any:  # noqa: ANN401
-    """Read a file's content; for a folder, return its path."""
-    return source if source.is_dir() else one_object(read_objects(source, expected))
+    """Read a file's content; for a folder, return its path. A list becomes a dictionary."""
+    found = source if source.is_dir() else one_object(read_objects(source, expected))
+    several = isinstance(found, list) or (isinstance(found, np.ndarray) and found.dtype.hasobject)
+    return dict(enumerate(found)) if several else found
 
 
 def read_named(path: Path, expected: str) -> dict:
@@ -34,8 +36,8 @@ def read_named(path: Path, expected: str) -> dict:
     return found
 
 
-def files_in(found: Any, pattern: str = "*") -> list[Path]:  # noqa: ANN401
-    """Return a folder's files of a pattern, sorted by name."""
+def files_in(found: Any, pattern: str = "[!.]*") -> list[Path]:  # noqa: ANN401
+    """Return a folder's files of a pattern, sorted by name; by default, all but hidden ones."""
     paths = found.glob(pattern) if isinstance(found, Path) else ()
     return sorted(path for path in paths if path.suffix in _SUFFIXES)
 
@@ -67,7 +69,7 @@ def has_one(found: Any, *names: str) -> bool:  # noqa: ANN401
 def contents(found: Any) -> str:  # noqa: ANN401
     """Describe in a few words what a file or a folder holds."""
     if isinstance(found, Path):
-        return f"files such as {listed_names(sorted(path.name for path in found.iterdir())[:4])}"
+        return f"files such as {listed_names(sorted(x.name for x in found.glob('[!.]*'))[:4])}"
     if isinstance(found, Mapping):
         return listed_names([f"{name!s:.40}" for name in found]) or "nothing"
     shape = f" {found.shape}" if isinstance(found, np.ndarray) else ""

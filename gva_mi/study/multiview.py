@@ -40,6 +40,7 @@ from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import require_file
 from gva_mi.evaluate.figures import Figure
 from gva_mi.observe.landmark_noise import person_sizes
+from gva_mi.splat import Camera
 from gva_mi.stage1.prepare import PrepareVideoOptions, SolvedMotion, motion_of_video
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
@@ -109,6 +110,7 @@ def _camera(key: str, table: dict) -> CalibratedCamera:
     width, height = (int(side) for side in table["size"])
     t = np.array(table["translation"], float).reshape(3)
     R = so3.to_matrix(turn.reshape(3)).numpy()
+    Camera.from_matrices(K, np.eye(4), width, height)  # refuses a skew, which rays() ignores
     name = str(table.get("name", key))
     return CalibratedCamera(name, (width, height), K.reshape(3, 3), distortion, R, t)
 
@@ -221,6 +223,9 @@ def multiview(
         lens = str(scale * camera.K[0, 0]) if known_lens else None
         part = part_of_progress(progress, k, 1, len(videos))
         motions.append(motion_of_video(video, options, body, lens=lens, progress=part))
+        width = motions[-1].solved.camera.width / motions[-1].pictures.scale
+        if round(width / camera.size[0], 2) != 1:
+            raise InputError(f"{video}: {width:.0f} pixels wide, calibrated with {camera.size[0]}")
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(
                 f"{video}: its pictures have other times than {videos[0]}; "

@@ -49,7 +49,7 @@ def files_of(source: Pictures) -> list[Path] | None:
         return None
     if (source / FRAMES).is_dir():
         raise InputError(f"{source}: is a subject's folder; its pictures are {source / FRAMES}")
-    files = [path for path in source.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES]
+    files = [x for x in source.glob("[!.]*") if x.suffix.lower() in PICTURE_SUFFIXES]
     if not files:
         raise InputError(f"{source}: holds no pictures ({', '.join(PICTURE_SUFFIXES)})")
     return _in_order(files)
@@ -96,7 +96,7 @@ def mask_meaning(source: Pictures) -> MaskMeaning:
 def raw_masks(source: Pictures) -> Iterator[tuple[str, np.ndarray]]:
     """Yield a name for errors, and the stored values (H, W), of each mask."""
     whole = isinstance(source, Path)
-    if whole and source.is_dir() and (files := _in_order(list(source.glob("*.npy")))):
+    if whole and source.is_dir() and (files := _in_order(list(source.glob("[!.]*.npy")))):
         for path in files:
             yield str(path), _stack(path, read_array(path)[None])[0]
     elif whole and source.suffix == ".npy" and source.is_file():

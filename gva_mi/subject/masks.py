@@ -63,7 +63,7 @@ def _values(path: Path) -> np.ndarray:
 @lru_cache(maxsize=16)
 def _meaning(folder: Path, changed: int, dtype: np.dtype) -> MaskMeaning:
     """Return the meaning of a folder's masks of one type; ``changed`` renews the cache."""
-    masks = (_values(x) for x in sorted(folder.iterdir()) if x.suffix in (".npy", ".png"))
+    masks = (_values(x) for x in sorted(folder.glob("[!.]*")) if x.suffix in (".npy", ".png"))
     return meaning_of(mask for mask in masks if mask.dtype == dtype)
 
 

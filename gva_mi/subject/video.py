@@ -271,7 +271,7 @@ def _open_pictures(
     folder: Path, attempt: Callable[..., Any]
 ) -> tuple[VideoFile | list[np.ndarray], dict[int, tuple[int, int]]]:
     """Open ``video.mp4`` ([] for ``frames/``); also return the size (W, H) of each picture."""
-    files = sorted((folder / FRAMES).glob("*.png"))
+    files = sorted((folder / FRAMES).glob("[!.]*.png"))
     if not files:
         video_file = attempt("pictures", None, _open_video_file, folder)
         return ([], {}) if video_file is None else (video_file, dict(enumerate(video_file.sizes)))

@@ -89,6 +89,24 @@ def test_the_nearest_person_keeps_the_name():
     assert follow([[a], [a + 5]]) == [["0"], ["1"]]
 
 
+@pytest.mark.parametrize("lens", ["K", "focal"])
+def test_a_camera_of_larger_pictures_is_scaled_to_the_videos(lens, tmp_path, seen):
+    """Where a file records the size of its pictures."""
+    of_lens = {"K": CENTRED(80) * 2 * [[1], [1], [0.5]], "focal": np.array(160.0)}[lens]
+    size = {"width": 2 * WIDTH, "height": np.full(len(seen[0]), 2 * HEIGHT)}
+    np.savez(tmp_path / "p.npz", **named(*seen), **{lens: of_lens}, **size)
+    _, (track,) = read_estimator("auto", tmp_path / "p.npz", VideoInfo((WIDTH, HEIGHT)))
+    assert np.allclose(track.K, CENTRED(80))
+    with pytest.raises(InputError, match="is of pictures of 128x96, but the video has 64x64"):
+        read_estimator("auto", tmp_path / "p.npz", VideoInfo((WIDTH, WIDTH)))
+
+
+def test_a_skew_ends_prepare(tmp_path, refused, seen):
+    K = CENTRED(80) + [[0, 3, 0], [0, 0, 0], [0, 0, 0]]
+    np.savez(tmp_path / "p.npz", **named(*seen, K=K))
+    refused(r"K must be .*, got \[80.0, 3.0, 32.0.*without skew", tmp_path / "p.npz")
+
+
 def test_a_lens_of_another_size_is_scaled():
     K = rescaled("x", CENTRED(10), (WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT))
     assert np.allclose(K, [[20, 0, WIDTH], [0, 20, HEIGHT], [0, 0, 1]])

@@ -1,16 +1,29 @@
 """Videos as phones and cameras write them, and masks that are refused."""
 
+import json
+import shutil
+import zipfile
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
 from PIL import Image
+from samples.data_sets import MASK, shots
+from samples.estimates import dumped, named
 
 from gva_mi import InputError
+from gva_mi.core.files import read_arrays
+from gva_mi.core.pickles import read_objects
+from gva_mi.core.stamp import stamp
 from gva_mi.evaluate.scores import numbered
+from gva_mi.readers.estimators import VideoInfo, read_estimator
+from gva_mi.readers.keypoints import read_keypoints
 from gva_mi.stage1.pictures import even_pictures
 from gva_mi.subject.footage import count_of, masks, notes_of, pictures
+from gva_mi.subject.masks import read_mask
+from gva_mi.subject.pictures import write_image
+from gva_mi.subject.video import load_video
 from gva_mi.subject.video_file import VideoFile
 
 SIZE = (32, 48)  # H, W
@@ -160,6 +173,43 @@ def test_pictures_are_in_the_order_of_the_number_that_differs(tmp_path):
     found = list(pictures(tmp_path, 3))
     assert all(np.array_equal(image, shown(k)) for image, k in zip(found, (9, 10, 11), strict=True))
     assert list(numbered(tmp_path)) == [9, 10, 11]
+
+
+MACS = bytes.fromhex("00051607")  # the beginning of a file that macOS writes beside each of ours
+
+
+def test_hidden_files_are_no_pictures_masks_poses_or_parts(tmp_path, seen, subject):
+    """``._NAME`` in a folder that was copied from a Mac changes nothing, wherever it lies."""
+    shutil.copytree(subject, tmp_path / "subject")
+    for k, shot in enumerate(shots()):
+        write_image(tmp_path / f"shots/{k:04d}.png", shot)
+        write_image(tmp_path / f"masks/{k:06d}.png", MASK)
+        (tmp_path / "arrays").mkdir(exist_ok=True)
+        np.save(tmp_path / f"arrays/{k}.npy", MASK > 0)
+        person = {name: x[min(k, len(x) - 1)] for name, x in named(*seen).items()}
+        dumped(tmp_path / f"poses/{k}.pkl", person | {"focal": 70.0})
+        (tmp_path / "keypoints").mkdir(exist_ok=True)
+        points = {"people": [{"pose_keypoints_2d": [1.0] * 75}]}
+        (tmp_path / f"keypoints/{k}.json").write_text(json.dumps(points))
+    read = {
+        "pictures": lambda: list(pictures(tmp_path / "shots", 3)),
+        "masks": lambda: [*masks(tmp_path / "masks"), *masks(tmp_path / "arrays")],
+        "mask": lambda: read_mask(tmp_path / "masks", 2),
+        "poses": lambda: read_estimator("auto", tmp_path / "poses", VideoInfo((64, 48)))[1][0].K,
+        "keypoints": lambda: sorted(read_keypoints(tmp_path / "keypoints")),
+        "subject": lambda: len(load_video(tmp_path / "subject")),
+        "stamp": lambda: [stamp([tmp_path / "subject"])],
+    }
+    before = {name: reading() for name, reading in read.items()}
+    for path in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(MACS)
+    for name, reading in read.items():
+        assert np.array_equal(reading(), before[name]), name
+    np.savez(tmp_path / "a.npz", x=np.ones(2))
+    with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+        archive.writestr("__MACOSX/._x.npy", MACS)
+    for found in (read_arrays(tmp_path / "a.npz", "x"), read_objects(tmp_path / "a.npz", "x")):
+        assert list(found) == ["x"]
 
 
 @pytest.fixture

@@ -1,7 +1,9 @@
 """Motions in every form give the same poses."""
 
+import io
 import pickle
 import re
+from contextlib import redirect_stdout
 
 import numpy as np
 import pytest
@@ -9,12 +11,14 @@ import roma
 import torch
 from samples.rotations import matrices, same
 
+from gva_mi.app.driving import motion_of
 from gva_mi.body.pose import Shape, load_poses
 from gva_mi.body.rotations import to_rotvecs as vectors
 from gva_mi.core.errors import InputError
 from gva_mi.readers.motions import MotionOptions, read_motion
 from gva_mi.readers.target_body import TargetBody
 from gva_mi.subject.silhouettes import joints_in_world
+from gva_mi.synthetic.motion.motions import perform
 
 SAME_RATE = MotionOptions(fps=30, hands="flat")
 SMPL = [*range(22)]
@@ -150,6 +154,12 @@ POSES = {"poses": np.zeros((2, 72)), "fps": 30}
 BAD = {
     "no poses": ({"a": np.ones(3), "fps": 30}, "holds no poses of one person;.*found: a"),
     "no rate": ({"poses": np.zeros((2, 72))}, "holds no frame rate.*give --source-fps"),
+    "a time in the place of a rate": (
+        POSES | {"mocap_framerate": 1 / 30},
+        "'mocap_framerate' must be frames a second, got 0.0333.*; seconds between frames\\? "
+        "--source-fps 30",
+    ),
+    "times of all frames": (POSES | {"fps": np.arange(2) / 30}, "'fps' must be frames a second"),
     "a rate of 0": (POSES | {"fps": 0}, "'fps' must be frames a second, got 0"),
     "no scaling": (
         POSES | {"smpl_trans": np.zeros((2, 3)), "smpl_scaling": 0},
@@ -197,6 +207,31 @@ def test_the_command_writes_poses_that_render_takes(tmp_path, cli, walk, known, 
     cli.works("render", tmp_path / "avatar.npz", "--poses", out, "--cameras",
                        tmp_path / "cameras.npz", "--out", tmp_path / "renders")  # fmt: skip
     assert len(list((tmp_path / "renders").glob("*.png"))) == 3
+
+
+@pytest.mark.parametrize("name", ["walk", "dance", "still"])
+def test_a_quiet_motion_in_centimetres_is_doubted(name, read, body):
+    """A foot of a walking person stays. In centimetres both feet go as far as the pelvis."""
+    joints = body.rest(Shape(torch.zeros(10))).joints.double().numpy()
+    pose = perform(name, np.arange(90) / 180, joints, 10, np.random.default_rng(0))
+    rotations, transl = pose.rotations.double().numpy(), pose.transl.double().numpy()
+    for scale in (1, 100, 1000):
+        notes = read(poses=rotations, trans=scale * transl, fps=30).notes
+        doubts = [note for note in notes if "m in a second without a step: in centimetres" in note]
+        assert len(doubts) == (scale > 1), notes
+    speed = 30 * np.linalg.norm(np.diff(transl, axis=0), axis=1).mean()
+    assert speed < 2  # as quiet as a walk
+
+
+def test_a_file_without_a_rate_is_played_pose_by_pose(tmp_path, walk, known):
+    """render, export and view have no --source-fps: one pose is one frame, as of own poses."""
+    rotations, transl = walk(7)
+    np.savez(tmp_path / "m.npz", poses=rotations, trans=transl)
+    said = io.StringIO()
+    with redirect_stdout(said):
+        pose, _ = motion_of(tmp_path, known, tmp_path / "m.npz", 24, None)
+    assert same(pose.rotations, rotations) and np.allclose(pose.transl, transl, atol=1e-6)
+    assert "no frame rate is known: each pose is one frame" in said.getvalue()
 
 
 STAND, LIE = np.zeros(3), np.array([-np.pi / 2, 0, 0])  # with y up

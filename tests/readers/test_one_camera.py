@@ -41,6 +41,28 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
     assert np.array_equal(video[1].mask > 0.5, filmed.MASK > 0)
 
 
+def test_pictures_of_half_the_calibrations_size(tmp_path, seen, thetas, world, prepared, stands):
+    """InstantAvatar's cameras.npz records the size; K is scaled with the pictures."""
+    source, T = tmp_path / "x", np.eye(4)
+    for k, shot in enumerate(filmed.shots()):
+        write_image(source / f"images/{k:04d}.png", shot)
+        write_image(source / f"masks/{k:04d}.png", filmed.MASK)
+    T[:3, :3], T[:3, 3] = filmed.matrices(filmed.TURN), filmed.MOVE
+    double = filmed.K * [[2], [2], [1]]
+    size = {"height": 2 * HEIGHT, "width": 2 * WIDTH}
+    np.savez(source / "cameras.npz", intrinsic=double, extrinsic=T, **size)
+    np.savez(source / "poses.npz", betas=np.zeros(10), transl=world[1] - filmed.SMPL, thetas=thetas)
+    stands(prepared(source)[0], *seen, filmed.K)
+
+
+def test_a_camera_without_distortion_is_a_pinhole(tmp_path, seen, thetas, world, prepared, stands):
+    source = filmed.zju(tmp_path / "x", thetas, world[1])
+    annots = np.load(source / "annots.npy", allow_pickle=True).item()
+    del annots["cams"]["D"]
+    np.save(source / "annots.npy", annots)
+    stands(prepared(source)[0], *seen, filmed.K)
+
+
 def test_a_folder_that_is_no_data_set_is_refused(tmp_path, cli):
     (tmp_path / "x").mkdir()
     assert dataset_of(tmp_path / "x") is None

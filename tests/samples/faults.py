@@ -88,6 +88,7 @@ FAULTS = {  # name: the problems that name it, and how the folder is broken
     "poses in degrees": (
         {"rotations", "silhouettes beside the masks"},
         poses(global_orient=degrees, body_pose=degrees)),
+    "K with a skew": ({"cameras"}, cameras(K=lambda K: K + [[0, 5.0, 0], [0, 0, 0], [0, 0, 0]])),
     "K is of another picture size": (
         {OUTSIDE, SIZE, CENTRE}, cameras(K=lambda K: K * np.array([[2.0], [2.0], [1.0]]))),
     "focal length 1.5 times too long": ({OUTSIDE, SIZE}, longer(1.5)),

@@ -46,6 +46,18 @@ def test_wrong_arguments_are_named(message, change):
         camera(**change)
 
 
+@pytest.mark.parametrize("entry", [(0, 1), (1, 0), (2, 0), (2, 1)])
+def test_a_skew_is_refused_and_not_dropped(entry):
+    K = camera().K
+    K[entry] = 1e-6  # as a calibration's rounding
+    assert Camera.from_matrices(K, np.eye(4), 64, 48).K[0, 1] == 0
+    for number in (0.5, -0.5, np.nan):
+        K[entry] = number
+        for given in (K, torch.tensor(K)):
+            with pytest.raises(ValueError, match=r"K must be fx, 0, cx, .* got \[50"):
+                Camera.from_matrices(given, np.eye(4), 64, 48)
+
+
 def part_of(view, change):
     return view.resized(32, 36) if change == "resized" else view.cropped(7, -3, 20, 30)
 

@@ -1,6 +1,7 @@
 """Points that calibrated cameras see together, and one camera's poses against them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import torch
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.core.errors import InputError
 from gva_mi.splat import Camera, look_at
+from gva_mi.stage1.prepare import PrepareVideoOptions
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.study.multiview import (
     COMPARED_JOINTS,
@@ -82,6 +84,7 @@ def test_a_calibration_is_read_and_its_distortion_undone(tmp_path):
         ("[one]\nmatrix = 3", "expected a camera's name"),
         ("[", "expected a"),
         ("[metadata]\nerror = 0.0" + TABLE, "found 1"),
+        (TABLE.replace("600.0, 0.0", "600.0, 3.0"), "K must be .*600.0, 3.0, 320.0"),
         (TABLE + "fisheye = true", "one is a fisheye, or does not have 4 or 5 distortion"),
         (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or does not have 4 or 5"),
     ],
@@ -102,6 +105,24 @@ def test_a_camera_without_a_video_is_named(tmp_path, built_in_body):
     (tmp_path / "a.toml").write_text(text)
     with pytest.raises(InputError, match="one video of the camera a, of that name, found 0"):
         multiview(tmp_path, tmp_path / "a.toml", built_in_body, None, None, False)
+
+
+def test_a_video_of_another_size_than_its_calibration_is_refused(
+    tmp_path, built_in_body, monkeypatch
+):
+    """Half as large, of which every second pixel is used."""
+    text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
+    (tmp_path / "a.toml").write_text(text)
+    for name in "ab":
+        (tmp_path / f"{name}.mp4").touch()
+    found = SimpleNamespace(
+        solved=SimpleNamespace(camera=SimpleNamespace(width=160)),
+        pictures=SimpleNamespace(scale=0.5, numbers=[0]),
+    )
+    monkeypatch.setattr("gva_mi.study.multiview.motion_of_video", lambda *given, **named: found)
+    given = tmp_path, tmp_path / "a.toml", built_in_body, PrepareVideoOptions(), np.zeros(3), False
+    with pytest.raises(InputError, match="a.mp4: 320 pixels wide, calibrated with 640"):
+        multiview(*given)
 
 
 @pytest.fixture

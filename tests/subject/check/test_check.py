@@ -20,6 +20,7 @@ QUICK = {  # one of each kind
     "T_camera_world is inverted", "cameras in millimetres", "K is of another picture size",
     "focal length 1.5 times too long", "full masks", "normals of another size", "betas",
     "poses of fewer frames", "pictures of another size", "two files cut short",
+    "K with a skew",
 }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
 from gva_mi.core.tasks import local_executor
 from gva_mi.evaluate.figures import Table, pivot, table, to_json
-from gva_mi.prior.stature import PERSON_HEIGHTS
+from gva_mi.prior.body_height import PERSON_HEIGHTS
 from gva_mi.readers.up_axis import Axis, axis_of
 from gva_mi.stage1.prepare import PrepareVideoOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions

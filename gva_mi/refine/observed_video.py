@@ -20,9 +20,9 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.surface import CoarseBody
 from gva_mi.observe.swaps import fix_swaps
+from gva_mi.prior.body_height import with_height
 from gva_mi.prior.error_model import DEFAULT_FPS, Stage1ErrorModel, stage1_errors
 from gva_mi.prior.stage1_poses import Stage1Poses
-from gva_mi.prior.stature import with_height
 from gva_mi.refine.close_ups import FinePicture, WeightedView, close_up_scale, parts_of
 from gva_mi.refine.frame_losses import frame_loss
 from gva_mi.refine.image_evidence import MaskAndNormals, common_scale

@@ -11,7 +11,7 @@ optimised (:mod:`gva_mi.refine.optimize`) on
         + λl L_landmarks                       gva_mi.refine.landmark_evidence
         + E(D)                                 the clothes
         + λβ |β - β^stage1|²
-        + λh (h(β) - H)²                       if the height H is known: gva_mi.prior.stature
+        + λh (h(β) - H)²                       if the height H is known: gva_mi.prior.body_height
 
 One frame cannot separate cloth from limb. Many frames in which the person turns can, because the
 cloth moves with the body and the pose error does not. Likewise one frame does not show how far a
@@ -43,9 +43,9 @@ from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
 from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.body_height import PERSON_HEIGHTS, Stature
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats, Soles
-from gva_mi.prior.stature import PERSON_HEIGHTS, Stature
 from gva_mi.refine.close_ups import FinePicture, hand_vertices
 from gva_mi.refine.frame_losses import FrameLosses, mean_of_losses, shared_losses
 from gva_mi.refine.image_evidence import MaskAndNormals

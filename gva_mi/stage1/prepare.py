@@ -28,9 +28,9 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.matting.masks import video_masks
 from gva_mi.networks.segment_anything import Prompt
-from gva_mi.networks.watch import WatchedVideo, watch_video
+from gva_mi.networks.video_landmarks import WatchedVideo, watch_video
 from gva_mi.observe.swaps import fix_front_back
-from gva_mi.prior.stature import PERSON_HEIGHTS
+from gva_mi.prior.body_height import PERSON_HEIGHTS
 from gva_mi.readers.keypoints import read_keypoints, with_keypoints
 from gva_mi.readers.own_masks import MaskOptions, WithMasks, write_masks, write_own_masks
 from gva_mi.readers.people import prompt_at

@@ -34,7 +34,7 @@ from gva_mi.observe.landmark_noise import (
 )
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.anatomy import Anatomy
-from gva_mi.prior.stature import Stature
+from gva_mi.prior.body_height import Stature
 from gva_mi.splat import Camera
 from gva_mi.stage1.arm_depths import with_arm_depths
 from gva_mi.stage1.body_prior import (

@@ -22,7 +22,7 @@ FRAMES = 12
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
     """A folder with a short video of a synthetic subject, and its height."""
-    from gva_mi.prior.stature import Stature
+    from gva_mi.prior.body_height import Stature
     from gva_mi.synthetic import SynthOptions, make_subject
 
     folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()

@@ -24,7 +24,7 @@ from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED, PhotometricOptions
 from gva_mi.fit.renders import render_frame, render_layer
 from gva_mi.fit.run_folder import load_avatar
-from gva_mi.prior.stature import Stature
+from gva_mi.prior.body_height import Stature
 from gva_mi.refine import SequenceOptions
 from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions, VariantRun
 from gva_mi.study.cases import TUNING

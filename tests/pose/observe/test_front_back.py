@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gva_mi.body.pose import mirrored_name
-from gva_mi.networks.watch import WatchedVideo
+from gva_mi.networks.video_landmarks import WatchedVideo
 from gva_mi.observe.swaps import LIMB_POINTS, fix_front_back
 from gva_mi.stage1 import prepare
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names

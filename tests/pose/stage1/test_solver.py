@@ -13,7 +13,7 @@ from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
 from gva_mi.core.errors import InputError
 from gva_mi.observe.landmark_noise import LandmarkNoise
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.prior.stature import Stature
+from gva_mi.prior.body_height import Stature
 from gva_mi.splat import Camera, look_at
 from gva_mi.stage1.solver import KnownParameters, solve_stage1
 from gva_mi.stage1.vertical_lines import Vertical

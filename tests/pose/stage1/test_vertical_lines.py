@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.prior.stature import Stature
+from gva_mi.prior.body_height import Stature
 from gva_mi.stage1.body_prior import SharedPrior
 from gva_mi.stage1.normal_equations import NormalEquations
 from gva_mi.stage1.unknowns import Stage1State, Unknowns

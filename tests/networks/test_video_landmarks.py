@@ -6,7 +6,7 @@ from PIL import Image
 
 from gva_mi.core.errors import InputError
 from gva_mi.networks.body_landmarks import SeenBody, mean_of_passes
-from gva_mi.networks.watch import LANDMARK_NAMES, watch_video
+from gva_mi.networks.video_landmarks import LANDMARK_NAMES, watch_video
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS
 
 pytest.importorskip("ai_edge_litert")

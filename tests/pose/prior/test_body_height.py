@@ -8,7 +8,7 @@ import torch
 
 from gva_mi import InputError
 from gva_mi.body.pose import Shape
-from gva_mi.prior.stature import Stature, with_height
+from gva_mi.prior.body_height import Stature, with_height
 from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 

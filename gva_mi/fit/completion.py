@@ -6,14 +6,12 @@ fit is over, such colours are replaced. A frame k teaches a Gaussian i as much a
 pixels p of the mask, less at a grazing angle, and nothing at a contact:
 
     1. w_i = mean over k of  q_ki max(0, (s - n_i · d_ki) / (s + 1))² Σ_p T_kip α_kip
-    2. q_ki = exp(-(r₀ / r_ki)²)
 
-with the normal n of the body beside it, the direction d from the camera to it, and its share T α of
-a pixel (Eq. 1-3). A *contact* is where a picture shows two places of the body side by side that lie
-apart at rest, as an arm before the trunk; r is the distance to the nearest one, metres. Colours c,
-and their changes with the light, replace those of the fit, f, by the solution of
+with the normal n of the body beside it, the direction d from the camera to it, its share T α of a
+pixel (Eq. 1-3), and q of :mod:`gva_mi.fit.contacts`. Colours c, and their changes with the light,
+replace those of the fit, f, by the solution of
 
-    3. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
+    2. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
 
 A Gaussian that frames show keeps its colour. Others take the colours of Gaussians j that face the
 same way
@@ -37,7 +35,7 @@ dress takes the colour of the outer side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,10 +46,11 @@ from torch.nn.functional import normalize
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.held import arm_weights, head_weights
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.fit.contacts import contact_free
 from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat import Camera, Gaussians, render
+from gva_mi.splat import Camera, render
 from gva_mi.splat.kernels.sh import C0
 
 if TYPE_CHECKING:
@@ -59,7 +58,7 @@ if TYPE_CHECKING:
 
 # Chosen on rendered persons, by eye.
 COMPLETION_FRAMES = 32  # at most, that eq. 1 is the mean of
-COMPLETION_SMOOTHNESS = 0.005  # λ of eq. 3, as a share of the mean of w
+COMPLETION_SMOOTHNESS = 0.005  # λ of eq. 2, as a share of the mean of w
 NEAREST_NEIGHBOURS = 8  # j around i; a guess counts as all of them
 OPPOSITE_NEIGHBOURS = 3  # j at the mirrored place, and as many before or behind
 HEAD_TOP_SHARE = 0.1  # of what frames show of a head, by w, from the top down: the guess for it
@@ -70,12 +69,6 @@ OPPOSITE_RANGE = 0.03  # metres from the opposite place at which a weight has fa
 LEFT_RIGHT, FRONT_BACK = np.array([-1.0, 1.0, 1.0]), np.array([1.0, 1.0, -1.0])
 SMALLEST_COSINE = 1e-3  # of neighbours that face another way, so that each Gaussian has some
 RIM_COSINE = 0.4  # s: hair and loose clothes are seen beyond the rim of the body
-# r₀ of eq. 2, metres. Chosen: within half of it a contact teaches nothing, and poses of phone
-# videos are off by as much.
-CONTACT_REACH = 0.05
-CONTACT_APART = (
-    0.1  # metres at rest, of a contact; chosen: more than from one side of a wrist to the other
-)
 UNSEEN_WEIGHT = 1e-7  # pixels: far less than any frame shows of a Gaussian
 HEAD = JOINTS.index("head")
 _TRUNK = [
@@ -85,7 +78,7 @@ _TRUNK = [
 
 @torch.no_grad()
 def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int], Pose]) -> None:
-    """Replace the colours of an avatar by the solution of eq. 3.
+    """Replace the colours of an avatar by the solution of eq. 2.
 
     Args:
         avatar: whose ``canonical.sh`` (N, K, 3) changes.
@@ -124,39 +117,7 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
     A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5
     turned = (A.view(-1, 3, 3) * normals[:, None]).sum(2)
     angle = facing(turned, gaussians.means, sample.camera)
-    clear = clearance(gaussians, G.means, target.camera)
-    return by_sh[:, 0].mean(1) / C0 * angle * torch.exp(-((CONTACT_REACH / clear) ** 2))
-
-
-def clearance(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
-    """Return how far Gaussians are from the nearest contact in a picture, (N,) metres: r of eq. 2.
-
-    Args:
-        gaussians: N posed Gaussians.
-        places: (N, 3) where they are at rest, metres.
-        camera: of the picture.
-    """
-    from scipy.ndimage import distance_transform_edt
-
-    image = render(replace(gaussians, sh=None, colors=places), camera, AVATAR_SPLATTING)
-    alpha = image.alpha.numpy()
-    rest = image.color.numpy() / np.maximum(alpha, 0.5)[..., None]
-    contact = np.zeros(alpha.shape, bool)
-    for axis in (0, 1):  # the neighbours on both sides, because a pixel may mix two places
-        (a, alpha_a), (b, alpha_b) = (
-            (np.roll(rest, k, axis), np.roll(alpha, k, axis)) for k in (-1, 1)
-        )
-        solid = np.minimum(alpha_a, alpha_b) > 0.5
-        contact |= solid & (np.linalg.norm(a - b, axis=2) > CONTACT_APART)
-    if not contact.any():
-        return torch.full((len(places),), torch.inf)
-    pixels = distance_transform_edt(~contact)
-    T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
-    x, y, z = (gaussians.means @ T[:3, :3].T + T[:3, 3]).T
-    z = z.clamp_min(1e-3)
-    column = (camera.fx * x / z + camera.cx).long().clamp(0, camera.width - 1)
-    row = (camera.fy * y / z + camera.cy).long().clamp(0, camera.height - 1)
-    return torch.from_numpy(pixels)[row, column].to(z) * z / camera.fx
+    return by_sh[:, 0].mean(1) / C0 * angle * contact_free(gaussians, G.means, target.camera)
 
 
 def facing(normals: Tensor, places: Tensor, camera: Camera) -> Tensor:
@@ -204,7 +165,7 @@ class Places:
 
 
 def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Guess colours h (N, K), with weights b (N,) of eq. 3, from w (N,) and f (N, K).
+    """Guess colours h (N, K), with weights b (N,) of eq. 2, from w (N,) and f (N, K).
 
     A guess counts less if frames hardly show the Gaussians that it is taken from.
     """
@@ -241,7 +202,7 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def neighbours(places: Places) -> csr_array:
-    """Return the weights a (N, N) of eq. 3 between Gaussians, a symmetric matrix."""
+    """Return the weights a (N, N) of eq. 2 between Gaussians, a symmetric matrix."""
     points, normals = places.points, places.normals
     front_and_back = _front_and_back(points, normals, places.limbs)
     return _around(points, normals) + _mirrored(points, normals) + front_and_back

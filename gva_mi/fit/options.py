@@ -114,8 +114,9 @@ class FitOptions:
     # For a person who may never turn around: Gaussians do not wander along the line of sight, and
     # unseen surfaces take their colours from neighbours and from the body's other side.
     complete: PythonOnly[bool] = False
-    # Arms and legs in the colour of face and hands have no clothes: see gva_mi.fit.colors.
-    bare_skin: PythonOnly[bool] = False
+    # For arms that may touch the trunk: bare skin has no clothes, and what looks like clothes at a
+    # contact counts less, see gva_mi.fit.first_surface.
+    touching: PythonOnly[bool] = False
     checkpoint_every: FromOne = 500  # steps
     avatar: AvatarOptions = AvatarOptions()
     rates: Rates = Rates()
@@ -147,7 +148,7 @@ class FitOptions:
             mask_error=self.mask_error if chosen else VIDEO_MASK_ERROR,
             still_camera=True,
             complete=True,
-            bare_skin=True,
+            touching=True,
             poses=replace(self.poses, wrists=False),
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or VIDEO_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or VIDEO_ALPHA),

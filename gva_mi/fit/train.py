@@ -54,8 +54,8 @@ from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.core.files import write_arrays
 from gva_mi.fit import run_folder
-from gva_mi.fit.colors import bare_skin, seen_colors
 from gva_mi.fit.completion import complete_colors
+from gva_mi.fit.first_surface import bare_skin, clothes_beside_contacts, seen_colors
 from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
@@ -161,8 +161,9 @@ class Run:
         if state is None:
             generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)
-            if options.bare_skin and offsets is not None:
+            if options.touching and offsets is not None:
                 offsets = offsets * (1 - bare_skin(colors, body, video.shape)[:, None])
+                offsets = clothes_beside_contacts(video, body, offsets)
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
@@ -175,7 +176,7 @@ class Run:
         )
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
-        self.held = Held(rig, options.bare_skin) if options.reinit.surface == "offset" else None
+        self.held = Held(rig, options.touching) if options.reinit.surface == "offset" else None
         self.optimizer = make_adam(self.avatar, self.lambert, options.rates, options.complete)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))

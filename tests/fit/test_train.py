@@ -15,7 +15,7 @@ from gva_mi.core.errors import InputError
 from gva_mi.evaluate.figures import where
 from gva_mi.evaluate.measure import evaluate
 from gva_mi.fit import run_folder
-from gva_mi.fit.colors import seen_colors
+from gva_mi.fit.first_surface import seen_colors
 from gva_mi.fit.options import FitOptions, Rates, Schedule
 from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions

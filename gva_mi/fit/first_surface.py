@@ -1,4 +1,4 @@
-"""First colours of a fit, and which skin is bare.
+"""The body's surface before a fit: its first colours, bare skin, and clothes where parts touch.
 
 A fit starts from the colours c of the body's vertices v that the training frames k show:
 
@@ -22,6 +22,18 @@ and the medians m of χ and g of log G over cheeks, nose and mouth, a vertex loo
 
 A limb is bare where most vertices of BARE_ROWS successive rows look like skin. Cloth in the colour
 of the skin counts as skin. If no frame shows the face, no limb is bare.
+
+Where parts touch in the pictures, an arm beside the trunk looks like clothes of the trunk. Clothes
+show where the surface is the outline of the person or of a part, so a vertex v knows them from
+frames in which it is seen, grazing, and away from a contact (:mod:`gva_mi.fit.contacts`):
+
+    4. e_v = Σ_k seen_kv (1 - |n_kv · d_kv|)² q_kv
+
+The height D · n of their displacement, with the normal n at rest, gives way to the solution h of
+
+    5. e_v (h_v - D_v · n_v) = μ ē (Δ h)_v
+
+with ē the mean of e: what no frame tells takes the height of the clothes around it.
 """
 
 from __future__ import annotations
@@ -29,15 +41,24 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
+from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.held import arm_weights
 from gva_mi.body.pose import JOINTS, SIDES, Shape
 from gva_mi.body.smplx import BodyModel, Rest
+from gva_mi.fit.contacts import contact_free
+from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
+from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Frame, Video
 
 UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
 VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
+CLOTHES_SMOOTHNESS = 0.05  # μ of eq. 5; chosen: a vertex that a few frames tell keeps its clothes
+CLOTHES_FRAMES = 32  # at most, of eq. 4
+FAINT = 1e-6  # of the mean of e, so that eq. 5 has one solution
 MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
 
 
@@ -143,3 +164,35 @@ def _bareness(along: Tensor, like_skin: Tensor) -> Tensor:
     bare = binary_opening(np.pad(share > 0.5, BARE_ROWS, mode="edge"), np.ones(BARE_ROWS))
     from_cloth = LIMB_ROW * distance_transform_edt(bare)[BARE_ROWS:-BARE_ROWS]
     return torch.from_numpy(np.minimum(from_cloth / CUFF, 1)[row]).to(along)
+
+
+@torch.no_grad()
+def clothes_beside_contacts(video: Video, body: BodyModel, offsets: Tensor) -> Tensor:
+    """Return the displacement of the clothes (V, 3) with the heights of eq. 5, metres.
+
+    Args:
+        video: of which training frames are used.
+        body: the body model.
+        offsets: (V, 3) the displacement D, metres. Where it is zero it stays.
+    """
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
+
+    on_vertices = AvatarOptions(seed=SeedOptions(count=0))
+    avatar = seed_avatar(body, video.shape, offsets, on_vertices)
+    told = torch.zeros(len(offsets))
+    for k in spread(video.splits.train, CLOTHES_FRAMES):
+        pose, camera = video.pose[k], video.cameras[k]
+        vertices = body(pose, video.shape, offsets).vertices[0]
+        eye = torch.tensor(camera.position, dtype=vertices.dtype)
+        facing = vertex_normals(vertices, body.faces) * normalize(vertices - eye, dim=1)
+        seen = seen_vertices(vertices, body.faces, camera.position[None])[0]
+        clear = contact_free(avatar(pose), avatar.canonical.means, camera)
+        told += seen * (1 - facing.sum(1).abs()).square() * clear
+    e = (told / told.mean().clamp_min(1e-6)).double().numpy() + FAINT
+    smooth = CLOTHES_SMOOTHNESS * as_scipy(uniform_laplacian(body.faces.numpy(), len(e)))
+    normals = vertex_normals(body.rest(video.shape).vertices, body.faces)
+    given = (offsets * normals).sum(1)
+    heights = splu((diags_array(e) + smooth).tocsc()).solve(e * given.double().numpy())
+    change = (torch.from_numpy(heights).to(given) - given) * (offsets != 0).any(1)
+    return offsets + change[:, None] * normals

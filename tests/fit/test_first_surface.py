@@ -1,12 +1,23 @@
-"""Colours of the body from the pictures of a video."""
+"""Colours and clothes of the body from the pictures of a video."""
+
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import torch
 
 from gva_mi.avatar.held import arm_weights
-from gva_mi.body.pose import JOINTS, Shape
-from gva_mi.fit.colors import BARE_ROWS, CUFF, LIMB_ROW, bare_skin, seen_colors
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.fit.first_surface import (
+    BARE_ROWS,
+    CUFF,
+    LIMB_ROW,
+    bare_skin,
+    clothes_beside_contacts,
+    seen_colors,
+)
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
+from gva_mi.splat import Camera
 from gva_mi.subject.splits import Splits
 
 
@@ -71,3 +82,30 @@ def test_a_short_stretch_in_the_color_of_skin_is_a_pattern(body):
     colors, x, arms = _person(body, sleeve=10.0)
     colors[arms & (x > 0.4) & (x < 0.4 + (BARE_ROWS - 2) * LIMB_ROW)] = SKIN
     assert not bare_skin(colors, body, Shape(torch.zeros(10))).any()
+
+
+@pytest.fixture
+def arms_at_sides(camera):
+    """A video of one frame, from the front, in which hands hide the sides of the hips."""
+    rotations = torch.zeros(1, 55, 3)
+    for side, sign in (("left", 1), ("right", -1)):
+        rotations[:, JOINTS.index(f"{side}_shoulder"), 2] = -sign * 1.4
+    pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+    lens = (6 * x for x in (camera.fx, camera.fy, camera.cx, camera.cy))
+    sharp = Camera(*lens, camera.T_camera_world, 6 * camera.width, 6 * camera.height)
+    return SimpleNamespace(
+        pose=pose, cameras=[sharp], shape=Shape(torch.zeros(10)), splits=Splits([0], [])
+    )
+
+
+def test_clothes_stay_where_outlines_tell_them_and_give_way_beside_a_contact(arms_at_sides, body):
+    normals = vertex_normals(body.v_template, body.faces)
+    offsets = 0.01 * normals
+    hip = body.weights[:, [JOINTS.index(k) for k in ("left_hip", "pelvis")]].sum(1) > 0.5
+    lump = hip & (normals[:, 0] > 0.8)
+    calf = (body.weights[:, JOINTS.index("left_knee")] > 0.9) & (normals[:, 0] > 0.9)
+    offsets[lump] *= 6  # the hand looks like clothes
+    found = clothes_beside_contacts(arms_at_sides, body, offsets).norm(dim=1)
+    assert found[lump].median() < 0.6 * offsets[lump].norm(dim=1).median()
+    assert (found[calf] - 0.01).abs().median() < 3e-4  # metres
+    assert not clothes_beside_contacts(arms_at_sides, body, 0 * offsets).any()

@@ -89,7 +89,8 @@ def compare(
     overlap = (inside & shown).sum() / max(1, (inside | shown).sum())
     cut = border.any() or not inside.any() or not len(pixels)
     ratio = np.nan if cut else _radius(np.argwhere(inside)) / _radius(pixels)
-    x, y = joints[_ANKLES].mean(0) - joints[_HEAD]
+    with np.errstate(invalid="ignore"):  # joints behind the camera are infinite
+        x, y = joints[_ANKLES].mean(0) - joints[_HEAD]
     lean = float(np.degrees(abs(np.arctan2(x, y))))
     return BodyAndMask(count_in_mask(joints, inside), float(overlap), ratio, full, inverted, lean)
 

@@ -171,7 +171,7 @@ SENTENCES = {
     "person": (("prepare", "video", "{video}", "me", "--person", "left"), "a number from 1 to 20"),
     "lens": (("prepare", "video", "{video}", "me", "--lens", "wide"), "--lens must be a focal"),
     "no body of poses": (("prepare", "wham", "w.pkl", "me"), "give --body"),
-    "no masks": (("avatar", "{video}", "--out", "me", "--masks", "m"), "m: no such video"),
+    "no masks": (("avatar", "{video}", "--out", "me", "--masks", "m"), "m: no such file"),
     "of a motion": (("motion", "m.npz", "o.npz", "--height", 1.7), "--height is for videos"),
 }  # fmt: skip
 

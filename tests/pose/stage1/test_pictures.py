@@ -128,7 +128,7 @@ def test_what_is_no_video_is_refused_in_a_sentence(tmp_path):
     for name, words in {
         "cut.mp4": "cannot be decoded as a video", "words.mp4": "cannot be decoded as a video",
         "empty": "holds no pictures",
-        "missing.mp4": "no such video",
+        "missing.mp4": "no such file",
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=words) as caught:
             even_pictures(tmp_path / name)

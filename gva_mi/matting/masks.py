@@ -40,7 +40,14 @@ import numpy as np
 
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.tasks import on_all_cores
-from gva_mi.matting.camera import ALL_BACKGROUND, ShrunkPicture, WorkGrid, camera_motion, moved
+from gva_mi.matting.camera import (
+    ALL_BACKGROUND,
+    ShrunkPicture,
+    WorkGrid,
+    camera_motions,
+    moved,
+    moved_pixels,
+)
 from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
 from gva_mi.matting.plate import MEAN_SQUARE, Plate, mean_around
 from gva_mi.subject.crop import bounds
@@ -136,9 +143,9 @@ class _VideoOnGrid:
         first = int(self.shown[0])
         self.grid = WorkGrid.around(self.extents[self.shown], self.pictures[first].shape[:2])
         self._motions: dict[int, np.ndarray | None] | None = None  # None: the camera stands
-        some = np.array(spread(self.shown, MOTION_PICTURES))
-        if any(A is None or self._pixels(A) > STILL_PIXELS for A in self._found(some).values()):
-            self._motions = self._found(self.shown)
+        some = self._found(spread(self.shown, MOTION_PICTURES)).values()
+        if any(A is None or self._pixels(A) * self.grid.scale > STILL_PIXELS for A in some):
+            self._motions = self._found(self.shown.tolist())
 
     def view(self, k: int) -> GridPicture:
         """Return a picture on the grid."""
@@ -153,30 +160,23 @@ class _VideoOnGrid:
         if self._motions is None:
             return []
         moves = max(self._pixels(A) for A in self._motions.values() if A is not None)
-        notes = [f"the camera moves: pictures shift by up to {moves / self.grid.scale:.0f} pixels"]
-        lost = [k for k, A in self._motions.items() if A is None]
+        notes = [f"the camera moves: pictures shift by up to {moves:.0f} pixels"]
+        lost = sum(A is None for A in self._motions.values())
         if lost:
-            notes.append(f"frames that share too little background with others: {listed(lost)}")
+            notes.append(
+                f"{lost} of {len(self._motions)} frames share too little background with the "
+                "middle one, so their masks rely on the network and on colours"
+            )
         return notes
 
-    def _found(self, numbers: np.ndarray) -> dict[int, np.ndarray | None]:
+    def _found(self, numbers: Sequence[int]) -> dict[int, np.ndarray | None]:
         """Return the camera's motion (3, 3) from the middle picture to each, by number."""
         shrunk = lambda k: ShrunkPicture.of(self.pictures[k], self.probabilities[k])
-        middle = len(self.shown) // 2
-        reference, found = shrunk(int(self.shown[middle])), {}
-        after = numbers >= self.shown[middle]
-        for run in (numbers[after], numbers[~after][::-1]):
-            last = np.eye(3)
-            for k in run.tolist():
-                found[k] = camera_motion(reference, shrunk(k), last)
-                last = last if found[k] is None else found[k]
-        return found
+        return camera_motions(shrunk, numbers)
 
     def _pixels(self, A: np.ndarray) -> float:
-        """Return how far the picture's corners move, in pixels of the grid."""
-        corners = np.array([[x, y, 1.0] for x in (-1, 1) for y in (-1, 1)])
-        away = (corners @ A.T - corners)[:, :2] * self.grid.picture[::-1] / 2
-        return float(np.abs(away).max() * self.grid.scale)
+        """Return how far the picture's corners move, in its pixels."""
+        return moved_pixels(A, self.grid.picture[::-1])
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.stage1.prepare import PrepareVideoOptions, Stage1Record
-from gva_mi.stage1.video_check import check_video
 from gva_mi.subject.folder import (
     CAMERAS,
     FRAMES,
@@ -48,7 +47,6 @@ from gva_mi.subject.folder import (
     SubjectWriter,
 )
 from gva_mi.subject.footage import files_of
-from gva_mi.subject.problems import CheckReport
 from gva_mi.subject.splits import Splits
 from gva_mi.subject.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
@@ -70,10 +68,11 @@ class Quality(NamedTuple):
     passes: int  # of the refinement
     learn: int  # passes before its prior is inferred
     fit_steps: int
+    evaluated: int | None = None  # test frames at most, and nothing else; None: all splits
 
 
 QUALITIES = {  # chosen: a draft shows soon whether a video suits; "fine" spends more on pictures
-    "draft": Quality(8, 4, 500),
+    "draft": Quality(8, 4, 500, 8),
     "usual": Quality(SequenceOptions.passes, SequenceOptions.learn, 2000),
     "fine": Quality(SequenceOptions.passes, SequenceOptions.learn, 5000),
 }
@@ -142,15 +141,20 @@ def avatar(
     if not video.exists():
         raise InputError(f"{video}: no such video file or folder of pictures")
     model = load_body(body)  # a bad file is refused before any work
-    subject, run, title = out / SUBJECT, out / RUN, f"An avatar of {video.name}"
+    subject, run = out / SUBJECT, out / RUN
     refining, fitting = effort.refining(options.height), effort.fitting()
     refined, findings = subject / REFINED_POSES, subject / FINDINGS
+    few, draft = QUALITIES[effort.quality].evaluated, effort.quality == "draft"
+    title = f"{'A draft avatar' if draft else 'An avatar'} of {video.name}"
 
     def prepare_anew(begun: bool) -> None:
         prepare(
             video, subject, options, own_masks, person=person, lens=lens, body=body,
             overwrite=True,
         )  # fmt: skip
+
+    def check_anew(begun: bool) -> None:
+        write_json(findings, check(subject, body=body).to_json())
 
     def refine_anew(begun: bool) -> None:
         refine(subject, refining, workers=usual_workers(), body=body, overwrite=True)
@@ -160,13 +164,13 @@ def avatar(
         fit(subject, run, fitting, poses=refined, body=body, resume=begun, overwrite=not begun)
 
     def evaluate_anew(begun: bool) -> None:
-        tested = bool(load_video(subject).splits.test)
-        evaluate(run, subject, title=title, poses=refined, body=body, fit_poses=tested)
+        tested = few is None and bool(load_video(subject).splits.test)
+        evaluate(run, subject, title=title, poses=refined, body=body, fit_poses=tested, few=few)
 
     def report(begun: bool) -> None:
         trained = run_folder.under_trained_poses(load_video(subject, refined), run)
         with bar("report") as progress:
-            write_avatar_report(out, run, trained, model, title, progress)
+            write_avatar_report(out, run, trained, model, title, progress, draft)
 
     # Files that each step reads and writes: a step is run again if what it reads has changed.
     body_files = [] if body is None else [body]
@@ -179,13 +183,14 @@ def avatar(
     prepare_options = [asdict(options), asdict(own_masks), person, lens]
     steps = [
         Step("prepare", "refine", prepare_options, inputs, [subject / PREPARED], prepare_anew),
-        Step("check", "refine", None, prepared, [findings], lambda begun: _check(subject, body)),
+        Step("check", "refine", None, prepared, [findings], check_anew),
         Step("refine", "refine", refining, prepared, [refined], refine_anew),
         Step("split", "refine", effort.test_frames, [subject / PREPARED], [subject / SPLITS],
              lambda begun: _split(subject, effort.test_frames)),
         Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_or_resume),
-        Step("evaluate", "avatar", None, [*before_fit, *fitted], measured, evaluate_anew),
-        Step("report", "avatar", None, [*before_fit, *fitted, findings, *measured], [page], report),
+        Step("evaluate", "avatar", few, [*before_fit, *fitted], measured, evaluate_anew),
+        Step("report", "avatar", draft, [*before_fit, findings, *fitted, *measured], [page],
+             report),
     ]  # fmt: skip
     source = stamp(files_of(video) or [video])
     with folder_lock(out, "gva-mi avatar"):
@@ -282,21 +287,6 @@ class StepFolder:
 
     def _write(self) -> None:
         write_json(self._path, {"source": self._source, "steps": self._steps})
-
-
-def _check(subject: Path, body: Path | None) -> None:
-    """Check the folder, and how well the video suits; write all findings."""
-    report, record = check(subject, body=body), Stage1Record.load(subject)
-    video = load_video(subject)
-    with bar("check") as progress:
-        found = check_video(
-            video, load_body(body), video.landmarks, record.fps, record.crowded, progress
-        )
-    found = CheckReport(report.frames, list(found), [], report.figures)
-    for line in found.lines(110):
-        say(line)
-    found.problems += report.problems
-    write_json(subject / FINDINGS, found.to_json())
 
 
 def _split(subject: Path, test_frames: bool) -> None:

@@ -21,13 +21,18 @@ from pathlib import Path
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.without_body import require_body_of
 from gva_mi.body.pose import Pose
-from gva_mi.body.smplx import body_name, load_body
+from gva_mi.body.smplx import BodyModel, body_name, load_body
 from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
-from gva_mi.core.console import aligned, bar, say
+from gva_mi.core.console import Progress, aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_replaceable, require_room
 from gva_mi.evaluate.measure import Metrics, measure_run
-from gva_mi.evaluate.refinement import MeasuredRefinement, describe, write_refinement
+from gva_mi.evaluate.refinement import (
+    MeasuredRefinement,
+    describe,
+    kept_poses,
+    write_refinement,
+)
 from gva_mi.evaluate.report import write_report
 from gva_mi.evaluate.scores import Scorer
 from gva_mi.fit import run_folder
@@ -39,11 +44,13 @@ from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine import RefineOptions
 from gva_mi.refine.refine import refine_all
 from gva_mi.refine.sequence import SequenceOptions
-from gva_mi.stage1.prepare import PrepareVideoOptions, prepare_video
+from gva_mi.stage1.prepare import PrepareVideoOptions, Stage1Record, prepare_video
+from gva_mi.stage1.video_check import check_video
 from gva_mi.subject.check import check_subject
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import POSES, PREPARED, REFINED_POSES
 from gva_mi.subject.opened import body_of, open_subject
-from gva_mi.subject.problems import CheckReport
+from gva_mi.subject.problems import CheckReport, Problem
 from gva_mi.subject.video import load_video
 
 
@@ -93,7 +100,7 @@ def prepare(
 def check(
     subject: Path | str, *, body: Path | str | None = None, sheet: Path | str | None = None
 ) -> CheckReport:
-    """Find everything that is wrong with a subject's folder, in one pass.
+    """Find everything that is wrong with a subject's folder, and what to film better, in one pass.
 
     Args:
         subject: the folder.
@@ -112,6 +119,9 @@ def check(
     model = load_body(body_of(subject, body))
     with bar("check") as progress:
         report = check_subject(subject, model, progress, sheet)
+        if not report.skipped:
+            found = [*_filmed(subject, model, progress), *report.problems]
+            report.problems = sorted(found, key=lambda problem: problem.severity != "error")
     for line in report.lines(max(60, shutil.get_terminal_size().columns)):
         say(line)
     for line in report.skipped:
@@ -122,6 +132,18 @@ def check(
     if sheet is not None and not report.skipped:
         say(f"sheet: {sheet}")
     return report
+
+
+def _filmed(subject: Path, body: BodyModel, progress: Progress) -> list[Problem]:
+    """Return what to film better, if stage 1 made the folder from a video and it is whole."""
+    try:
+        video = load_video(subject)
+    except InputError:
+        return []
+    if video.kind != VIDEO_KIND or video.landmarks is None:
+        return []
+    record = Stage1Record.load(subject)
+    return check_video(video, body, video.landmarks, record.fps, record.crowded, progress)
 
 
 def refine(
@@ -239,6 +261,7 @@ def evaluate(
     poses: Path | str | None = None,
     body: Path | str | None = None,
     fit_poses: bool = False,
+    few: int | None = None,
 ) -> Metrics:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -251,6 +274,7 @@ def evaluate(
             hands.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
+        few: measure at most so many test frames, and no other frames; without it, all splits.
 
     Example:
         >>> metrics = evaluate("me/run", "me/subject")  # doctest: +SKIP
@@ -265,7 +289,7 @@ def evaluate(
         require_room(run / run_folder.METRICS, overwrite=True)
         scorer = Scorer(find_weights())
         trained = run_folder.under_trained_poses(video, run)
-        about = {"scorer": scorer, "fit_to_pictures": fit_poses}
+        about = {"scorer": scorer, "fit_to_pictures": fit_poses, "few": few}
         with bar("evaluate") as progress:
             metrics = measure_run(
                 run, avatar, video, "full", model, opened.poses, progress, **about
@@ -326,8 +350,8 @@ def track(
         with bar("track") as progress:
             found = fit_poses(avatar, video, options, progress=progress)
         write_tracking(video, found, options, offsets, {"start": start, "avatar": run})
-    for frame, reason in found.kept.items():
-        say(f"{subject}: frame {frame} keeps its pose: {reason}")
+    for line in kept_poses(video, found.kept, "pose"):
+        say(line)
     say(f"loss {found.losses_before.nanmean():.4f} → {found.losses.nanmean():.4f}")
     say(f"poses: {out}")
     return found.pose

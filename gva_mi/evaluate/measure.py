@@ -259,6 +259,7 @@ def measure_run(
     driven: Callable[[Pose], Pose] = lambda pose: pose,
     scorer: Scorer | None = None,
     fit_to_pictures: bool = False,
+    few: int | None = None,
 ) -> Metrics:
     """Measure the avatar of a run on all splits of its video, and save its metrics.
 
@@ -273,17 +274,20 @@ def measure_run(
         driven: applied to every pose before it drives the avatar.
         scorer: without it, one with the networks that are found.
         fit_to_pictures: also add the rows of :func:`_under_fitted_poses`.
+        few: measure at most so many test frames, and no other frames; None: all splits.
     """
     made_with, history = run_folder.load_options(run), run_folder.load_history(run)
     trained, scorer = run_folder.under_trained_poses(video, run), scorer or Scorer()
     given = [
         view.through(lambda source: replace(source, pose=driven(source.pose)))
-        for view in views_of(video, body=body)
+        for view in views_of(video, SPLITS if few is None else ("test",), body)
     ]
+    if few is not None:
+        given = [replace(view, frames=spread(view.frames, few)) for view in given]
     views = [with_trained_poses(view, trained) for view in given]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     groups = {"": views}
-    if trained is not video:  # what training the poses is worth on frames it has not seen
+    if trained is not video and few is None:  # the worth of trained poses on unseen frames
         groups[AS_REFINED] = [view for view in given if view.split in OF_VIDEO[1:]]
     if similarity is not None:
         groups[ALIGNED] = aligned_views(views, similarity, avatar.rig, body)

@@ -1,6 +1,6 @@
 """Reports: one HTML file with its pictures inside that opens from disk.
 
-A page is a heading, a row of large numbers, and sections of text, pictures and tables.
+A page is a heading, perhaps a verdict, and sections of text, large numbers, pictures and tables.
 """
 
 from __future__ import annotations
@@ -28,6 +28,14 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Headline:
+    """A large number, or a few large words."""
+
+    value: str
+    label: str
+
+
+@dataclass(frozen=True)
 class Section:
     """A part of the page; ``page.html`` holds what it says, by its title."""
 
@@ -36,14 +44,8 @@ class Section:
     columns: int = 5  # pictures side by side
     tables: Sequence[Table] = ()
     text: str = ""  # what it says besides
-
-
-@dataclass(frozen=True)
-class Headline:
-    """One of the large numbers at the top."""
-
-    value: str
-    label: str
+    headlines: Sequence[Headline] = ()
+    scale: Sequence[tuple[tuple[int, int, int], str]] = ()  # 8-bit colours and their meaning
 
 
 def write_page(
@@ -51,9 +53,9 @@ def write_page(
     *,
     title: str,
     subtitle: str,
-    headlines: Sequence[Headline],
     sections: Sequence[Section],
     settings: dict[str, Any],
+    verdict: Headline | None = None,
 ) -> None:
     """Write the page; ``settings`` (options, versions, seed) are shown as JSON at its end."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -63,7 +65,7 @@ def write_page(
     text = environment.get_template("page.html").render(
         title=title,
         subtitle=subtitle,
-        headlines=headlines,
+        verdict=verdict,
         sections=sections,
         settings=json.dumps(settings, indent=2, default=str),
     )

@@ -19,8 +19,14 @@ from gva_mi.evaluate.measure import OF_VIDEO, Split, SplitView, aligned_views, v
 from gva_mi.evaluate.page import Picture, Section, picture
 from gva_mi.evaluate.regions import person_box
 from gva_mi.evaluate.similarity import similarity_to_truth
-from gva_mi.fit.renders import CameraPath, cut_out, render_frame, shots
+from gva_mi.fit.completion import normals_beneath, shown_pixels
+from gva_mi.fit.renders import WHITE, CameraPath, cut_out, layer_of, over, render_frame, shots
+from gva_mi.fit.samples import FrameSampler
+from gva_mi.mesh.surface import as_scipy, uniform_laplacian
 from gva_mi.splat import Camera, Gaussians, look_at, render
+from gva_mi.splat.kernels.sh import C0
+from gva_mi.subject.cameras import depths
+from gva_mi.subject.crop import Box
 from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
@@ -60,15 +66,19 @@ def picture_sections(
     """Yield a section for each split: ``count`` frames, the avatar's render, and the difference."""
     for split, title in SECTIONS.items():
         if split in views:
-            yield Section(title, list(_of_view(avatar, views[split], count)), columns=3)
+            pictures = list(_of_view(avatar, views[split], count))
+            pictures.sort(key=lambda one: "," in one.caption)  # whole figures, then close-ups
+            yield Section(title, pictures, columns=2)
     yield Section("The Gaussians", [dots("", avatar.canonical)], columns=3)
 
 
 def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
     """Show some frames, whole and in close-ups, which are rendered at their enlarged resolution."""
-    for k in spread(view.frames, count):
-        frame = view.video.with_true_mask(view.video[k])
-        boxes = [("", person_box(frame.mask))]
+    frames = [view.video.with_true_mask(view.video[k]) for k in spread(view.frames, count)]
+    people = [person_box(frame.mask) for frame in frames]
+    size = max(box.width for box in people), max(box.height for box in people)
+    for k, frame, box in zip(spread(view.frames, count), frames, people, strict=True):
+        boxes = [("", _widened(box, size, frame.camera))]
         if view.details is not None and view.split != "novel_view":
             boxes += [(f", {what}", box) for what, box in view.details.boxes(k)]
         for what, box in boxes:
@@ -78,6 +88,18 @@ def _of_view(avatar: Avatar, view: SplitView, count: int) -> Iterator[Picture]:
             image = render_frame(avatar, frame.pose, camera)
             row = np.concatenate([target, image, difference(target, image)], axis=1)
             yield picture(f"frame {k}{what}", row)
+
+
+def _widened(box: Box, size: tuple[int, int], camera: Camera) -> Box:
+    """Widen a box to a size (w, h) inside the picture, so that cards are of one height."""
+    left, top = (
+        min(max(0, (low + high - wanted) // 2), whole - wanted)
+        for low, high, wanted, whole in (
+            (box.left, box.right, size[0], camera.width),
+            (box.top, box.bottom, size[1], camera.height),
+        )
+    )
+    return Box(left, top, left + size[0], top + size[1])
 
 
 def difference(target: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -94,6 +116,56 @@ def turntable(
     path = CameraPath("turntable", frames=count, size=size)
     for shot in shots(path, avatar.rig, pose):
         yield render_frame(avatar, pose, shot.camera)
+
+
+# Of seen_map, chosen: a share of 1 is a surface that all frames show squarely, and a person who
+# turns once shows each side in 0.2.
+SEEN_FRAMES = 12  # that are looked at
+SEEN_LIMITS = 0.003, 0.06  # shares that are a guess, and well seen; between them by logarithm
+SEEN_ROUNDS = 12  # averages over neighbouring vertices: a patch of some centimetres
+SEEN_VIEWS = ("front", "left side", "back", "right side")
+SEEN_SCALE = (
+    ((194, 65, 12), "a guess: no frame shows it"),
+    ((253, 230, 170), "seen briefly, or at an angle"),
+    ((21, 94, 117), "well seen"),
+)
+
+
+@torch.no_grad()
+def seen_map(avatar: Avatar, video: Video, pose: Pose) -> Section:
+    """Show the avatar in a pose, coloured by how well the training frames show each part.
+
+    That is eq. 1 of :mod:`gva_mi.fit.completion` per area of the body, over the pixels that this
+    area has when a frame shows it squarely.
+    """
+    from scipy.spatial import cKDTree
+
+    frames, rig = spread(video.splits.train, SEEN_FRAMES), avatar.rig
+    samples = FrameSampler(video, frames, 0, max(video.size), 0.0)
+    w = shown_pixels(avatar, normals_beneath(avatar), samples, lambda k: video.pose[k]).numpy()
+    a, b, c = rig.vertices[rig.faces].unbind(1)
+    corner = torch.linalg.cross(b - a, c - a).norm(dim=1) / 6  # a third of a face
+    area = torch.bincount(rig.faces.T.flatten(), corner.repeat(3), len(rig.vertices)).numpy()
+    cameras = [video.cameras[k] for k in frames]
+    depth = depths(cameras, (rig.joints[0] + video.pose.transl[frames]).double().numpy())
+    squarely = np.mean([(one.fx / z) ** 2 for one, z in zip(cameras, depth, strict=True)])
+    near = cKDTree(rig.vertices.numpy()).query(avatar.canonical.means.numpy())[1]
+    total = np.stack([np.bincount(near, w, len(area)), squarely * area], 1)
+    laplacian = as_scipy(uniform_laplacian(rig.faces.numpy(), len(area)))
+    for _ in range(SEEN_ROUNDS):
+        total = total - laplacian @ total
+    low, high = np.log(SEEN_LIMITS)
+    share = np.log((total[:, 0] / total[:, 1].clip(1e-9)).clip(1e-9))[near]
+    at = (2 * (share - low) / (high - low)).clip(0, 2)
+    colors = np.stack([np.interp(at, range(3), x) for x in np.array([c for c, _ in SEEN_SCALE]).T])
+    sh = torch.zeros_like(avatar.canonical.sh)
+    sh[:, 0] = torch.as_tensor((colors.T / 255 - 0.5) / C0).to(sh)
+    path, gaussians = CameraPath("turntable", frames=4, size=(300, 400)), avatar.animate(pose, sh)
+    pictures = [
+        picture(name, over(layer_of(gaussians.gaussians, shot.camera), np.array(WHITE)))
+        for name, shot in zip(SEEN_VIEWS, shots(path, rig, pose), strict=True)
+    ]
+    return Section("How well each part was seen", pictures, columns=4, scale=SEEN_SCALE)
 
 
 def dots(caption: str, gaussians: Gaussians) -> Picture:

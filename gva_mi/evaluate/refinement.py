@@ -50,6 +50,7 @@ from gva_mi.refine import RefineOptions
 from gva_mi.refine.refine import Refined
 from gva_mi.splat import Camera
 from gva_mi.subject.crop import Box, NoEvidence, points_extent
+from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import REFINED_POSES, SubjectWriter
 from gva_mi.subject.ground_truth import GroundTruth, truth_of
 from gva_mi.subject.pictures import in_8_bits, write_image
@@ -233,16 +234,27 @@ def describe(measured: MeasuredRefinement) -> Iterator[str]:
     video, refined = measured.video, measured.refined
     if measured.truth_problem:
         yield f"{measured.truth_problem}; the refinement is not measured"
-    if video.normals is None:
+    if video.normals is None and video.kind != VIDEO_KIND:  # whoever films has none
         yield f"{video.folder}: no normals, the refinement used the silhouettes alone"
-    for frame, reason in refined.kept.items():
-        yield f"{video.folder}: frame {frame} keeps its stage-1 pose: {reason}"
+    yield from kept_poses(video, refined.kept, "stage-1 pose")
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
     yield from describe_prior(refined.error_models, refined.contact)
     for found in pose_tables(measured.figures()):
         yield from aligned([found.head, *found.rows])
     yield f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}"
+
+
+def kept_poses(video: Video, kept: Mapping[int, str], what: str) -> Iterator[str]:
+    """Yield at most one line about the frames that keep a pose, ``what``, and the first reason."""
+    if len(kept) == 1:
+        yield from (f"{video.folder}: frame {k} keeps its {what}: {why}" for k, why in kept.items())
+    elif kept:
+        first = next(iter(kept))
+        yield (
+            f"{video.folder}: {len(kept)} of {len(video)} frames keep their {what}s: "
+            f"{listed(sorted(kept))}; frame {first}: {kept[first]}"
+        )
 
 
 def describe_prior(

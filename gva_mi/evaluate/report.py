@@ -1,9 +1,10 @@
 """The pages of a run (its pictures and figures) and of a video's avatar.
 
 Both are made from the run's folder (:mod:`gva_mi.fit.run_folder`) and the subject's. A real video
-has no ground truth. So the page of its avatar begins with the avatar from all around
-and in two motions that the video does not have, and says how to film it better
-(:mod:`gva_mi.stage1.video_check`). The moving pictures are also written as .mp4 files.
+has no ground truth. So the page of its avatar begins with a verdict in words, and with the avatar
+from all around and in two motions that the video does not have. Then it shows how well each part
+was seen, and says how to film it better (:mod:`gva_mi.stage1.video_check`). Figures follow. Moving
+pictures are also written as .mp4 files.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
 from gva_mi.evaluate.figures import Table, label_of, pivot, table, where
-from gva_mi.evaluate.measure import ALIGNED, REGIONS, SPLITS, Metrics
+from gva_mi.evaluate.measure import ALIGNED, OF_VIDEO, REGIONS, SPLITS, Metrics
 from gva_mi.evaluate.page import Headline, Picture, Section, animation, picture, write_page
-from gva_mi.evaluate.pictures import dots, picture_sections, shown_views, turntable
+from gva_mi.evaluate.pictures import dots, picture_sections, seen_map, shown_views, turntable
 from gva_mi.evaluate.refinement import OVERLAYS, pose_tables
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
 from gva_mi.stage1.prepare import Stage1Record
+from gva_mi.stage1.video_check import ALL_SIDES, SEEN_SHARE, sides_seen
 from gva_mi.subject.pictures import read_image
 from gva_mi.subject.problems import Problem
-from gva_mi.subject.video import Video
+from gva_mi.subject.video import Video, load_video
 from gva_mi.subject.video_file import write_video
 from gva_mi.synthetic.motion.motions import ROUND_SECONDS, perform
 
@@ -43,11 +45,15 @@ from gva_mi.synthetic.motion.motions import ROUND_SECONDS, perform
 FRAMES_SHOWN = 4  # of a split
 TURN_FRAMES = 24  # pictures of the turning avatar
 
+DRAFT = "A draft shows whether the video is good enough; --quality usual makes a better avatar."
 FINDINGS = "video_check.json"  # on the video, in the subject's folder
 TURNTABLE = "turntable"
 DRIVEN_MOTIONS = ("walk", "dance")  # motions of gva_mi.synthetic.motion
 VIDEO_FPS = 20  # frames a second of the videos
 VIDEO_SIZE = (384, 512)  # pixels, width and height
+# Chosen: dB in the person's box, of test frames. Rendered videos reach 25, and drafts of real ones
+# 17 to 23: from 24 clothes look as in the video, below 18 limbs are in the wrong place.
+GOOD_PSNR, FAIR_PSNR = 24, 18
 PAGE_STRIDE = 3  # every 3rd picture of a video is in the page
 MOTION_SEED = 0  # chosen: any
 
@@ -61,6 +67,8 @@ def write_report(
     body: BodyModel,
     subtitle: str = "A 3D Gaussian avatar of body and hands from a monocular video.",
     first: Sequence[Section] = (),
+    last: Sequence[Section] = (),
+    verdict: Headline | None = None,
     settings: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Write the page.
@@ -73,6 +81,8 @@ def write_report(
         title, subtitle: head of the page.
         body: the fitted body model.
         first: sections that the page begins with; without them, the turning avatar.
+        last: sections that it ends with.
+        verdict: in words, above all sections.
         settings: what else the page lists at its end.
     """
     metrics = Metrics.load(run)
@@ -81,14 +91,16 @@ def write_report(
     write_page(
         path,
         title=title,
-        subtitle=f"{subtitle} {width} x {height} pixels, seed {metrics.options['seed']}.",
-        headlines=headlines(metrics),
+        subtitle=f"{subtitle} {width} x {height} pixels.",
+        verdict=verdict,
         sections=[
             *(first or [_turning(avatar, video)]),
+            Section("In short", headlines=headlines(metrics)),
             *picture_sections(avatar, views, FRAMES_SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
             *_reinitialisation(run, metrics),
             _scores(metrics),
+            *last,
         ],
         settings={
             **settings,
@@ -110,11 +122,18 @@ def headlines(metrics: Metrics) -> list[Headline]:
     for f in where(figures, metric="PSNR, dB", region=("white", "person"), split=SPLITS[1:]):
         if f.alignment in ("", ALIGNED):
             pixels = "whole picture" if f.region == "white" else "person's box"
+            judged = f.region == "person" and f.split in OF_VIDEO
+            good = f": {_quality(f.value)} (good: {GOOD_PSNR} dB)" if judged else ""
             name = label_of((f.split, f.alignment, pixels))
-            found.append(Headline(f"{f.value:.1f} dB", f"PSNR, {name}"))
+            found.append(Headline(f"{f.value:.1f} dB", f"PSNR, {name}{good}"))
     for f in where(figures, metric=("Gaussians", "steps", "seconds")):
         found.append(Headline(f"{f.value:,.0f}", f.metric))
     return found
+
+
+def _quality(psnr: float) -> str:
+    """Return a word for a PSNR in the person's box, dB."""
+    return "good" if psnr >= GOOD_PSNR else "fair" if psnr >= FAIR_PSNR else "poor"
 
 
 def _turning(avatar: Avatar, video: Video) -> Section:
@@ -161,6 +180,7 @@ def write_avatar_report(
     body: BodyModel,
     title: str,
     progress: Progress | None = None,
+    draft: bool = False,
 ) -> None:
     """Write the page ``out/report.html``, and videos of the avatar beside it.
 
@@ -171,16 +191,60 @@ def write_avatar_report(
         body: the fitted body model.
         title: heading of the page.
         progress: called after each rendered picture.
+        draft: whether the avatar is a preview.
     """
     avatar, record = run_folder.load_avatar(run), Stage1Record.load(video.folder)
-    moving = Section("The avatar moves", list(_videos(out, avatar, video, progress)), columns=3)
-    tall = "height was not given: sizes and distances are uncertain by 5 %."
+    tall = "the person's height was not given: sizes and distances are uncertain by 5 %"
     if record.height is not None:
-        tall = f"height is given as {record.height:.2f} m."
-    subtitle = f"{record.frames} frames at {record.fps:.3g} a second. The person's {tall}"
-    first, settings = [moving, _findings(video, record)], {"video": vars(record)}
-    page = out / run_folder.REPORT
-    write_report(page, run, avatar, video, title, body, subtitle, first, settings)
+        tall = f"the person's height is given as {record.height:.2f} m"
+    subtitle = DRAFT if draft else f"From {record.frames} frames of one camera."
+    problems, there = _problems(video), [k for k in range(len(video)) if k not in video.absent]
+    seen = sides_seen(load_video(video.folder), body, there)  # as the check counted
+    figures = where(Metrics.load(run).figures, split="test", region="person", metric="PSNR, dB")
+    first = [
+        Section("The avatar moves", list(_videos(out, avatar, video, progress)), columns=3),
+        seen_map(avatar, video, video.pose[_frame_from_front(video)]),
+        _findings(problems, record.frames),
+    ]
+    notes = Table(("notes",), [(note,) for note in (tall, *record.notes)], words=True)
+    write_report(
+        out / run_folder.REPORT, run, avatar, video, title, body, subtitle, first,
+        [Section("Assumptions", tables=[notes])],
+        verdict(problems, *seen, next((f.value for f in figures if not f.alignment), None)),
+        {"video": vars(record)},
+    )  # fmt: skip
+
+
+def verdict(
+    problems: Sequence[Problem],
+    degrees: int,
+    seen: Sequence[str],
+    unseen: Sequence[str],
+    psnr: float | None,
+) -> Headline:
+    """Say in words whether an avatar is good, and why not.
+
+    Args:
+        problems: of the video.
+        degrees, seen, unseen: what :func:`gva_mi.stage1.video_check.sides_seen` returns.
+        psnr: of test frames in the person's box, dB; None: not measured.
+    """
+    parts = (
+        f": {' and '.join(unseen)} are guesses" if unseen else ", and what lies between is a guess"
+    )
+    around = f"Seen {degrees} of 360 degrees{parts if degrees < 360 * SEEN_SHARE else ''}."
+    errors = [f"{p.what} ({p.figure})" for p in problems if p.severity == "error"]
+    if psnr is not None and psnr < FAIR_PSNR:
+        errors.append(f"the avatar differs much from the video ({psnr:.1f} dB)")
+    if errors:
+        return Headline(f"Film again, because of this: {errors[0]}", around)
+    faults = [p.what for p in problems if p.what != ALL_SIDES]
+    because = f" To film better: {', '.join(faults)}." if faults else ""
+    if degrees < 360 * SEEN_SHARE:
+        sides = "the " + " and ".join(seen) if unseen else "most sides"
+        return Headline(f"Usable from {sides}", around + because)
+    good = not faults and (psnr is None or psnr >= GOOD_PSNR)
+    return Headline("Good" if good else "Usable from all sides", around + because)
 
 
 def _videos(
@@ -217,15 +281,18 @@ def _frame_from_front(video: Video) -> int:
     return there[int(np.argmin((ahead * axes).sum(1)))]
 
 
-def _findings(video: Video, record: Stage1Record) -> Section:
-    """List what went wrong with the video, and what to do about it."""
+def _problems(video: Video) -> list[Problem]:
+    """Read what the check found wrong with the video."""
     path, expected = video.folder / FINDINGS, "the findings on a video"
-    found, tables = read_json(path, expected), []
+    found = read_json(path, expected)
     with expecting(path, expected):
-        problems = [from_json(Problem, one) for one in found["findings"]]
-    if problems:
-        rows = [(p.what, p.figure, p.cause, p.remedy) for p in problems]
-        tables.append(Table(("what", "measured", "likely cause", "what to do"), rows, words=True))
-    if record.notes:
-        tables.append(Table(("notes",), [(note,) for note in record.notes], words=True))
-    return Section("What to film better" if problems else "A good video", tables=tables)
+        return [from_json(Problem, one) for one in found["findings"]]
+
+
+def _findings(problems: Sequence[Problem], frames: int) -> Section:
+    """List what went wrong with a video of some frames, and what to do about it."""
+    if not problems:
+        return Section("Nothing to film better")
+    rows = [(f"{p.what}{p.place(frames)}: {p.figure}", p.cause, p.remedy) for p in problems]
+    head = "what", "likely cause", "what to do"
+    return Section("How to film better", tables=[Table(head, rows, words=True)])

@@ -88,12 +88,8 @@ def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int]
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 
-    G, rig = avatar.canonical, avatar.rig
-    on_body = vertex_normals(rig.vertices, rig.faces)
-    normals = normalize(avatar.skin.beneath_points(G.means, on_body), dim=1)
-    seen = [samples[k] for k in range(min(COMPLETION_FRAMES, len(samples)))]
-    shown = torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in seen])
-    w = shown.mean(0).double().numpy() + UNSEEN_WEIGHT
+    G, normals = avatar.canonical, normals_beneath(avatar)
+    w = shown_pixels(avatar, normals, samples, poses).double().numpy() + UNSEEN_WEIGHT
     f = G.sh.flatten(1).double().numpy()
     places = Places.of(avatar, normals)
     h, b = guesses(places, w, f)
@@ -101,6 +97,24 @@ def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int]
     system = diags_array(w + b + a.sum(1)) - a
     found = splu(system.tocsc()).solve(w[:, None] * f + b[:, None] * h)
     G.sh.copy_(torch.from_numpy(found).view(G.sh.shape))
+
+
+def normals_beneath(avatar: Avatar) -> Tensor:
+    """Return the unit normals (N, 3) of the body at rest beside the Gaussians."""
+    on_body = vertex_normals(avatar.rig.vertices, avatar.rig.faces)
+    return normalize(avatar.skin.beneath_points(avatar.canonical.means, on_body), dim=1)
+
+
+@torch.no_grad()
+def shown_pixels(
+    avatar: Avatar, normals: Tensor, samples: FrameSampler, poses: Callable[[int], Pose]
+) -> Tensor:
+    """Return w (N,) of eq. 1, pixels, as the mean over some frames.
+
+    ``normals`` (N, 3) are those of :func:`normals_beneath`, ``poses`` the pose of each frame.
+    """
+    seen = [samples[k] for k in range(min(COMPLETION_FRAMES, len(samples)))]
+    return torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in seen]).mean(0)
 
 
 def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tensor:

@@ -1,13 +1,16 @@
 """What a video does not show, or shows badly, and how to film it better.
 
 An avatar knows only what its video shows. These findings compare the video with a good one, which
-shows one person from all sides, from head to feet, large, in enough light and with both hands, and
-whose camera stands still.
+shows one person from all sides, from head to feet, large, sharp, in enough light, with both hands
+and with arms away from the body, and whose camera stands still.
 
-The camera's motion from the first picture to another is the shift that aligns their backgrounds
-best, by phase correlation of the luma ``I`` and ``I'`` without the person:
+How sharp a picture shows the person is the ratio of fine to coarse structure of its luma I, in the
+mask M, at scales s that follow the person's height, by blurs G along rows or columns:
 
-    1. s = argmax of  F⁻¹( F(I)* F(I') / |F(I)* F(I')| )
+    1. q = sqrt( Σ_M (G_s I - G_2s I)² / Σ_M (G_4s I - G_8s I)² )
+
+It depends little on how much texture the clothes have. Motion blur lowers it, in its direction,
+against the video's other pictures.
 """
 
 from __future__ import annotations
@@ -19,7 +22,9 @@ import numpy as np
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
+from gva_mi.matting.camera import ShrunkPicture, camera_motions, moved_pixels
 from gva_mi.subject.landmarks import Landmarks
+from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.problems import Problem, doubt
 from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
@@ -34,12 +39,17 @@ FAULTY_SHARE = 0.1  # of the frames with a fault, above which the fault is repor
 SHORT_FRAMES, SHORT_SECONDS = 40, 2.0  # shorter videos are reported
 SMALL_PIXELS = 250  # of a person's height, below which it is reported
 DARK_LUMA = 0.25  # of the brighter parts of a person, below which it is reported
-SAMPLED_PICTURES = 24  # whose light and background are measured
-MOTION_WIDTH = 240  # pixels, width at which the camera's motion is measured
+SURE_CONFIDENCE = 0.5  # of a landmark that the picture shows
+HIDDEN_FEET_SHARE = 0.5  # of the frames with a hidden foot, above which it is reported
+GAP_SHARE = 0.05  # of the person's height: so much background parts a wrist from the trunk
+APART_SHARE = 0.25  # of the frames with such a gap, below which the arms are reported
+SAMPLED_PICTURES = 24  # whose light, sharpness and background are measured
+FINEST_SHARE = 0.002  # s of eq. 1, of the person's height
+BLURRED_RATIO = 0.5  # of q to the sharper quarter's, below which a picture is blurred
 MOVED_SHARE = 0.008  # of the picture's width, above which the camera moves
-SMALLEST_PEAK = 0.1  # of eq. 1 for the same background; equal pictures give 1, noise 0.03
 # Weights of red, green and blue: Rec. 709.
 LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
+ALL_SIDES = "not seen from all sides"  # what a problem is called
 _SIDES = {0: "front", 90: "left side", 180: "back", 270: "right side"}  # degrees to the left
 
 
@@ -64,7 +74,7 @@ def check_video(
     there = [k for k in range(len(video)) if k not in video.absent]
     return [
         *_sides(video, body, there),
-        *_outlines(video, there),
+        *_outlines(video, landmarks, there),
         *_hands(landmarks),
         *_pictures(video, spread(there, SAMPLED_PICTURES), progress),
         *_people_and_length(video, crowded, fps),
@@ -83,27 +93,40 @@ def seen_from(video: Video, body: BodyModel, frames: Sequence[int]) -> np.ndarra
     return np.degrees(np.arctan2(toward[:, 0], toward[:, 2])) % 360
 
 
-def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Problem]:
-    """Find the sides of the person that no frame shows."""
+def sides_seen(
+    video: Video, body: BodyModel, frames: Sequence[int]
+) -> tuple[int, list[str], list[str]]:
+    """Return how many of 360 degrees some frames show well, the sides seen, and those never seen.
+
+    By the pelvis's turns toward the camera. A side is one of :data:`_SIDES`.
+    """
     centres = np.arange(SECTORS) * 360 / SECTORS
     apart = np.abs(centres[:, None] - seen_from(video, body, frames)) % 360
     nearest = np.minimum(apart, 360 - apart).min(1)
-    seen = (nearest <= WELL_SEEN_DEGREES).mean()
-    if seen >= SEEN_SHARE:
+    seen = {n: nearest[angle * SECTORS // 360] <= SEEN_DEGREES for angle, n in _SIDES.items()}
+    degrees = round(360 * float((nearest <= WELL_SEEN_DEGREES).mean()))
+    return degrees, [n for n in seen if seen[n]], [n for n in seen if not seen[n]]
+
+
+def _sides(video: Video, body: BodyModel, frames: Sequence[int]) -> Iterator[Problem]:
+    """Find the sides of the person that no frame shows."""
+    degrees, _, unseen = sides_seen(video, body, frames)
+    if degrees >= 360 * SEEN_SHARE:
         return
-    unseen = [n for angle, n in _SIDES.items() if nearest[angle * SECTORS // 360] > SEEN_DEGREES]
     sides = f"; never seen: {', '.join(unseen)}" if unseen else ""
     yield doubt(
-        "not seen from all sides",
-        f"{360 * seen:.0f} of 360 degrees{sides}",
+        ALL_SIDES,
+        f"{degrees} of 360 degrees{sides}",
         "the person did not turn round",
         "turn round once, slowly, with the arms away from the body",
     )
 
 
-def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
-    """Find frames that cut the person off, and persons of few pixels."""
+def _outlines(video: Video, landmarks: Landmarks, frames: Sequence[int]) -> Iterator[Problem]:
+    """Find frames that cut the person off, arms at the body, and persons of few pixels."""
     edges, tall = {"feet or legs": [], "head": [], "sides": []}, []
+    arms = {side: _wrist_and_trunk(landmarks, side) for side in ("left", "right")}
+    apart, touching = ({side: [] for side in arms} for _ in range(2))
     for outline in video.outlines(frames):
         inside = outline.mask > 0.5
         rows = np.flatnonzero(inside.any(1))
@@ -112,6 +135,10 @@ def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
         for cut, found in zip(touched, edges.values(), strict=True):
             if cut:
                 found.append(outline.index)
+        for side, joints in arms.items():
+            if np.isfinite(joints[outline.index]).all():
+                parted = _parted(joints[outline.index], inside, GAP_SHARE * tall[-1])
+                (apart if parted else touching)[side].append(outline.index)
     for part, cut in edges.items():
         if len(cut) > FAULTY_SHARE * len(frames):
             yield doubt(
@@ -121,12 +148,68 @@ def _outlines(video: Video, frames: Sequence[int]) -> Iterator[Problem]:
                 "step back until head, feet and stretched arms are in the picture all the time",
                 cut,
             )
+    shown = {side: len(apart[side]) + len(touching[side]) for side in arms}
+    close = [side for side in arms if len(apart[side]) < APART_SHARE * shown[side]]
+    if close:
+        yield doubt(
+            "arms at the body",
+            ", ".join(f"{n}: apart in {len(apart[n])} of {shown[n]} frames" for n in close),
+            "the arms hang down, are folded, or are hidden by wide clothes",
+            "hold both arms away from the body, by 30 degrees or more, so that the wall is seen "
+            "between arm and trunk; where they touch, the avatar confuses sleeve, skin and trunk",
+            {k for side in close for k in touching[side]},
+        )
+    if not edges["feet or legs"]:
+        yield from _feet(landmarks, frames)
     if np.median(tall) < SMALL_PIXELS:
         yield doubt(
             "few pixels",
             f"the person is {np.median(tall):.0f} pixels tall",
             "the camera was far away, or its pictures are small",
             f"fill the height of the picture; {SMALL_PIXELS} pixels at least, 600 for a sharp face",
+        )
+
+
+def _wrist_and_trunk(landmarks: Landmarks, side: str) -> np.ndarray:
+    """Return a wrist, both shoulders and both hips (T, 5, 2), pixels; NaN if it is not seen."""
+    trunk = [f"{one}_{joint}" for joint in ("shoulder", "hip") for one in ("left", "right")]
+    names = [f"{side}_wrist", *trunk]
+    if not set(names) <= set(landmarks.names):
+        return np.full((len(landmarks), len(names), 2), np.nan)
+    which = landmarks.indices(names)
+    sure = landmarks.confidence[:, which[0]] > SURE_CONFIDENCE
+    return np.where(sure[:, None, None], landmarks.pixels[:, which], np.nan)
+
+
+def _parted(joints: np.ndarray, inside: np.ndarray, least: float) -> bool:
+    """Return whether a mask (H, W) bool shows background between a wrist and the trunk's axis.
+
+    ``joints`` (5, 2) are those of :func:`_wrist_and_trunk`; a gap has ``least`` pixels.
+    """
+    wrist, top, end = joints[0], joints[1:3].mean(0), joints[3:].mean(0)
+    axis, limits = end - top, np.array(inside.shape[::-1]) - 1
+    along = ((wrist - top) @ axis / (axis @ axis + 1e-9)).clip(0, 1)
+    way = top + along * axis - wrist
+    places = wrist + np.linspace(0, 1, 2 + int(np.linalg.norm(way)))[:, None] * way
+    x, y = places.astype(int).clip(0, limits).T
+    person = np.flatnonzero(inside[y, x])
+    return len(person) > 0 and np.ptp(person) + 1 - len(person) >= least
+
+
+def _feet(landmarks: Landmarks, frames: Sequence[int]) -> Iterator[Problem]:
+    """Find feet that the network does not see."""
+    names = [(f"{side}_heel", f"{side}_foot_index") for side in ("left", "right")]
+    if not {n for pair in names for n in pair} <= set(landmarks.names):
+        return
+    sure = [landmarks.confidence[frames][:, landmarks.indices(n)].mean(1) for n in names]
+    hidden = np.asarray(frames)[np.min(sure, axis=0) < SURE_CONFIDENCE]
+    if len(hidden) > HIDDEN_FEET_SHARE * len(frames):
+        yield doubt(
+            "feet hidden",
+            f"{len(hidden)} of {len(frames)} frames",
+            "furniture, a long garment or writing is before them",
+            "clear the floor and show both shoes all the time",
+            hidden,
         )
 
 
@@ -146,12 +229,13 @@ def _hands(landmarks: Landmarks) -> Iterator[Problem]:
 
 
 def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) -> Iterator[Problem]:
-    """Find dark pictures, and a camera that moves."""
-    light, backgrounds = [], []
+    """Find dark and blurred pictures, and a camera that moves."""
+    light, sharp, shrunk = [], [], {}
     for done, frame in enumerate(video.frames(frames), 1):
         luma = frame.image @ LUMA
         light.append(np.quantile(luma[frame.mask > 0.5], 0.9))
-        backgrounds.append(_background(luma, frame.mask))
+        sharp.append(_sharpness(luma, frame.mask > 0.5))
+        shrunk[frame.index] = ShrunkPicture.of(in_8_bits(frame.image), in_8_bits(frame.mask))
         if progress:
             progress(done, len(frames))
     if np.median(light) < DARK_LUMA:
@@ -161,11 +245,24 @@ def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) ->
             "too little light, or a bright background",
             "film by daylight or with all lamps on, not against a window",
         )
-    moved = max((_shift(backgrounds[0], other) for other in backgrounds[1:]), default=0.0)
-    if moved > MOVED_SHARE:
+    relative = (sharp / np.quantile(sharp, 0.75, axis=0)).min(1)
+    blurred = np.asarray(frames)[relative < BLURRED_RATIO]
+    if len(blurred) > FAULTY_SHARE * len(frames):
+        yield doubt(
+            "motion blur",
+            f"{len(blurred)} of {len(frames)} sampled frames",
+            "the person moved fast, the light was weak, or the focus was lost",
+            "turn slowly, in more light; tap on the person to hold the focus",
+            blurred,
+        )
+    motions = camera_motions(shrunk.__getitem__, frames).values()
+    moved = max(moved_pixels(A, video.size) for A in motions if A is not None)
+    lost = sum(A is None for A in motions)
+    if lost or moved > MOVED_SHARE * video.size[0]:
+        away = f"; {lost} of {len(frames)} sampled frames show another place" if lost else ""
         yield doubt(
             "camera moves",
-            f"by up to {moved:.1%} of the picture's width",
+            f"pictures shift by up to {moved:.0f} pixels{away}",
             "the phone was held in a hand, or pushed",
             "prop the phone up, or use a tripod; it must stand still",
         )
@@ -191,38 +288,24 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
         )
     if len(video) < SHORT_FRAMES or len(video) / fps < SHORT_SECONDS:
         yield doubt(
-            "short",
+            "short video",
             f"{len(video)} frames, {len(video) / fps:.1f} s",
             "the video is short, or was cut",
             "film 5 to 15 seconds",
         )
 
 
-def _background(luma: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the fine structure of a background (h, w), about :data:`MOTION_WIDTH` pixels wide.
+def _sharpness(luma: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return q of eq. 1 (2,) along columns and rows of a picture (H, W); ``inside`` is M, bool."""
+    from scipy.ndimage import binary_erosion, gaussian_filter1d
 
-    Slopes of brightness, as on a wall, are left out, and so is what is near the person.
-    """
-    from scipy.ndimage import gaussian_filter
-
-    times = max(1, luma.shape[1] // MOTION_WIDTH)
-    luma, near = _shrunk(luma, times), gaussian_filter(_shrunk(mask, times), 4.0) > 0.01
-    return np.where(near, 0, luma - gaussian_filter(luma, 2.0))
-
-
-def _shift(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the length of eq. 1, a share of the picture's width; 0 for unlike backgrounds."""
-    product = np.fft.rfft2(one).conj() * np.fft.rfft2(other)
-    alike = np.fft.irfft2(product / np.maximum(np.abs(product), 1e-9), one.shape)
-    if alike.max() < SMALLEST_PEAK:
-        return 0.0
-    at = np.unravel_index(alike.argmax(), alike.shape)
-    way = [min(k, size - k) for k, size in zip(at, alike.shape, strict=True)]
-    return float(np.hypot(*way)) / one.shape[1]
-
-
-def _shrunk(image: np.ndarray, times: int) -> np.ndarray:
-    """Return means (h, w) of blocks of pixels; an incomplete block at the edge is left out."""
-    height, width = (size // times for size in image.shape)
-    blocks = image[: height * times, : width * times].reshape(height, times, width, times)
-    return blocks.mean((1, 3))
+    rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
+    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    luma, inside, s = luma[part], inside[part], FINEST_SHARE * len(rows)
+    inner = binary_erosion(inside, iterations=max(1, round(8 * s)))
+    found = []
+    for axis in (0, 1):
+        G = {n: gaussian_filter1d(luma, n * s, axis=axis)[inner] for n in (1, 2, 4, 8)}
+        fine, coarse = (np.square(G[n] - G[2 * n]).sum() for n in (1, 4))
+        found.append(np.sqrt(fine + 1e-9) / np.sqrt(coarse + 1e-9))
+    return np.array(found)

@@ -134,7 +134,6 @@ def write_study_report(
         path,
         title=f"Study: {kind}",
         subtitle=f"Synthetic subjects: {subjects} ({purposes}). Variants: {variants}.",
-        headlines=[],
         sections=sections,
         settings=settings,
     )

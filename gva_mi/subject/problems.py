@@ -28,6 +28,12 @@ class Problem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "frames", tuple(map(int, self.frames)))
 
+    def place(self, total: int) -> str:
+        """Name the frames that it concerns, of ``total``; empty for none in particular."""
+        if len(self.frames) == total > 0:
+            return " in all frames"
+        return f" in frames {listed(sorted(self.frames))}" if self.frames else ""
+
 
 error, doubt = (partial(Problem, severity) for severity in ("error", "doubtful"))
 
@@ -58,10 +64,8 @@ class CheckReport:
     def lines(self, width: int) -> Iterator[str]:
         """Yield the problems in lines of at most ``width`` characters."""
         for p in self.problems:
-            frames = f" in frames {listed(sorted(p.frames))}" if p.frames else ""
-            if len(p.frames) == self.frames > 0:
-                frames = " in all frames"
-            yield from textwrap.wrap(f"{p.severity}: {p.what}{frames}: {p.figure}", width)
+            what = f"{p.severity}: {p.what}{p.place(self.frames)}: {p.figure}"
+            yield from textwrap.wrap(what, width)
             why = f"likely cause: {p.cause}; what to do: {p.remedy}"
             yield from textwrap.wrap(why, width, initial_indent="  ", subsequent_indent="  ")
 

@@ -13,6 +13,7 @@ from gva_mi.evaluate.figures import where
 from gva_mi.evaluate.refinement import (
     MeasuredRefinement,
     error_figures,
+    kept_poses,
     load_refinement,
     mask_iou,
     means,
@@ -132,3 +133,12 @@ def test_trained_poses_have_a_column_beside_refined_ones(measured, estimated, bo
     assert rows["body, absolute"][column] == "10.0"
     assert rows["body, pelvis-aligned"][column] == "0.0"
     assert rows["body, absolute"][found.head.index("change")] == "-83 %"
+
+
+def test_frames_that_keep_a_pose_are_one_line(video):
+    count, kept = len(video), {3: "its loss grew from 1 to 2", 1: "it has no mask"}
+    (line,) = kept_poses(video, kept, "stage-1 pose")
+    assert f"2 of {count} frames keep their stage-1 poses: 1, 3; frame 3: its loss grew" in line
+    (line,) = kept_poses(video, {1: "it has no mask"}, "pose")
+    assert line.endswith("frame 1 keeps its pose: it has no mask")
+    assert not list(kept_poses(video, {}, "pose"))

@@ -78,16 +78,13 @@ def render(
     if gaussians.covars is not None:
         raise ValueError("render(): covars are taken as torch tensors; give quats and scales")
     kind = type(gaussians.means)
-    if not dr.is_tensor_v(kind) or dr.backend_v(kind) is not dr.JitBackend.LLVM:
-        raise ValueError(
-            "render(): inputs must be tensors of drjit.llvm or drjit.llvm.ad, got "
-            f"{kind.__module__}.{kind.__name__}"
-        )
+    on_llvm = dr.is_tensor_v(kind) and dr.backend_v(kind) is dr.JitBackend.LLVM
     for name, tensor in arrays.items():
-        if type(tensor) is not kind or not dr.is_float_v(tensor):
-            found = f"means {kind.__name__}, {name} {type(tensor).__name__}"
+        if type(tensor) is not kind or not dr.is_float_v(tensor) or not on_llvm:
+            found = f"means {kind.__module__}.{kind.__name__}, {name} {type(tensor).__name__}"
             raise ValueError(
-                f"render(): inputs must be Dr.Jit float tensors of one kind, got {found}"
+                "render(): inputs must be of one kind, float tensors of drjit.llvm or "
+                f"drjit.llvm.ad, got {found}"
             )
     gaussians.check_shapes()
     D = gaussians.channels

@@ -269,11 +269,10 @@ class OtherShapes:
         """Render the shapes, (H, W, 3 or 4), with an integrator and its own derivatives."""
         params = mi.traverse(self.scene)
         image = mi.render(self.scene, params, self.sensor, integrator, seed=seed, spp=spp)
-        others = len(integrator.aov_names())
-        if image.shape[2] not in (3, 4) or others:
+        if image.shape[2] not in (3, 4) or integrator.aov_names():
             raise ValueError(
                 "gaussian_splat: where meshes is 'depth', film and nested integrator must make RGB "
-                f"or RGBA images, got {image.shape[2]} channels, {others} of them of other kinds"
+                f"or RGBA images, got {image.shape[2]} channels {integrator.aov_names()}"
             )
         return image
 

@@ -274,7 +274,8 @@ def evaluate(
             hands.
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
-        few: measure at most so many test frames, and no other frames; without it, all splits.
+        few: measure at most so many test frames, or training frames if there are none of these;
+            without it, all splits.
 
     Example:
         >>> metrics = evaluate("me/run", "me/subject")  # doctest: +SKIP

@@ -274,16 +274,17 @@ def measure_run(
         driven: applied to every pose before it drives the avatar.
         scorer: without it, one with the networks that are found.
         fit_to_pictures: also add the rows of :func:`_under_fitted_poses`.
-        few: measure at most so many test frames, and no other frames; None: all splits.
+        few: measure at most so many test frames, or training frames without these; None: all.
     """
     made_with, history = run_folder.load_options(run), run_folder.load_history(run)
     trained, scorer = run_folder.under_trained_poses(video, run), scorer or Scorer()
-    given = [
-        view.through(lambda source: replace(source, pose=driven(source.pose)))
-        for view in views_of(video, SPLITS if few is None else ("test",), body)
-    ]
+    opened = views_of(video, body=body)
     if few is not None:
-        given = [replace(view, frames=spread(view.frames, few)) for view in given]
+        tested = [view for view in opened if view.split == "test"] or opened[:1]
+        opened = [replace(view, frames=spread(view.frames, few)) for view in tested]
+    given = [
+        view.through(lambda source: replace(source, pose=driven(source.pose))) for view in opened
+    ]
     views = [with_trained_poses(view, trained) for view in given]
     similarity = similarity_to_truth(avatar.rig, trained, body)
     groups = {"": views}

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from gva_mi import app
 from gva_mi.app import AvatarEffort, DemoOptions
-from gva_mi.cli.arguments import MOST_PEOPLE, Flat, Switch
+from gva_mi.cli.parse import MOST_PEOPLE, Flat, Switch
 from gva_mi.core.options import Within
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.stage1.prepare import PrepareVideoOptions

@@ -14,7 +14,7 @@ from gva_mi.avatar.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose
 from gva_mi.body.rotations import to_matrices
 from gva_mi.body.smplx import body_name, load_body
-from gva_mi.cli.arguments import Flat, Switch, given
+from gva_mi.cli.parse import Flat, Switch, given
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room

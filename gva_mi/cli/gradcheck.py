@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from gva_mi.cli.arguments import Flat, Switch, given
+from gva_mi.cli.parse import Flat, Switch, given
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError

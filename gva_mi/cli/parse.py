@@ -19,7 +19,18 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stderr
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from tyro.conf import FlagCreatePairsOff, arg
 
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, python_only
@@ -198,3 +209,27 @@ def _refusal(stop: SystemExit, refused: list[str]) -> str | None:
     named = option is not None and option.startswith("--")
     reason = refused[-1] if refused and (named or str(error) == refused[-1]) else str(error)
     return f"{option} {reason}" if named else reason
+
+
+MOST_PEOPLE = 20  # in a video, for --person; chosen: more people are too small in the picture
+
+T = TypeVar("T")
+Flat = Annotated[T, arg(name="")]  # options without a prefix on the command line
+Switch = Annotated[bool, FlagCreatePairsOff]  # off by default and without a --no-... form
+
+
+def given(options: object) -> dict[str, str]:
+    """Return the fields that differ from the defaults, and their options."""
+    usual = vars(type(options)())
+    differ = (name for name, value in vars(options).items() if value != usual[name])
+    return {name: f"--{name.replace('_', '-')}" for name in differ}
+
+
+def nth_person(text: str | None) -> int | None:
+    """Return the person of a video that ``--person`` names, from the left; None: the largest."""
+    if text is not None and not (text.isdecimal() and 1 <= int(text) <= MOST_PEOPLE):
+        raise InputError(
+            f"--person of a video must be a number from 1 to {MOST_PEOPLE}, from the left; "
+            f"got {text}"
+        )
+    return None if text is None else int(text)

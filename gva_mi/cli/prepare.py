@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 from gva_mi import app
 from gva_mi.body.pose import save_poses
-from gva_mi.cli.arguments import Flat, Switch, given, nth_person
+from gva_mi.cli.parse import Flat, Switch, given, nth_person
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError

@@ -7,7 +7,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Switch
+from gva_mi.cli.parse import Switch
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json

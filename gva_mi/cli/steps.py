@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from gva_mi import app
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.parse import Flat, Switch
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, Workers
 from gva_mi.fit import paper

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.parse import Flat, Switch
 from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError

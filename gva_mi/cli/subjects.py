@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from gva_mi.body.anny import anny_body
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.arguments import Flat, Switch
+from gva_mi.cli.parse import Flat, Switch
 from gva_mi.core.atomic import atomic_write, require_writable
 from gva_mi.core.console import bar, say
 from gva_mi.core.errors import InputError

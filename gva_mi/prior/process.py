@@ -51,6 +51,7 @@ from functools import cached_property
 
 import torch
 from torch import Tensor
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.core.cpu import sqrt
 from gva_mi.prior.error_model import (
@@ -60,7 +61,6 @@ from gva_mi.prior.error_model import (
     median_of_square,
     outlier_factors,
 )
-from gva_mi.prior.frame_matrices import FrameMatrices
 
 MAP_ROUNDS = 8  # solves of eq. 2; chosen: half of them before any step may count as a jump
 SPEED_FLOOR = 0.02  # least speed of a joint in a frame, relative to its error; chosen: not zero
@@ -252,3 +252,56 @@ class ProcessPrior:
     def _difference(self) -> Tensor:
         """``D`` (n - 1 or n - 2, n)."""
         return self.changes(torch.eye(len(self.times)).diff(dim=0))
+
+
+@dataclass(frozen=True)
+class FrameMatrices:
+    """C constant matrices over n frames, as they are and transposed, each (C, n, n).
+
+        y = M x,    grad_x = Mᵀ grad_y        x and y (C, n, d), a column for each axis
+
+    With so few columns MKL takes four times as long for M x as for xᵀ Mᵀ with a matrix that lies
+    row by row in memory. Therefore Mᵀ is kept beside M.
+    """
+
+    M: Tensor
+    transposed: Tensor
+
+    @staticmethod
+    def of(M: Tensor) -> FrameMatrices:
+        """Keep matrices (C, n, n) in both layouts."""
+        return FrameMatrices(M.contiguous(), M.mT.contiguous())
+
+    def __matmul__(self, x: Tensor) -> Tensor:
+        """Return M x, (C, n, d), differentiable once in x (C, n, d)."""
+        # Of a single column both forms are a product with a vector, whose orders differ.
+        return self.M @ x if x.shape[-1] == 1 else _Product.apply(x, self)
+
+    def product(self, x: Tensor, frames: list[int]) -> Tensor:
+        """Return the rows of M x of r frames, (C, r, d)."""
+        return self @ x if self._are_all(frames) else self.M[:, frames] @ x
+
+    def rows(self, frames: list[int]) -> Tensor:
+        """Return the rows of M of r frames, (C, r, n); of all frames without a copy."""
+        return self.M if self._are_all(frames) else self.M[:, frames]
+
+    def _are_all(self, frames: list[int]) -> bool:
+        return frames == list(range(self.M.shape[1]))
+
+
+class _Product(torch.autograd.Function):
+    """Eq. 1."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, x: Tensor, matrices: FrameMatrices) -> Tensor:
+        ctx.matrices = matrices
+        return _transposed(_transposed(x) @ matrices.transposed)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None]:
+        return _transposed(_transposed(grad) @ ctx.matrices.M), None
+
+
+def _transposed(x: Tensor) -> Tensor:
+    return x.mT.contiguous()

@@ -27,7 +27,6 @@ from gva_mi.body.pose import Pose
 from gva_mi.body.so3 import compose
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel
-from gva_mi.prior.frame_matrices import FrameMatrices
 from gva_mi.prior.ground import Ground, Soles
 from gva_mi.prior.inference import (
     CORRECTED_JOINTS,
@@ -37,6 +36,7 @@ from gva_mi.prior.inference import (
     prior_from_corrections,
     prior_from_stage1,
 )
+from gva_mi.prior.process import FrameMatrices
 from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
 
 

@@ -59,8 +59,7 @@ from gva_mi.synthetic.errors.pipeline import (
 from gva_mi.synthetic.motion import motions
 from gva_mi.synthetic.options import SubjectStream, SynthOptions
 from gva_mi.synthetic.person.surface import PersonSurface
-from gva_mi.synthetic.pictures.cameras import camera_around
-from gva_mi.synthetic.pictures.phone_video import PHONE_VIDEO, write_phone_video
+from gva_mi.synthetic.pictures.cameras import PHONE_VIDEO, camera_around, write_phone_video
 from gva_mi.synthetic.pictures.render import Moment, Renderer
 from gva_mi.synthetic.staging import Staging, lowered
 

@@ -24,7 +24,7 @@ from gva_mi.splat.formats.ply import save_ply
 from gva_mi.splat.formats.spz import save_splat, save_spz
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video_file import write_video
-from gva_mi.synthetic.pictures.phone_video import write_phone_video
+from gva_mi.synthetic.pictures.cameras import write_phone_video
 
 NOISE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
 

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from gva_mi.subject.video_file import VideoFile
-from gva_mi.synthetic.pictures.cameras import MAX_TILT, PHONE_HEIGHTS, PhoneCamera, camera_around
-from gva_mi.synthetic.pictures.phone_video import BITS_PER_PIXEL, write_phone_video
+from gva_mi.synthetic.pictures.cameras import (
+    BITS_PER_PIXEL,
+    MAX_TILT,
+    PHONE_HEIGHTS,
+    PhoneCamera,
+    camera_around,
+    write_phone_video,
+)
 
 
 def person(rng, wander=0.0):

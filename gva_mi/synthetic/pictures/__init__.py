@@ -6,6 +6,5 @@
 ``furniture``    the pieces in it
 ``finishes``     colours of walls, floors and furniture
 ``render``       rays and light: pictures, masks and normals
-``phone_video``  noise of a phone's sensor, and H.264
 ===============  =======================================================
 """

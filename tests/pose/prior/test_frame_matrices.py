@@ -5,7 +5,7 @@ import os
 import pytest
 import torch
 
-from gva_mi.prior.frame_matrices import FrameMatrices
+from gva_mi.prior.process import FrameMatrices
 
 FIXED = os.environ.get("MKL_CBWR") == "COMPATIBLE"
 

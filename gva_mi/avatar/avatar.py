@@ -50,7 +50,6 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import (
     read_arrays,
     require_array,
-    require_keys,
     shape_fault,
     write_arrays,
 )
@@ -292,9 +291,8 @@ class Avatar(nn.Module):
     @staticmethod
     def from_arrays(path: Path, arrays: dict[str, np.ndarray]) -> Avatar:
         """Restore the avatar in the arrays of a file; ``path`` is for the InputError."""
-        require_keys(path, arrays, ("format", "description"))
-        texts = {key: str(arrays[key]) for key in ("format", "description")}
         with expecting(path, AVATAR_FILE):
+            texts = {key: str(arrays[key]) for key in ("format", "description")}
             return Avatar.from_record({**tensors_of(path, arrays), **texts})
 
 

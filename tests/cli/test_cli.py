@@ -310,7 +310,7 @@ with open(sys.argv[1], "w") as file:
     ("evaluate {0}/run/avatar.npz {0}/subject", "avatar.npz: is a file; expected a folder"),
     ("evaluate {0}/run {0}/none", "none: no such folder; expected a subject"),
     ("check {0}/file", "file: is a file; expected a subject"),
-    ("render {0}/run/poses.npz --out {0}/o", "poses.npz: key 'format' is missing"),
+    ("render {0}/run/poses.npz --out {0}/o", "poses.npz: unexpected format"),
     ("render {0}/run --out {0}/turn.mp4", "turn.mp4: expected a folder; with --video"),
 ])  # fmt: skip
 def test_what_beginners_mistake_for_another_thing_is_named(command, told, tmp_path, known, cli):

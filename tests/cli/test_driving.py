@@ -73,7 +73,7 @@ def test_own_poses_are_neither_turned_nor_resampled(run, turning, cli):
 
 
 BAD = (
-    ({"poses": np.zeros((3, 72))}, "--source-fps of gva-mi motion"),
+    ({"poses": np.zeros((3, 71)), "fps": 30}, "71"),
     ({"a": np.zeros(3), "fps": 30}, "holds no poses of one person; expected one of poses, pose"),
     ({"mhr_model_params": np.zeros((3, 204))}, "found: mhr_model_params"),
 )

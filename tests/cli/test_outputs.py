@@ -49,7 +49,7 @@ WRITERS = {
         path, [NOISE] * 3, Fraction(8), np.random.default_rng(0)
     ),
     "a.html": lambda path, known: write_page(
-        path, title="x" * 1000, subtitle="", headlines=[], sections=[], settings={}
+        path, title="x" * 1000, subtitle="", sections=[], settings={}
     ),
     "amass.npz": lambda path, known: save_amass(path, Pose.rest(9), Shape(torch.zeros(10)), 30),
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),

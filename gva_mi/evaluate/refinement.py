@@ -246,15 +246,15 @@ def describe(measured: MeasuredRefinement) -> Iterator[str]:
 
 
 def kept_poses(video: Video, kept: Mapping[int, str], what: str) -> Iterator[str]:
-    """Yield at most one line about the frames that keep a pose, ``what``, and the first reason."""
+    """Yield at most one line about the frames that keep a pose, ``what``, and the reasons."""
     if len(kept) == 1:
         yield from (f"{video.folder}: frame {k} keeps its {what}: {why}" for k, why in kept.items())
     elif kept:
-        first = next(iter(kept))
-        yield (
-            f"{video.folder}: {len(kept)} of {len(video)} frames keep their {what}s: "
-            f"{listed(sorted(kept))}; frame {first}: {kept[first]}"
-        )
+        frames: dict[str, list[int]] = {}
+        for k, why in sorted(kept.items()):
+            frames.setdefault(why.partition(" from ")[0], []).append(k)
+        reasons = ", ".join(f"{listed(those)} ({why})" for why, those in frames.items())
+        yield f"{video.folder}: {len(kept)} of {len(video)} frames keep their {what}s: {reasons}"
 
 
 def describe_prior(

@@ -30,7 +30,7 @@ def subject(synthetic, tmp_path):
 def test_frames_without_evidence_are_listed_and_keep_their_pose(subject, cli):
     (subject / "masks/000001.png").unlink()
     (subject / "normals/000002.png").unlink()
-    assert "frame 1 keeps its stage-1 pose: it has no mask" in cli.works("refine", subject, *SHORT)
+    assert "1 (it has no mask)" in cli.works("refine", subject, *SHORT)
     record = json.loads((subject / "refinement.json").read_text())
     assert record["kept"]["1"] == "it has no mask" and 2 in record["without_normals"]
     before, after = (load_poses(subject / f"poses{x}.npz")[0] for x in ("", "_refined"))

@@ -130,7 +130,7 @@ def test_the_steps_run_one_after_the_other(tmp_path, cli, monkeypatch):
 
 
 def test_readmes_program_leads_from_a_video_to_an_avatar(tmp_path, subject, monkeypatch):
-    """On a tiny subject, whose folder is there already, with options that make it quick.
+    """On a tiny subject that was prepared before, with options that make it quick.
 
     The examples of the steps are skipped in test_examples.py: here is what they need.
     """

@@ -48,7 +48,7 @@ from gva_mi.mesh.surface import vertex_normals
 # Metres, of eq. 1 and 2.
 FINGER_REACH = 0.004  # chosen: half the thickness of a finger
 ARMPIT_REACH = 0.015  # chosen: flaps bulged by 5 cm
-BARE_REACH = 0.006  # chosen: farther off, forearms grow shards
+BARE_REACH = 0.006  # chosen on a rendered person in a dress: farther off, arms grow shards
 HAIR_REACH, BODY_REACH = 0.03, 0.01  # chosen: masks miss soft hair by centimetres, clothes by less
 MAX_THICKNESS = 0.008  # chosen: less than BODY_REACH
 # Product of the weights of trunk and arm in an armpit. Chosen: 0.25 where both are equal, and it
@@ -87,7 +87,7 @@ class Held:
     """
 
     def __init__(self, rig: Rig, bare_skin: bool = False) -> None:
-        """Find the parts; with ``bare_skin``, vertices that no clothes displaced are bare."""
+        """Find the parts; with ``bare_skin``, arms that no clothes displaced are bare."""
         from scipy.spatial import cKDTree
 
         normals = vertex_normals(rig.vertices, rig.faces)

@@ -42,7 +42,7 @@ from gva_mi.synthetic.person.surface import PersonSurface
 from gva_mi.synthetic.person.texture import Material
 from gva_mi.synthetic.pictures.render import faces_seen
 
-BINS = 16  # cells a channel; chosen: pictures of a few people fill them
+BINS = 16  # cells a channel; chosen: the pixels of one material fill its cells
 SMOOTHING = 1.0  # cells, the standard deviation that histograms are smoothed with
 SURE = 3.0  # ratio of densities; chosen: fewer than 1 in 4 colours is mistaken
 INSIDE = 2  # pixels; chosen: poses in the avatar's world are off by about as much
@@ -64,7 +64,7 @@ def foreign_figures(
         alignment: the name of that, for the figures.
     """
     if not (subject / SYNTH).is_file() or recorded_options(subject)[1].figure == "anny":
-        return  # its body has other vertices
+        return  # an "anny" has other vertices than the fitted body
     person, drawn_on = remake_subject(subject, body)
     frames = [k for k in range(len(true)) if k not in true.absent]
     seen = [materials_of(person, drawn_on, frame) for frame in true.frames(frames)]

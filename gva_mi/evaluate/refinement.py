@@ -234,7 +234,7 @@ def describe(measured: MeasuredRefinement) -> Iterator[str]:
     video, refined = measured.video, measured.refined
     if measured.truth_problem:
         yield f"{measured.truth_problem}; the refinement is not measured"
-    if video.normals is None and video.kind != VIDEO_KIND:  # whoever films has none
+    if video.normals is None and video.kind != VIDEO_KIND:  # a phone records none
         yield f"{video.folder}: no normals, the refinement used the silhouettes alone"
     yield from kept_poses(video, refined.kept, "stage-1 pose")
     for limbs, frames in refined.swapped.items():

@@ -290,7 +290,7 @@ def _problems(video: Video) -> list[Problem]:
 
 
 def _findings(problems: Sequence[Problem], frames: int) -> Section:
-    """List what went wrong with a video of some frames, and what to do about it."""
+    """List what is wrong with a video, and what to do about it."""
     if not problems:
         return Section("Nothing to film better")
     rows = [(f"{p.what}{p.place(frames)}: {p.figure}", p.cause, p.remedy) for p in problems]

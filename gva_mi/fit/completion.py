@@ -25,7 +25,7 @@ and, where b_i is not zero, a guessed colour h_i,
 * on the back of a head: the colour of its highest part that frames show, hair or a hat,
 * on chest and back: the median of what frames show at that height. A shirt is red all around, but
   its print is on one side,
-* on arms: the median of what frames show of both arms at that distance from the shoulder.
+* on arms and hands: the median of what frames show of both at that distance from the middle.
 
 So the far arm of a person who only walks past takes the colours of the near arm, the back of a
 person who never turns takes the colours of the front, and the inner side of an arm that hangs on a
@@ -155,7 +155,7 @@ class Places:
         skull: (N,) bool, of the head above its joint, which is between the ears.
         trunk: (N,) bool, from the hips to the collars.
         limbs: (N,) bool, arms and legs.
-        arms: (N,) bool, from the shoulders to the wrists.
+        arms: (N,) bool, with hands.
     """
 
     points: np.ndarray

@@ -22,12 +22,11 @@ from torch import Tensor
 from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.splat import Camera, Gaussians, render
 
-# r₀, metres. Chosen: within half of it a contact teaches nothing, and poses of phone
-# videos are off by as much.
+# r₀, metres. Chosen on three rendered persons: within half of it a contact teaches nothing, and
+# poses of phone videos are off by as much.
 CONTACT_REACH = 0.05
-CONTACT_APART = (
-    0.1  # metres at rest, of a contact; chosen: more than from one side of a wrist to the other
-)
+# Metres at rest between the places of a contact. Chosen: more than across a wrist.
+CONTACT_APART = 0.1
 
 
 @torch.no_grad()
@@ -50,12 +49,12 @@ def clearance(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
     alpha = image.alpha.numpy()
     rest = image.color.numpy() / np.maximum(alpha, 0.5)[..., None]
     contact = np.zeros(alpha.shape, bool)
-    for axis in (0, 1):  # the neighbours on both sides, because a pixel may mix two places
-        (a, alpha_a), (b, alpha_b) = (
-            (np.roll(rest, k, axis), np.roll(alpha, k, axis)) for k in (-1, 1)
-        )
-        solid = np.minimum(alpha_a, alpha_b) > 0.5
-        contact |= solid & (np.linalg.norm(a - b, axis=2) > CONTACT_APART)
+    for one, middle, other in (
+        (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
+        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
+    ):  # the neighbours on both sides of a pixel, which may itself mix two places
+        solid = np.minimum(alpha[one], alpha[other]) > 0.5
+        contact[middle] |= solid & (np.linalg.norm(rest[one] - rest[other], axis=2) > CONTACT_APART)
     if not contact.any():
         return torch.full((len(places),), torch.inf)
     pixels = distance_transform_edt(~contact)

@@ -21,7 +21,7 @@ and the medians m of χ and g of log G over cheeks, nose and mouth, a vertex loo
     3. max |χ - m| < SKIN_CHROMA    and    |log G - g| < SKIN_BRIGHTNESS
 
 A limb is bare where most vertices of BARE_ROWS successive rows look like skin. Cloth in the colour
-of the skin counts as skin. If no frame shows the face, no limb is bare.
+of the skin counts as skin. If the face never looks toward the camera, no limb is bare.
 
 Where parts touch in the pictures, an arm beside the trunk looks like clothes of the trunk. Clothes
 show where the surface is the outline of the person or of a part, so a vertex v knows them from
@@ -46,7 +46,7 @@ from torch.nn.functional import normalize
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.held import arm_weights
-from gva_mi.body.pose import JOINTS, SIDES, Shape
+from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.fit.contacts import contact_free
 from gva_mi.mesh.mesh_scene import seen_vertices
@@ -57,7 +57,7 @@ from gva_mi.subject.video import Frame, Video
 UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
 VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
 CLOTHES_SMOOTHNESS = 0.05  # μ of eq. 5; chosen: a vertex that a few frames tell keeps its clothes
-CLOTHES_FRAMES = 32  # at most, of eq. 4
+SOME_FRAMES = 32  # at most, of eq. 4, and in which the face is looked for
 FAINT = 1e-6  # of the mean of e, so that eq. 5 has one solution
 MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
 
@@ -103,32 +103,33 @@ def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tens
     return image[row, column], (mask * inside * facing.clamp_min(0).square())[:, None]
 
 
-# Of eq. 3. Chosen: tan and shading of one person's skin lie within, cloths in other colours do not.
+# Of eq. 3. Chosen on three rendered persons: tan and shading of one person's skin lie within, and
+# cloths in other colours do not.
 SKIN_CHROMA = 0.2
 SKIN_BRIGHTNESS = 1.0  # a factor of e: from light to shade
 BARE_ROWS = 5  # a shorter stretch is a pattern or a shadow
 LIMB_ROW = 0.02  # metres along a limb, of one row of vertices; chosen: a row has some 20 of them
 DARKEST = 0.01  # of a channel, so that it has a logarithm; chosen: below any skin
-CUFF = (
-    0.04  # metres over which bareness falls to zero at a sleeve; chosen: soft, shorter than a cuff
-)
+CUFF = 0.04  # metres over which bareness falls to zero at a sleeve; chosen: shorter than a cuff
+TOWARD_CAMERA = 0.3  # mean cosine of a face that a frame shows; chosen: within some 70 degrees
 
 
 @torch.no_grad()
-def bare_skin(colors: Tensor, body: BodyModel, shape: Shape) -> Tensor:
+def bare_skin(colors: Tensor, video: Video, body: BodyModel) -> Tensor:
     """Return how bare each vertex of arms and legs is, (V,) in [0, 1]; 0 elsewhere.
 
     Args:
         colors: (V, 3) of the vertices, sRGB in [0, 1]: :func:`seen_colors`.
+        video: of which training frames must show the face.
         body: the body model.
-        shape: of the person.
     """
-    rest = body.rest(shape)
+    rest, found = body.rest(video.shape), torch.zeros(len(colors))
     chroma, bright = _chroma(colors)
     face = _face(body, rest)
+    if not any(_looks_here(video, k, body, face) for k in spread(video.splits.train, SOME_FRAMES)):
+        return found
     like_skin = (chroma - chroma[face].median(0).values).abs().amax(1) < SKIN_CHROMA
     like_skin &= (bright - bright[face].median()).abs() < SKIN_BRIGHTNESS
-    found = torch.zeros(len(colors))
     for side, sign in zip(SIDES, (1, -1), strict=True):  # the left is at x > 0
         at = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
         arm = (arm_weights(body.weights) > 0.5) & (sign * rest.vertices[:, 0] > 0)
@@ -146,6 +147,14 @@ def _face(body: BodyModel, rest: Rest) -> Tensor:
     x, y, z = ((rest.vertices - (left + right) / 2) / (left - right).norm()).T  # eyes 1 apart
     head = body.weights[:, [JOINTS.index("head"), JOINTS.index("jaw")]].sum(1) > 0.5
     return head & (x.abs() < 1) & (y < -0.2) & (y > -1.2) & (z > -1)
+
+
+def _looks_here(video: Video, frame: int, body: BodyModel, face: Tensor) -> bool:
+    """Return whether the vertices of the face (V,) bool look toward the camera in a frame."""
+    vertices = body(video.pose[frame], video.shape).vertices[0]
+    eye = torch.tensor(video.cameras[frame].position, dtype=vertices.dtype)
+    toward = normalize(eye - vertices, dim=1) * vertex_normals(vertices, body.faces)
+    return bool(toward[face].sum(1).mean() > TOWARD_CAMERA)
 
 
 def _chroma(colors: Tensor) -> tuple[Tensor, Tensor]:
@@ -181,7 +190,7 @@ def clothes_beside_contacts(video: Video, body: BodyModel, offsets: Tensor) -> T
     on_vertices = AvatarOptions(seed=SeedOptions(count=0))
     avatar = seed_avatar(body, video.shape, offsets, on_vertices)
     told = torch.zeros(len(offsets))
-    for k in spread(video.splits.train, CLOTHES_FRAMES):
+    for k in spread(video.splits.train, SOME_FRAMES):
         pose, camera = video.pose[k], video.cameras[k]
         vertices = body(pose, video.shape, offsets).vertices[0]
         eye = torch.tensor(camera.position, dtype=vertices.dtype)

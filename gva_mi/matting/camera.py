@@ -144,7 +144,7 @@ class ShrunkPicture:
 def camera_motions(
     shrunk: Callable[[int], ShrunkPicture], numbers: Sequence[int]
 ) -> dict[int, np.ndarray | None]:
-    """Return the motion from the middle one of some pictures to each, by its number.
+    """Return the motion from the middle picture to each, by its number.
 
     Each starts from its neighbour's, because a camera moves steadily.
     """

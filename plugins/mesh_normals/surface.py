@@ -95,7 +95,7 @@ class MeshSurface:
         return np.array(dr.compress(dr.norm(self.face_normals) <= least)).astype(np.int64)
 
     def longest_sides(self, flat: np.ndarray) -> np.ndarray:
-        """Return the longest side of those of some faces that have three corners, longest first."""
+        """Return the longest sides of faces that have three corners, longest first."""
         if len(flat) == 0:
             return flat
         points = np.stack([np.array(point)[flat] for point in self.topology.points], axis=1)

@@ -21,7 +21,7 @@ from gva_mi.fit.completion import (
 from gva_mi.fit.contacts import CONTACT_REACH, clearance
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat import Camera
+from gva_mi.splat import Camera, render
 from gva_mi.subject.video import load_video
 
 NOISE = 2.0  # of colours that no frame shows
@@ -118,6 +118,19 @@ def test_a_contact_is_where_places_meet_in_the_picture_that_lie_apart_at_rest(al
     head = head_weights(G.weights) > 0.5
     assert touching[hand].min() < 0.02  # beside the hip
     assert touching[head].min() > 0.1 and touching[foot].min() > 0.1
+
+
+@torch.no_grad()
+def test_the_opposite_edges_of_a_picture_do_not_touch(alike, sharp):
+    """A picture of the trunk alone is cut by its upper and lower edge, and has no contact."""
+    avatar, _ = alike
+    means = avatar.canonical.means
+    rows = sharp.project(means.double().numpy())[:, 1]
+    top, bottom = int(np.quantile(rows, 0.3)), int(np.quantile(rows, 0.9))
+    cut = sharp.cropped(0, top, sharp.width, bottom - top)
+    alpha = render(avatar(hanging(0.0)), cut).alpha
+    assert alpha[0].max() > 0.9 and alpha[-1].max() > 0.9
+    assert clearance(avatar(hanging(0.0)), means, cut).isinf().all()
 
 
 def test_an_arm_that_hangs_on_the_trunk_does_not_keep_the_colors_of_the_contact(

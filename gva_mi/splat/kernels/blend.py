@@ -34,10 +34,12 @@ from gva_mi.splat.kernels.tile_memory import (
     Memory,
     Place,
     Planes,
+    Rows,
     SavedPixels,
     TileIterator,
     Window,
     for_each_part,
+    for_each_row,
     load_pixels,
     load_splat,
     store_pixels,
@@ -178,29 +180,40 @@ def blend_adjoint(
 
     back = lambda k, j: (k - (j + 1), k > lists.start + j)
     iterator = TileIterator(splats, format, lists.ids, back, UNROLL_ADJOINT)
+    unpack = PairGradient.unpack
+    memory = store_pixels([pixel.fields() for pixel in tile], WIDTH)
+    given = store_pixels([[end, *g] for end, g in zip(ends, by_y, strict=True)], WIDTH)
 
-    def body(k: Array, *state: Array) -> tuple[Array, ...]:
-        gaussians, ahead = iterator.next(k, state[: iterator.length])
-        tile = PixelAdjoint.of_state(state[iterator.length :])
-        for turn, g in enumerate(gaussians):
-            (here, real), sums = back(k, turn), PairGradientSums(slot_format)
-            for j in range(HEIGHT):
+    def body(k: Array, memory: Memory, given: Memory, *ahead: Array) -> tuple:
+        gaussians, ahead = iterator.next(k, ahead)
+        here, real = zip(*(back(k, turn) for turn in range(UNROLL_ADJOINT)), strict=True)
+
+        def step(j: Array, pixels: Rows, given: Rows, sums: Rows) -> tuple[Rows, Rows]:
+            row_of_pixels, out = [PixelAdjoint(*fields) for fields in pixels], []
+            for turn, g in enumerate(gaussians):
                 row, v = PixelRow.of(g, window.x, window.y, j), [None] * WIDTH
-                for column in MIRRORED:
-                    i = j * WIDTH + column
-                    alpha = Alpha.at(row, PLACES[column], options, here < ends[i])
-                    tile[i], v[column], weight = tile[i].step_back(
-                        alpha, g.features, by_y[i], options
+                total = PairGradientSums(unpack(sums[turn], slot_format), slot_format)
+                for i in MIRRORED:
+                    end, *by_y = given[i]
+                    alpha = Alpha.at(row, PLACES[i], options, here[turn] < end)
+                    row_of_pixels[i], v[i], weight = row_of_pixels[i].step_back(
+                        alpha, g.features, by_y, options
                     )
-                    sums.add_pixel(g, alpha, v[column], weight, by_y[i])
+                    total.add_pixel(g, alpha, v[i], weight, by_y)
                 if slot_format.moments:
-                    sums.add_row(row, v)
-            packets.store(slots, sums.slot(), here, real)
+                    total.add_row(row, v)
+                out.append(total.slot().pack())
+            return [pixel.fields() for pixel in row_of_pixels], out
+
+        zeros = [[window.x * 0] * PairGradient.columns(slot_format)] * UNROLL_ADJOINT
+        memory, given, sums = for_each_row(step, memory, given, zeros, F)
+        for turn, columns in enumerate(sums):
+            packets.store(slots, unpack(columns, slot_format), here[turn], real[turn])
         k = dr.select(k > UNROLL_ADJOINT, k - UNROLL_ADJOINT, 0)
-        return (k, *ahead, *PixelAdjoint.state(tile))
+        return (k, memory, given, *ahead)
 
     last, start = U(lists.end), lists.start
-    state = (last, *iterator.begin(last), *PixelAdjoint.state(tile))
+    state = (last, memory, given, *iterator.begin(last))
     dr.while_loop(state, lambda k, *_: k > start, body, mode="symbolic", compress=False)
     dr.eval(slots, grad_background)
     return slots, grad_background
@@ -284,21 +297,18 @@ def _gradient_of_sums(
 
 
 class PairGradientSums:
-    """Accumulates eq. 16 of one pair over the tile's pixels; None is a zero."""
+    """Accumulates eq. 16 of one pair over the tile's pixels, from sums so far."""
 
-    def __init__(self, format: RecordFormat) -> None:
-        self.m0: Array | None = None
-        self.m1 = Vec2(None, None) if format.moments else None
-        self.m2 = Sym2(None, None, None) if format.moments else None
-        self.absolute = Vec2(None, None) if format.absolute else None
-        self.grad_f: list[Array | None] = [None] * (format.channels + format.depth)
+    def __init__(self, sums: PairGradient, format: RecordFormat) -> None:
+        self.m0, self.m1, self.m2, self.absolute = sums.m0, sums.m1, sums.m2, sums.absolute
+        self.grad_f = [*sums.color, *([sums.depth] if format.depth else [])]
         self.format = format
 
     def add_pixel(self, g: Splat, alpha: Alpha, v: Array, weight: Array, by_y: list[Array]) -> None:
         """Add one pixel's share of grad_f and of the absolute sums."""
         channels, depth = self.format.channels, self.format.depth
         for c, by_feature in enumerate([*by_y[:channels], *by_y[len(by_y) - depth :]]):
-            self.grad_f[c] = _fma(weight, by_feature, self.grad_f[c])
+            self.grad_f[c] = dr.fma(weight, by_feature, self.grad_f[c])
         if self.absolute is not None:
             by_u_y = g.q * alpha.wx + g.r * alpha.wy
             self.absolute = self.absolute + Vec2(dr.abs(v * alpha.wx), dr.abs(v * by_u_y))
@@ -315,12 +325,12 @@ class PairGradientSums:
             s0, s1, s2 = plus(s0, both), _fma(difference, e, s1), _fma(both, e * e, s2)
         ps1 = row.p * s1
         sx, sy = dr.fma(row.middle, s0, ps1), s0 * row.wy  # sums of v w_x and v w_y
-        self.m0 = plus(self.m0, s0)
+        self.m0 = self.m0 + s0
         self.m1 = self.m1 + Vec2(sx, sy)
         self.m2 = Sym2(
-            plus(self.m2.xx, dr.fma(row.middle, sx + ps1, row.p * row.p * s2)),
-            _fma(sx, row.wy, self.m2.xy),
-            _fma(sy, row.wy, self.m2.yy),
+            self.m2.xx + dr.fma(row.middle, sx + ps1, row.p * row.p * s2),
+            dr.fma(sx, row.wy, self.m2.xy),
+            dr.fma(sy, row.wy, self.m2.yy),
         )
 
     def slot(self) -> PairGradient:

@@ -75,7 +75,7 @@ class PixelRow:
     base: Array  # lo - w_y^2
 
     @staticmethod
-    def of(g: Splat, x: Array, y: Array, j: int) -> PixelRow:
+    def of(g: Splat, x: Array, y: Array, j: Array | int) -> PixelRow:
         """Row ``j`` of the tile whose left upper corner is (x, y), px."""
         dy = y - g.u.y + (j + 0.5)
         wy = g.r * dy
@@ -159,7 +159,7 @@ class PixelAdjoint:
     """State of one pixel, from back to front."""
 
     T: Array  # transmittance behind the Gaussian that comes next
-    B: Array | None  # what lies there, times g; None if no v is needed
+    B: Array | None = None  # what lies there, times g; None if no v is needed
 
     def step_back(
         self, alpha: Alpha, f: list[Array], g: list[Array], options: SplatOptions
@@ -175,24 +175,16 @@ class PixelAdjoint:
         T = self.T / (1 - alpha.value)
         weight = T * alpha.value
         if self.B is None:
-            return PixelAdjoint(T, None), None, weight
+            return PixelAdjoint(T), None, weight
         apart = -self.B  # f . g - B
         for c in range(len(g)):
             apart = dr.fma(f[c], g[c], apart)
         v = dr.select(alpha.free <= options.alpha_max, weight * apart, 0)
         return PixelAdjoint(T, dr.fma(alpha.value, apart, self.B)), v, weight
 
-    @staticmethod
-    def state(pixels: list[PixelAdjoint]) -> list[Array]:
-        """Flatten the pixels of a tile to the loop's variables."""
-        B = [pixel.B for pixel in pixels if pixel.B is not None]
-        return [*(pixel.T for pixel in pixels), *B]
-
-    @staticmethod
-    def of_state(state: Sequence[Array]) -> list[PixelAdjoint]:
-        """The reverse of :meth:`state`."""
-        B = state[PIXELS:] or [None] * PIXELS
-        return [PixelAdjoint(state[i], B[i]) for i in range(PIXELS)]
+    def fields(self) -> list[Array]:
+        """Return T, and B if there is one."""
+        return [self.T] if self.B is None else [self.T, self.B]
 
 
 @dataclass(frozen=True)

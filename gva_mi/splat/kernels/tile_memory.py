@@ -190,27 +190,35 @@ PART = 4  # neighbouring pixels of a row: chosen, their state fits into the regi
 PARTS = PIXELS // PART
 PER_ROW = WIDTH // PART
 
-Memory = list[dr.Local]  # a tile's numbers: of the PART pixels of each part, field by field
+Memory = list[dr.Local]  # a tile's numbers, ``width`` pixels at a time, field by field
 Place = tuple[Array, list[Array]]  # of a part's pixels: their row in the tile, places in the row
+Rows = list[list[Array]]  # the fields of some pixels, or the columns of some records
 
 
-def store_pixels(pixels: list[list[Array]]) -> Memory:
-    """Copy the fields of a tile's pixels to local memory."""
+def store_pixels(pixels: Rows, width: int = PART) -> Memory:
+    """Copy the fields of a tile's pixels to local memory, in parts of ``width`` pixels."""
     memory = []
-    for place in range(PART):
-        for field in zip(*pixels[place::PART], strict=True):
-            local = dr.alloc_local(type(field[0]), PARTS, field[0])
+    for place in range(width):
+        for field in zip(*pixels[place::width], strict=True):
+            local = dr.alloc_local(type(field[0]), len(field), field[0])
             for part, number in enumerate(field):
                 local[part] = number
             memory.append(local)
     return memory
 
 
-def load_pixels(memory: Memory, part: Array | int) -> list[list[Array]]:
+def load_pixels(memory: Memory, part: Array | int, width: int = PART) -> Rows:
     """Return the fields of each pixel of a part."""
-    fields = len(memory) // PART
+    fields = len(memory) // width
     numbers = [local[part] for local in memory]
-    return [numbers[i * fields : (i + 1) * fields] for i in range(PART)]
+    return [numbers[i * fields : (i + 1) * fields] for i in range(width)]
+
+
+def _replace_pixels(memory: Memory, part: Array, pixels: Rows) -> None:
+    """Store the fields of each pixel of a part."""
+    numbers = [number for fields in pixels for number in fields]
+    for local, number in zip(memory, numbers, strict=True):
+        local[part] = number
 
 
 def for_each_part(
@@ -232,9 +240,7 @@ def for_each_part(
         pixels = [Pixel(T, end, y) for T, end, *y in load_pixels(memory, part)]
         within = [number for (number,) in load_pixels(limits, part)] if limits else []
         pixels = step((F(row), [left + e for e in PLACES[:PART]]), pixels, within)
-        numbers = [number for p in pixels for number in (p.T, p.end, *p.y)]
-        for local, number in zip(memory, numbers, strict=True):
-            local[part] = number
+        _replace_pixels(memory, part, [[p.T, p.end, *p.y] for p in pixels])
         for pixel in pixels:
             greatest = larger(greatest, pixel.T)
         return part + 1, greatest, memory, limits
@@ -242,3 +248,33 @@ def for_each_part(
     state = (U(0), F(-1), memory, limits)
     last = dr.while_loop(state, lambda part, *_: part < PARTS, body, mode="symbolic")
     return last[2], last[3], last[1]
+
+
+def for_each_row(
+    step: Callable[[Array, Rows, Rows, Rows], tuple[Rows, Rows]],
+    memory: Memory,
+    given: Memory,
+    sums: Rows,
+    F: type,
+) -> tuple[Memory, Memory, Rows]:
+    """Replace each row's pixels, and the sums, by ``step(j, pixels, given, sums)``.
+
+    Args:
+        step: of row j, with the fields of its pixels.
+        memory, given: stored in parts of a row; ``given`` does not change.
+        sums: columns of records before the first row.
+        F: the type of the numbers.
+
+    Returns:
+        ``memory``, ``given`` and the sums after the last row.
+    """
+    U = dr.uint32_array_t(F)
+
+    def body(j: Array, memory: Memory, given: Memory, sums: Rows) -> tuple:
+        pixels, constants = load_pixels(memory, j, WIDTH), load_pixels(given, j, WIDTH)
+        pixels, sums = step(F(j), pixels, constants, sums)
+        _replace_pixels(memory, j, pixels)
+        return j + 1, memory, given, sums
+
+    state = (U(0), memory, given, sums)
+    return dr.while_loop(state, lambda j, *_: j < HEIGHT, body, mode="symbolic")[1:]

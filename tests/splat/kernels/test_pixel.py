@@ -16,7 +16,7 @@ from gva_mi.splat.kernels.pixel import (
     exp2,
     w_tangent,
 )
-from gva_mi.splat.kernels.records import RecordFormat, Splat
+from gva_mi.splat.kernels.records import PairGradient, RecordFormat, Splat
 from gva_mi.splat.kernels.tiles import WIDTH
 from gva_mi.splat.kernels.vectors import Vec2
 from gva_mi.splat.options import SplatOptions
@@ -150,7 +150,9 @@ def test_the_sums_of_a_slot_are_equation_16():
     v = [Float64(rng.normal(size=N)) for _ in range(WIDTH)]
     by_y = [[Float64(rng.normal(size=N)) for _ in range(D)] for _ in range(WIDTH)]
     weight = [Float64(rng.uniform(size=N)) for _ in range(WIDTH)]
-    sums = PairGradientSums(RecordFormat(D, depth=False, absolute=True))
+    format = RecordFormat(D, depth=False, absolute=True)
+    zeros = [Float64(0)] * PairGradient.columns(format)
+    sums = PairGradientSums(PairGradient.unpack(zeros, format), format)
     for i in range(WIDTH):
         sums.add_pixel(g, at(g, i, j), v[i], weight[i], by_y[i])
     sums.add_row(row, v)

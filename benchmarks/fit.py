@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.timing import WARM_UP, Clock, Table, Timing
-from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.reinit import reinitialise
 from gva_mi.body.pose import Pose, Shape
@@ -24,7 +24,7 @@ from gva_mi.core.cpu import one_torch_thread
 from gva_mi.fit.losses import render_losses
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import rand_vgg_loss
-from gva_mi.fit.renders import AVATAR_SPLATTING, render_frame
+from gva_mi.fit.renders import render_frame
 from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
 from gva_mi.splat import Camera, Screen, look_at, render

@@ -8,7 +8,8 @@
     integrator = mi.load_dict({"type": "mesh_normals"})
 
 ``mesh_normals/`` renders normals and silhouettes of meshes, ``gaussian_splat/`` the Gaussians of a
-scene; each package's docstring lists its files.
+scene, which the scene's light may reach by the sensors ``behind_person`` and ``onto_surface``; each
+package's docstring lists its files.
 
 Importing this package loads no plugin. Mitsuba's types exist only after a variant is set, therefore
 :func:`register` loads the plugin files.
@@ -22,7 +23,7 @@ __all__ = ["register"]
 
 
 def register() -> None:
-    """Register the integrators ``mesh_normals`` and ``gaussian_splat`` with Mitsuba.
+    """Register the integrators ``mesh_normals`` and ``gaussian_splat``, and two sensors.
 
     Call it after ``mi.set_variant`` with a differentiable variant (``llvm_ad_rgb``), and again
     after a change to another one: Mitsuba keeps its plugins by variant. A second call is harmless.
@@ -49,13 +50,15 @@ def register() -> None:
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
     from gva_mi_plugins.gaussian_splat import integrator as gaussian_splat
+    from gva_mi_plugins.gaussian_splat import lighting, sensors
     from gva_mi_plugins.mesh_normals import integrator as mesh_normals
 
-    # Mitsuba makes its base class anew for every variant, so the two modules that derive from it
+    # Mitsuba makes its base classes anew for every variant, so the modules that derive from them
     # run again. All others look Mitsuba's types up when they are called.
-    base = mi.ad.integrators.common.ADIntegrator
-    if not issubclass(mesh_normals.MeshNormals, base):
-        importlib.reload(gaussian_splat)
-        importlib.reload(mesh_normals)
+    if not issubclass(mesh_normals.MeshNormals, mi.ad.integrators.common.ADIntegrator):
+        for module in (sensors, lighting, gaussian_splat, mesh_normals):
+            importlib.reload(module)
+    mi.register_sensor("behind_person", sensors.BehindPerson)
+    mi.register_sensor("onto_surface", sensors.OntoSurface)
     mi.register_integrator("gaussian_splat", gaussian_splat.GaussianSplat)
     mi.register_integrator("mesh_normals", mesh_normals.MeshNormals)

@@ -21,7 +21,8 @@ TREES = {name: ast.parse(path.read_text()) for name, path in MODULES.items()}
 OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "jinja2", "PIL",
             "scipy", "viser", "transformers", "onnxruntime", "ai_edge_litert"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
-    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck"),
+    "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
+                "gva_mi.avatar.stage"),
     "pymeshlab": ("gva_mi.avatar", "gva_mi.mesh.surface"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.networks",),
@@ -32,7 +33,7 @@ HOMES = {  # packages that only some modules may import
 CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle
     "forward", "backward", "jvp", "vmap", "setup_context", "eval",
     "render", "render_forward", "render_backward", "aov_names", "to_string",
-    "sample", "find_class", "persistent_load",
+    "sample", "sample_ray", "sample_ray_differential", "traverse", "find_class", "persistent_load",
 }  # fmt: skip
 
 

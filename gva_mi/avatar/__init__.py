@@ -1,6 +1,6 @@
 """Avatars: canonical Gaussians on a skeleton, their density control and re-initialisation.
 
-===================  ===============================================================
+===================  ===================================================================
 ``avatar``           ``Avatar``: from a pose to plain Gaussians; start here
 ``canonical``        canonical Gaussians: the learned surface in the rest pose
 ``rig``              the rest body, and the skin that clothes and hair follow
@@ -12,9 +12,11 @@
 ``surface``          a closed surface around the Gaussians
 ``reinit``           Gaussians put back on this surface (Sec. 4.3)
 ``held``             Gaussians kept near the body and its clothes
+``proxy``            the outer skin as a mesh that moves with the Gaussians
+``stage``            ``Stage``: an avatar in a Mitsuba scene, with shadows and the scene's light
 ``export``           surface and poses for other programs
 ``without_body``     an avatar's file without the licensed body model
-===================  ===============================================================
+===================  ===================================================================
 """
 
 from gva_mi.avatar.avatar import seed_avatar

@@ -28,11 +28,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.held import arm_weights
 from gva_mi.body.smplx import BodyModel
 from gva_mi.evaluate.figures import Figure
-from gva_mi.fit.renders import AVATAR_SPLATTING, cut_out, render_frame
+from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.splat import render
 from gva_mi.subject.folder import SYNTH
 from gva_mi.subject.video import Frame, Video

@@ -43,11 +43,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.held import arm_weights, head_weights
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.fit.contacts import contact_free
-from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera, render

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.fit.renders import AVATAR_SPLATTING
+from gva_mi.avatar.avatar import AVATAR_SPLATTING
 from gva_mi.splat import Camera, Gaussians, render
 
 # r₀, metres. Chosen on three rendered persons: within half of it a contact teaches nothing, and

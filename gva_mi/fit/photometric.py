@@ -52,7 +52,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress, part_of_progress
@@ -62,7 +62,6 @@ from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
-from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut, join

@@ -18,14 +18,14 @@ from typing import Annotated, Literal
 import numpy as np
 import torch
 
-from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
 from gva_mi.core.console import Progress
 from gva_mi.core.options import PythonOnly, Within, options_of
-from gva_mi.splat import Camera, Gaussians, SplatOptions, look_at, render
+from gva_mi.splat import Camera, Gaussians, look_at, render
 from gva_mi.subject.pictures import MOST_PIXELS, in_8_bits, require_size
 from gva_mi.subject.video import Frame
 
@@ -137,9 +137,6 @@ def cylinder(rig: Rig, motion: Pose) -> UprightCylinder:
     return UprightCylinder(middle @ axes, up, front, radius, float(high[1] - low[1]))
 
 
-# How all avatars are splatted. Blur in pixels², chosen: the area of a pixel has a variance of 1/12,
-# and the 0.3 of 3DGS makes outlines wider than in pictures.
-AVATAR_SPLATTING = SplatOptions(blur=0.1, depth=False)
 WHITE = (1.0, 1.0, 1.0)
 
 

@@ -270,6 +270,17 @@ def load_snapshots(out: Path) -> Iterator[Snapshot]:
         yield Snapshot(step, before, after)
 
 
+def last_surface(run: Path) -> SurfaceMesh | None:
+    """Read the surface of a run's last re-initialisation; None if it has none, or is a file."""
+    found = sorted((run / REINIT).glob("[!.]*.npz"))
+    if not found:
+        return None
+    expected = "the surface of a re-initialisation"
+    arrays = read_arrays(found[-1], expected)
+    with expecting(found[-1], expected):
+        return SurfaceMesh(arrays["vertices"].astype(float), arrays["faces"].astype(np.int64))
+
+
 def load_history(out: Path) -> dict[str, np.ndarray]:
     """Read the history of a run: columns (steps,) by name."""
     return read_arrays(out / HISTORY, "the history of a finished fit")

@@ -44,7 +44,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar, seed_avatar
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar, seed_avatar
 from gva_mi.avatar.densify import ScreenGradients, densify, replace_gaussians
 from gva_mi.avatar.held import Held
 from gva_mi.avatar.reinit import reinitialise
@@ -61,7 +61,6 @@ from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, smallest_pixel, torch_state
 from gva_mi.splat import Screen, render
 from gva_mi.subject.video import Video

@@ -26,7 +26,8 @@ from gva_mi.splat.options import SplatOptions
 
 Tensor = TypeVar("Tensor", bound=Array)
 _DEFAULTS = SplatOptions()
-NAMES = ("means", "quats", "scales", "opacities", "colors")  # of what is differentiated
+# Of what is differentiated. Of quats with scales, and covars, one form is None; sh is in colors.
+NAMES = ("means", "quats", "scales", "covars", "opacities", "colors")
 
 
 @exclusive
@@ -75,8 +76,6 @@ def render(
         ((8, 8, 3), True)
     """
     arrays = gaussians.arrays()
-    if gaussians.covars is not None:
-        raise ValueError("render(): covars are taken as torch tensors; give quats and scales")
     kind = type(gaussians.means)
     on_llvm = dr.is_tensor_v(kind) and dr.backend_v(kind) is dr.JitBackend.LLVM
     for name, tensor in arrays.items():
@@ -102,8 +101,9 @@ def render(
         raise ValueError(f"render(): depth_limit must be a {kind.__name__} of shape {shape}")
     limit = None if depth_limit is None else dr.detach(depth_limit)
     constants = lambda: (gaussians.sh is not None, camera, options, limit)
+    parts = arrays | {"colors": arrays.get("sh", gaussians.colors)}
     try:
-        images = dr.custom(_Render, *arrays.values(), background, *camera.tensors, constants)
+        images = dr.custom(_Render, *map(parts.get, NAMES), background, *camera.tensors, constants)
     except RuntimeError as error:  # dr.custom wraps what the checks within raise
         if isinstance(error.__cause__, ValueError):
             raise error.__cause__ from None
@@ -121,8 +121,9 @@ class _Render(dr.CustomOp):
     def eval(
         self,
         means: Array,
-        quats: Array,
-        scales: Array,
+        quats: Array | None,
+        scales: Array | None,
+        covars: Array | None,
         opacities: Array,
         colors: Array,
         background: Array,
@@ -131,7 +132,8 @@ class _Render(dr.CustomOp):
         constants: Callable[[], tuple[bool, Camera, SplatOptions, Array]],
     ) -> tuple[Array, ...]:
         harmonics, camera, options, limit = constants()
-        parts = dict(zip(NAMES, (means, quats, scales, opacities, colors), strict=True))
+        parts = zip(NAMES, (means, quats, scales, covars, opacities, colors), strict=True)
+        parts = {name: part for name, part in parts if part is not None}
         self.kind, self.shapes = type(means), {k: part.shape for k, part in parts.items()}
         given = CameraTensors(T_camera_world, K)._asdict()
         self.matrices = [name for name, matrix in given.items() if matrix is not None]
@@ -163,7 +165,7 @@ class _Render(dr.CustomOp):
 
     @exclusive
     def forward(self) -> None:
-        flat = {k: dr.detach(self.grad_in(k).array, preserve_type=False) for k in NAMES}
+        flat = {k: dr.detach(self.grad_in(k).array, preserve_type=False) for k in self.shapes}
         matrices = {"T_camera_world": np.zeros((4, 4)), "K": np.zeros((3, 3))}
         matrices |= {name: _numpy(self.grad_in(name)) for name in self.matrices}
         tangents = Inputs.of_named(flat)

@@ -249,14 +249,14 @@ class OtherShapes:
     sensor: mi.Sensor
 
     @staticmethod
-    def of(scene: mi.Scene, sensor: mi.Sensor) -> OtherShapes:
-        """Collect the shapes of a scene that are not ellipsoids.
+    def of(scene: mi.Scene, sensor: mi.Sensor, proxy: mi.Mesh | None = None) -> OtherShapes:
+        """Collect the shapes of a scene that are neither ellipsoids nor their ``proxy``.
 
         Raises:
-            ValueError: there are none.
+            ValueError: there are none, and no proxy.
         """
-        shapes = [shape for shape in scene.shapes() if not shape.is_ellipsoids()]
-        if not shapes:
+        shapes = [s for s in scene.shapes() if not s.is_ellipsoids() and s != proxy]
+        if not shapes and proxy is None:
             raise ValueError("gaussian_splat: meshes is 'depth', and the scene has no mesh")
         emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
         parts = {f"part{i}": part for i, part in enumerate([*shapes, *emitters, sensor])}
@@ -265,14 +265,33 @@ class OtherShapes:
             emitter.set_scene(scene)
         return OtherShapes(others, sensor)
 
-    def image(self, integrator: mi.Integrator, seed: int, spp: int) -> mi.TensorXf:
-        """Render the shapes, (H, W, 3 or 4), with an integrator and its own derivatives."""
-        params = mi.traverse(self.scene)
-        image = mi.render(self.scene, params, self.sensor, integrator, seed=seed, spp=spp)
+    def image(
+        self,
+        integrator: mi.Integrator,
+        seed: int,
+        spp: int,
+        params: mi.SceneParameters | None = None,
+        past: OtherShapes | None = None,
+    ) -> mi.TensorXf:
+        """Render the shapes, (H, W, 3 or 4), with an integrator and its own derivatives.
+
+        Args:
+            integrator: any.
+            seed: of its random numbers.
+            spp: rays per pixel; 0: as the sensor says.
+            params: parameters of the scene, if it was traversed before.
+            past: these shapes without a proxy, which the camera then does not see.
+        """
+        sensor = self.sensor
+        if past is not None:
+            sensor = mi.load_dict({"type": "behind_person", "sensor": sensor})
+            sensor.others = past.scene
+        params = mi.traverse(self.scene) if params is None else params
+        image = mi.render(self.scene, params, sensor, integrator, seed=seed, spp=spp)
         if image.shape[2] not in (3, 4) or integrator.aov_names():
             raise ValueError(
-                "gaussian_splat: where meshes is 'depth', film and nested integrator must make RGB "
-                f"or RGBA images, got {image.shape[2]} channels {integrator.aov_names()}"
+                "gaussian_splat: where meshes is not 'none', film and nested integrator must make "
+                f"RGB or RGBA images, got {image.shape[2]} channels {integrator.aov_names()}"
             )
         return image
 

@@ -2,8 +2,8 @@
 
 import torch
 
+from gva_mi.avatar.avatar import AVATAR_SPLATTING
 from gva_mi.body.pose import save_poses
-from gva_mi.fit.renders import AVATAR_SPLATTING
 from gva_mi.splat import render
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.pictures import in_8_bits, write_image

@@ -140,7 +140,7 @@ def test_unsupported_scenes_raise(splats):
     with pytest.raises(ValueError, match="no mesh"):
         splats.integrator(meshes="depth").render(scene, view)
     for parameters, message in (
-        ({"meshes": "behind"}, "none or depth"),
+        ({"meshes": "behind"}, "none, depth or lit"),
         ({"nested": {"type": "path"}}, "meshes = 'depth'"),
         ({"meshes": "depth", "background": 0.5}, "environment"),
         ({"blur": -1.0}, "blur"),

@@ -1,0 +1,262 @@
+"""An avatar in a Mitsuba scene, with shadows, reflections, the scene's light, and gradients of all.
+
+1. c_g = 2^e a_g S_g                  Gaussian g: its albedo, and the light on it;  light = "scene"
+         as in the video              light = "kept"
+2. C, α = splat(c), before the depth of the scene's shapes
+3. I   = C + (1 - α) sRGB(2^e L)      L: the scene with the proxy in it, as seen past the proxy
+
+S, the light on Gaussians, and the sensors that see past a proxy and onto it belong to the plugin
+``gaussian_splat`` (``plugins/gaussian_splat/lighting.py`` and ``sensors.py``). e is the exposure in
+stops. The proxy (:mod:`gva_mi.avatar.proxy`) is an ordinary mesh with diffuse vertex colours, so
+any integrator makes its shadows and reflections.
+
+The albedo. A video shows albedo times light. f_0 of a Gaussian, its colour without the light's
+direction (eq. 4 of :mod:`gva_mi.avatar.avatar`), is taken as albedo under a mean light of 1,
+because a video's exposure is unknown; ``exposure`` corrects it.
+
+Limits: surfaces are diffuse; the light is measured at the proxy's vertices, a centimetre apart;
+through glass, and in mirrors, the person is the proxy; hair is opaque in shadows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
+from gva_mi.avatar.proxy import Proxy
+from gva_mi.avatar.reinit import SURFACE_OPACITY
+from gva_mi.avatar.surface import SurfaceMesh
+from gva_mi.body.pose import Pose
+from gva_mi.core.errors import InputError
+from gva_mi.core.options import PythonOnly, Within, options_of
+from gva_mi.jit.frozen import exclusive
+from gva_mi.jit.tensors import to_drjit
+from gva_mi.mesh.mesh_scene import load_plugins
+from gva_mi.splat import Camera, Gaussians
+from gva_mi.splat.drjit_render import render as splat
+from gva_mi.splat.kernels.sh import C0
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+DARKEST, BRIGHTEST = 0.01, 0.95  # albedos of cloth and skin; chosen: black velvet to fresh snow
+VARIANT = "llvm_ad_rgb"
+PERSON = "person"  # the proxy's name among the scene's parameters
+
+
+@options_of("render")
+class StageOptions:
+    """How an avatar stands in a Mitsuba scene."""
+
+    # The person's light: as in the video, or the scene's; shadows and reflections are in both.
+    light: Literal["kept", "scene"] = "kept"
+    # Exposure of what the scene lights.
+    exposure: Annotated[float, Within(-20, 20, unit="stops")] = 0.0
+    # Rays per pixel; 0: as the scene says.
+    spp: Annotated[int, Within(0, 65536)] = 0
+    # Rays per vertex of the person's proxy, which measure the light.
+    bake: PythonOnly[Annotated[int, Within(1, 65536)]] = 32
+
+
+class Stage:
+    """An avatar in a scene.
+
+    Attributes:
+        params: parameters of the scene with the proxy, ``person``, in it. Change them, or enable
+            their gradients, then call ``params.update()``: pictures are attached to them as far as
+            the scene's integrator differentiates (``prb`` and others; see Mitsuba).
+        albedo: (N, 3) ``mi.TensorXf``, linear, of the Gaussians; may be attached too.
+        integrator: the scene's, or ``path``.
+
+    Example:
+        An avatar that was not fitted, on a floor under a white sky.
+
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> from gva_mi.mesh.mesh_scene import sensor_of
+        >>> from gva_mi.splat import Camera, look_at
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> load_plugins()
+        >>> camera = Camera(24.0, 24.0, 16.0, 16.0, look_at((0, 1, 3), (0, 0, 0)), 32, 32)
+        >>> scene = {"type": "scene", "sky": {"type": "constant"}, "sensor": sensor_of(camera)}
+        >>> stage = Stage(scene, avatar, StageOptions("scene", spp=4))
+        >>> picture = stage.render(Pose.rest())
+        >>> picture.shape, round(picture.array[0], 3)  # the sky
+        ((32, 32, 3), 1.0)
+    """
+
+    def __init__(
+        self,
+        scene: mi.Scene | dict[str, Any],
+        avatar: Avatar,
+        options: StageOptions = StageOptions(),  # noqa: B008 (frozen)
+        *,
+        T_scene_avatar: np.ndarray | None = None,
+        surface: SurfaceMesh | None = None,
+    ) -> None:
+        """Put an avatar into a scene.
+
+        Args:
+            scene: a Mitsuba scene or its dictionary, metres, y up, with a sensor, an emitter, and
+                perhaps an integrator.
+            avatar: of a finished fit.
+            options: the form of light, exposure and numbers of rays.
+            T_scene_avatar: (4, 4) rigid, from the world of the avatar's poses to the scene's; None:
+                both are the same.
+            surface: of the avatar's last re-initialisation; see :meth:`Proxy.of`.
+
+        Raises:
+            InputError: the scene has no sensor or no emitter, or another variant than
+                ``llvm_ad_rgb`` is set.
+        """
+        load_plugins()
+        import mitsuba as mi
+        from gva_mi_plugins.gaussian_splat.lighting import ProxyLight, Shares
+        from gva_mi_plugins.gaussian_splat.scene import OtherShapes
+
+        if mi.variant() != VARIANT:
+            raise InputError(
+                f"scene: expected the variant {VARIANT}, mi.variant() is {mi.variant()}"
+            )
+        scene = mi.load_dict(scene) if isinstance(scene, dict) else scene
+        if not scene.emitters():
+            raise InputError("scene: has no light, expected an emitter, such as 'constant'")
+        if not scene.sensors():
+            raise InputError("scene: has no sensor, expected one, such as 'perspective'")
+        self.avatar, self.options, self.proxy = avatar, options, Proxy.of(avatar, surface)
+        self.T_scene_avatar = np.eye(4) if T_scene_avatar is None else T_scene_avatar
+        self.integrator = scene.integrator() or mi.load_dict({"type": "path"})
+        self.others = OtherShapes(scene, scene.sensors()[0])
+
+        G, vertices = avatar.canonical, self.proxy.vertices.float().numpy()
+        means = G.means.detach().float().numpy()
+        self.albedo = _albedo(avatar)
+        solid = np.flatnonzero(G.opacities.detach().numpy() > SURFACE_OPACITY)
+        chosen = solid if len(solid) else np.arange(len(means))
+        colors = self.albedo.numpy()[chosen]
+        colors = Shares.around(vertices, means[chosen]).mean(mi.TensorXf(colors))
+        mesh = _mesh(vertices, self.proxy.faces.numpy(), colors)
+        self.whole = _with_person(scene, mesh)
+        self.params = mi.traverse(self.whole)
+        self.around = Shares.around(means, vertices)
+        self.proxy_light = ProxyLight.of(self.whole, vertices, self.proxy.faces.numpy())
+
+    @exclusive
+    def render(self, pose: Pose, *, sensor: mi.Sensor | None = None, seed: int = 0) -> mi.TensorXf:
+        """Return the picture of a pose of one frame, (H, W, 3) sRGB, from 0 for black.
+
+        ``sensor`` takes the place of the scene's. The same seed in all frames keeps noise still.
+
+        Note:
+            Differentiable in ``params`` and ``albedo``.
+        """
+        import mitsuba as mi
+        from gva_mi_plugins.gaussian_splat.integrator import to_srgb
+
+        if sensor is not None:
+            self.others = type(self.others)(self.others.scene, sensor)
+        self.place(pose)
+        color, alpha = self.person(pose, seed)
+        gain = 2**self.options.exposure
+        behind = to_srgb(gain * self.surroundings(seed))
+        return color + (1 - mi.TensorXf(alpha.array, (*alpha.shape, 1))) * behind
+
+    @torch.no_grad()
+    def place(self, pose: Pose) -> None:
+        """Move the proxy to a pose of one frame."""
+        import mitsuba as mi
+
+        T = torch.from_numpy(self.T_scene_avatar)
+        x = self.proxy.posed(pose).double() @ T[:3, :3].T + T[:3, 3]
+        self.params[f"{PERSON}.vertex_positions"] = mi.Float(x.float().numpy().ravel())
+        self.params.update()
+        self.proxy_light.follow(x.float().numpy(), self.proxy.faces.numpy())
+
+    def light(self, seed: int = 0) -> mi.TensorXf:
+        """Return S, the light on the Gaussians in the last pose, (N, 3) linear, attached."""
+        on_vertices = self.proxy_light.on_vertices(
+            self.integrator, self.options.bake, seed, self.params
+        )
+        return self.around.mean(on_vertices)
+
+    def person(self, pose: Pose, seed: int = 0) -> tuple[mi.TensorXf, mi.TensorXf]:
+        """Return C (H, W, 3) sRGB and α (H, W) of eq. 2, after :meth:`place`."""
+        from gva_mi_plugins.gaussian_splat.integrator import to_srgb
+        from gva_mi_plugins.gaussian_splat.scene import SensorCamera
+
+        with torch.no_grad():
+            g = self.avatar(pose)
+        parts = {name: _tensor(x) for name, x in g.arrays().items()}
+        if self.options.light == "scene":
+            parts.pop("sh")
+            gain = 2**self.options.exposure
+            parts["colors"] = to_srgb(gain * self.albedo * self.light(seed))
+        view = SensorCamera.of(self.others.sensor)
+        limit, camera = self.others.depth(view.camera), self.in_avatars_world(view.camera)
+        options = replace(AVATAR_SPLATTING, near=view.near, far=view.far)
+        absent = dict.fromkeys({"quats", "scales"} - parts.keys())
+        image = splat(Gaussians(**absent, **parts), camera, options, depth_limit=limit)
+        return image.color, image.alpha
+
+    def in_avatars_world(self, camera: Camera) -> Camera:
+        """Move a camera from the world of the scene to the world of the avatar's poses."""
+        return replace(camera, T_camera_world=camera.T_camera_world @ self.T_scene_avatar)
+
+    def surroundings(self, seed: int = 0) -> mi.TensorXf:
+        """Return L of eq. 3, (H, W, 3) linear, attached, after :meth:`place`."""
+        whole = type(self.others)(self.whole, self.others.sensor)
+        image = whole.image(self.integrator, seed, self.options.spp, self.params, self.others)
+        return image[:, :, :3]
+
+
+def _tensor(x: Tensor) -> mi.TensorXf:
+    import mitsuba as mi
+
+    return mi.TensorXf(to_drjit(x.float(), mi.Float), tuple(x.shape))
+
+
+def _albedo(avatar: Avatar) -> mi.TensorXf:
+    """Return f_0 as linear colours, (N, 3)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    first = _tensor((avatar.canonical.sh.detach()[:, 0] * C0 + 0.5).clamp_min(0))
+    linear = mi.math.srgb_to_linear(first.array)
+    return mi.TensorXf(dr.clip(linear, DARKEST, BRIGHTEST), first.shape)
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Mesh:
+    """Return a mesh with diffuse vertex colours (V, 3), and smooth normals."""
+    import mitsuba as mi
+
+    color = {"type": "mesh_attribute", "name": "vertex_color"}
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(
+        {"type": "twosided", "side": {"type": "diffuse", "reflectance": color}}
+    )
+    mesh = mi.Mesh(PERSON, len(vertices), len(faces), has_vertex_normals=True, props=props)
+    mesh.add_attribute("vertex_color", 3, colors.array)
+    params = mi.traverse(mesh)
+    params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+    params["vertex_positions"] = mi.Float(vertices.ravel())
+    params.update()
+    return mesh
+
+
+def _with_person(scene: mi.Scene, person: mi.Mesh) -> mi.Scene:
+    """Return a scene of the shapes and emitters of another one, and a person in it."""
+    import mitsuba as mi
+
+    parts = [*scene.shapes(), *(e for e in scene.emitters() if e.get_shape() is None)]
+    named = {PERSON: person}
+    for k, part in enumerate(parts):
+        name = part.id() if part.id() and part.id() not in named else f"part{k}"
+        named[name] = part
+    return mi.load_dict({"type": "scene", **named})

@@ -6,6 +6,7 @@
       subject/      the folder that the steps before a fit write
       run/          the fit, its metrics and its report
       report.html   only for a video: the page about the avatar, with videos beside it
+      avatar.html   only for a video: a page that plays the avatar
       avatar.json   only for a video: the stamp of each step (:mod:`gva_mi.core.stamp`)
 
 For a video, the same call made again repeats only steps that are unfinished, or that depend on
@@ -29,7 +30,7 @@ from gva_mi.core.files import make_room, read_json, write_json
 from gva_mi.core.options import PictureSide, Seed, options_of
 from gva_mi.core.stamp import results_version, stamp, start_folder
 from gva_mi.core.tasks import usual_workers
-from gva_mi.evaluate.report import FINDINGS, write_avatar_report
+from gva_mi.evaluate.report import FINDINGS, WEB_PAGE, write_avatar_report
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions, FromOne
 from gva_mi.readers.own_masks import MaskOptions
@@ -189,8 +190,8 @@ def avatar(
              lambda begun: _split(subject, effort.test_frames)),
         Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_or_resume),
         Step("evaluate", "avatar", few, [*before_fit, *fitted], measured, evaluate_anew),
-        Step("report", "avatar", draft, [*before_fit, findings, *fitted, *measured], [page],
-             report),
+        Step("report", "avatar", draft, [*before_fit, findings, *fitted, *measured],
+             [page, out / WEB_PAGE], report),
     ]  # fmt: skip
     source = stamp(files_of(video) or [video])
     with folder_lock(out, "gva-mi avatar"):

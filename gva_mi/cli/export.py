@@ -1,4 +1,4 @@
-"""The command ``gva-mi export``: write an avatar or its poses for other programs."""
+"""The command ``gva-mi export``: write an avatar or its poses for other programs and people."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import torch
 from tyro.conf import Positional
 
 from gva_mi.app.driving import motion_of
+from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.export import save_amass, save_gltf
 from gva_mi.avatar.without_body import require_body_of, save_without_body
 from gva_mi.body.pose import Pose
@@ -19,7 +20,9 @@ from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room
 from gva_mi.core.options import Within, options_of
-from gva_mi.fit.run_folder import body_of_run, load_avatar
+from gva_mi.evaluate.report import THE_VIDEO, driven_motions
+from gva_mi.fit.run_folder import body_of_run, load_avatar, trained_poses
+from gva_mi.fit.web_page import PageMotion, save_page
 from gva_mi.readers.up_axis import LYING_DEGREES, Axis, Upward, turn_to_y
 from gva_mi.splat.axes import rotated, with_axes
 from gva_mi.splat.formats.ply import save_ply
@@ -37,6 +40,7 @@ FORMATS = {  # what each file holds, and the options that have an effect on it
         "poses in AMASS's format; with --no-rig the avatar without its body",
         ("poses", "fps", "no_rig"),
     ),
+    ".html": ("a page that plays the avatar in any browser", ("poses", "fps", "no_rig")),
 }
 
 
@@ -53,7 +57,8 @@ class ExportOptions:
     # Gaussian takes 248 bytes in a .ply.
     sh_degree: Annotated[int, Within(0, MAX_DEGREE)] | None = None
     up: Axis = "-y"  # the file's axis that is up; in files of 3DGS it is -y
-    no_rig: Switch = False  # .npz: the avatar without the data of a licensed body
+    # .npz: the avatar without the data of a licensed body; .html: the page without the mesh
+    no_rig: Switch = False
 
 
 def export(
@@ -70,8 +75,8 @@ def export(
         run: the folder of a finished fit, or an avatar.npz.
         options: content of the file.
         out: the file, whose suffix chooses the format: .ply, .splat, .spz (Gaussians in one pose),
-            .glb (the surface with skeleton and skin), or .npz (poses in AMASS's format, or with
-            --no-rig the avatar).
+            .glb (the surface with skeleton and skin), .html (a page that plays the avatar), or .npz
+            (poses in AMASS's format, or with --no-rig the avatar).
         body: the body file of an avatar without its body, or for --no-rig; without it, the built-in
             body.
         overwrite: replace an existing file.
@@ -93,8 +98,11 @@ def _require_meant(out: Path, suffix: str, options: ExportOptions) -> None:
     for name, option in given(options).items():
         meant = [kind for kind, (_, effective) in FORMATS.items() if name in effective]
         if suffix not in meant:
-            raise InputError(f"export: {option} is for {' and '.join(meant)}, not for {suffix}")
-    if options.no_rig and options.poses is not None:
+            *others, last = meant
+            raise InputError(
+                f"export: {option} is for {', '.join(others)} and {last}, not for {suffix}"
+            )
+    if suffix == ".npz" and options.no_rig and options.poses is not None:
         raise InputError("export: --no-rig writes the avatar, --poses its poses; not both")
 
 
@@ -102,6 +110,9 @@ def _require_meant(out: Path, suffix: str, options: ExportOptions) -> None:
 def _write(run: Path, out: Path, options: ExportOptions, body: Path | None) -> None:
     """Write an avatar, or the poses that drive it."""
     avatar, suffix = load_avatar(run, body), out.suffix.lower()
+    if suffix == ".html":
+        save_page(out, avatar, _motions(run, avatar, options, body), out.stem, not options.no_rig)
+        return
     if options.no_rig:
         model, name = load_body(body), body_name(body)
         require_body_of(avatar, model, name)
@@ -131,3 +142,15 @@ def _write(run: Path, out: Path, options: ExportOptions, body: Path | None) -> N
         if options.sh_degree is not None:
             gaussians = with_degree(gaussians, options.sh_degree)
         SAVE[suffix](out, gaussians)
+
+
+def _motions(
+    run: Path, avatar: Avatar, options: ExportOptions, body: Path | None
+) -> list[PageMotion]:
+    """Return what a page plays: ``--poses`` first, then others, and the poses of the video."""
+    play = lambda name, poses: PageMotion(
+        name, motion_of(run, avatar, poses, options.fps, body)[0], options.fps
+    )
+    given = [] if options.poses is None else [play(options.poses.stem, options.poses)]
+    there = trained_poses(run if run.is_dir() else run.parent) is not None
+    return [*given, *driven_motions(avatar), *([play(THE_VIDEO, None)] if there else [])]

@@ -46,6 +46,7 @@ class Section:
     text: str = ""  # what it says besides
     headlines: Sequence[Headline] = ()
     scale: Sequence[tuple[tuple[int, int, int], str]] = ()  # 8-bit colours and their meaning
+    link: tuple[str, str] = ("", "")  # a file beside the page, and what it shows
 
 
 def write_page(

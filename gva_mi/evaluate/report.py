@@ -33,6 +33,7 @@ from gva_mi.evaluate.pictures import dots, picture_sections, seen_map, shown_vie
 from gva_mi.evaluate.refinement import OVERLAYS, pose_tables
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
+from gva_mi.fit.web_page import PageMotion, save_page
 from gva_mi.stage1.prepare import Stage1Record
 from gva_mi.stage1.video_check import ALL_SIDES, SEEN_SHARE, sides_seen
 from gva_mi.subject.pictures import read_image
@@ -49,6 +50,8 @@ DRAFT = "A draft shows whether the video is good enough; --quality usual makes a
 FINDINGS = "video_check.json"  # on the video, in the subject's folder
 TURNTABLE = "turntable"
 DRIVEN_MOTIONS = ("walk", "dance")  # motions of gva_mi.synthetic.motion
+THE_VIDEO = "the video"  # the name, on the page of an avatar, of the poses trained with it
+WEB_PAGE = "avatar.html"  # beside the report of a video's avatar
 VIDEO_FPS = 20  # frames a second of the videos
 VIDEO_SIZE = (384, 512)  # pixels, width and height
 # Chosen: dB in the person's box, of test frames. Rendered videos reach 25, and drafts of real ones
@@ -182,7 +185,7 @@ def write_avatar_report(
     progress: Progress | None = None,
     draft: bool = False,
 ) -> None:
-    """Write the page ``out/report.html``, and videos of the avatar beside it.
+    """Write ``out/report.html``, and beside it videos and a page that plays the avatar.
 
     Args:
         out: folder.
@@ -194,6 +197,8 @@ def write_avatar_report(
         draft: whether the avatar is a preview.
     """
     avatar, record = run_folder.load_avatar(run), Stage1Record.load(video.folder)
+    own = PageMotion(THE_VIDEO, video.pose, record.fps)
+    save_page(out / WEB_PAGE, avatar, [*driven_motions(avatar), own], title)
     tall = "the person's height was not given: sizes and distances are uncertain by 5 %"
     if record.height is not None:
         tall = f"the person's height is given as {record.height:.2f} m"
@@ -202,7 +207,12 @@ def write_avatar_report(
     seen = sides_seen(load_video(video.folder), body, there)  # as the check counted
     figures = where(Metrics.load(run).figures, split="test", region="person", metric="PSNR, dB")
     first = [
-        Section("The avatar moves", list(_videos(out, avatar, video, progress)), columns=3),
+        Section(
+            "The avatar moves",
+            list(_videos(out, avatar, video, progress)),
+            columns=3,
+            link=(WEB_PAGE, "Turn, zoom and play the avatar"),
+        ),
         seen_map(avatar, video, video.pose[_frame_from_front(video)]),
         _findings(problems, record.frames),
     ]
@@ -261,6 +271,11 @@ def _videos(
                 progress(len(images), len(plan))
         write_video(out / f"{name}.mp4", images, VIDEO_FPS, way="playable")
         yield animation(name, images[::PAGE_STRIDE])
+
+
+def driven_motions(avatar: Avatar) -> list[PageMotion]:
+    """Return all :data:`DRIVEN_MOTIONS` for the page of an avatar."""
+    return [PageMotion(name, driven_motion(avatar, name), VIDEO_FPS) for name in DRIVEN_MOTIONS]
 
 
 def driven_motion(avatar: Avatar, name: str) -> Pose:

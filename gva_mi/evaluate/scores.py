@@ -57,8 +57,7 @@ from gva_mi.fit.perceptual import (
 )
 from gva_mi.subject.backdrop import premultiplied
 from gva_mi.subject.crop import Box, block_means, bounds
-from gva_mi.subject.footage import files_of, masks
-from gva_mi.subject.numbering import frames_named
+from gva_mi.subject.footage import files_of, frames_named, masks
 from gva_mi.subject.pictures import in_8_bits, read_image
 from gva_mi.subject.video import Video
 from gva_mi.subject.video_file import VideoFile

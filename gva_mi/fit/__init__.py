@@ -12,6 +12,7 @@
 ``poses``        poses and faces, given or trained along
 ``photometric``  tracking: poses fitted to the pictures through the avatar
 ``renders``      renders as 8-bit pictures, and cameras around a person
+``web_page``     a page that plays the avatar in any browser
 ``run_folder``   the folder of a run, and how a fit resumes
 ===============  ===================================================================
 

@@ -32,8 +32,8 @@ from gva_mi.subject.video import Frame
 PathSide = Annotated[int, Within(1, MOST_PIXELS)]
 Kind = Literal["turntable", "orbit", "static"]
 _TURNTABLE_VIEWS = 72  # default number of pictures; chosen: 5 degrees from one to the next
-_FOCAL_RATIO = 2.0  # focal length / longer side; chosen: little perspective, as in a portrait
-_ROOM_AROUND = 1.1  # factor on the distance; chosen: hair and hems reach out of the body
+FOCAL_RATIO = 2.0  # focal length / longer side; chosen: little perspective, as in a portrait
+ROOM_AROUND = 1.1  # factor on the distance; chosen: hair and hems reach out of the body
 _VERTEX_STRIDE = 16  # chosen: every 16th vertex measures the person
 
 
@@ -82,9 +82,9 @@ def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
     frames = [0 if still else k % T for k in range(count)]
     around = cylinder(rig, motion[0] if still else motion[: max(frames) + 1])
     width, height = options.size
-    focal = _FOCAL_RATIO * max(width, height)
+    focal = FOCAL_RATIO * max(width, height)
     fits = max(around.height / height, 2 * around.radius / width) * focal
-    distance = options.distance * (around.radius + _ROOM_AROUND * fits)
+    distance = options.distance * (around.radius + ROOM_AROUND * fits)
     angle = math.radians(options.turn)
     angles = angle + np.linspace(0, 2 * np.pi, count, endpoint=False)
     if options.path == "static":

@@ -35,8 +35,8 @@ from gva_mi.readers.body_arrays import (
 from gva_mi.readers.people import Arrays, Row, SeenPerson, followed, stacked
 from gva_mi.readers.source_files import files_in, first_of, holds, read_named
 from gva_mi.readers.target_body import MEAN_PELVIS, TargetBody
+from gva_mi.subject.footage import frame_numbers, frames_named, numbers_in
 from gva_mi.subject.lens import EXPECTED_CAMERA, centred, pinhole_K, rescaled
-from gva_mi.subject.numbering import frame_numbers, frames_named, numbers_in
 
 People = Iterable[SeenPerson]
 

@@ -26,8 +26,8 @@ import numpy as np
 from gva_mi.body.pose import SIDES
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json
+from gva_mi.subject.footage import counted_from_0
 from gva_mi.subject.landmarks import Landmarks, hand_names
-from gva_mi.subject.numbering import counted_from_0
 
 _EXPECTED_KEYPOINTS = "keypoints of OpenPose, MMPose or AlphaPose (.json)"
 # Of the person's height, the median over frames. Chosen: with more, it is another person or video.

@@ -44,10 +44,10 @@ from gva_mi.splat import Camera
 from gva_mi.subject import footage
 from gva_mi.subject.fingerprint import fingerprint
 from gva_mi.subject.folder import FRAMES, PREPARED, SubjectWriter, frame_name
+from gva_mi.subject.footage import first_number
 from gva_mi.subject.lens import asked_for, recorded, rescaled, undistort
 from gva_mi.subject.masks import require_person
 from gva_mi.subject.normals import Convention
-from gva_mi.subject.numbering import first_number
 from gva_mi.subject.pictures import read_image, require_sides
 from gva_mi.subject.silhouettes import doubt_in
 

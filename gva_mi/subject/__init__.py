@@ -16,8 +16,8 @@ One file format each:
 ==================  ================================================================
 ``pictures``        8-bit pictures on disk, also as masks
 ``video_file``      video files: any picture as sRGB; writing mp4
-``footage``         pictures and masks that a user names: files, folders or arrays
-``numbering``       frame numbers, from file names
+``footage``         pictures and masks that a user names: files, folders or arrays; the
+                    numbers in their names
 ``masks``           masks as segmentation programs write them
 ``normals``         normal maps as networks write them
 ``cameras``         ``cameras.npz``

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from samples.web_pages import unpack
 
 from gva_mi.body.pose import JOINTS, load_poses
 from gva_mi.body.smplx import load_body
@@ -59,6 +60,8 @@ def test_a_video_becomes_an_avatar_once(filmed, tmp_path, cli):
     assert "short video" in {finding["what"] for finding in found["findings"]}
     page = (me / "report.html").read_text()
     assert "How to film better" in page and f"given as {height:.2f} m" in page
+    assert 'href="avatar.html"' in page
+    assert [x["name"] for x in unpack(me / "avatar.html")["motions"]] == ["walk", "dance", "the video"]
     rows = json.loads((me / "run/metrics.json").read_text())["figures"]
     whole = {
         (row["alignment"], row["split"]): row["value"]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from samples.web_pages import unpack
 
 from gva_mi.avatar.rig import digest
 from gva_mi.body.pose import Pose, Shape, save_poses
@@ -78,9 +79,13 @@ BAD = {
     "suffix": (("--out", "a.obj"), "no format ends in .obj; expected .ply (Gaussians"),
     "frame": (("--out", "a.ply", "--frame", 3), "--frame 3 is out of range; there are 3 poses"),
     "no poses": (("--out", "a.ply", "--poses", "none.npz"), "none.npz: no such file"),
-    "meaningless": (("--out", "a.ply", "--fps", 2), "--fps is for .glb and .npz, not for .ply"),
+    "meaningless": (
+        ("--out", "a.ply", "--fps", 2),
+        "is for .glb, .npz and .html, not for",
+    ),
+    "no frame": (("--out", "a.html", "--frame", 1), "--frame is for .ply, .splat"),
     "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
-    "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz, not for .ply"),
+    "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz and .html, not for .ply"),
     "video": (("--out", "a.mp4"), "gva-mi render --video makes videos"),
     "no file": (("--out", "run/avatar.npz/a.ply"), "cannot be written to"),
     "exists": (("--out", "run/poses.npz"), "exists already; give --overwrite"),
@@ -100,6 +105,27 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(run, monkeypatch, cli)
     err = cli.fails("export", "alone/avatar.npz", "--out", "a.ply", "--frame", 0)
     assert "holds no poses.npz that were trained; give --poses" in err
     assert cli("export", "run/avatar.npz", "--out", "posed.ply", "--frame", 0)[0] == 0
+
+
+def test_a_page_plays_given_motions_then_others_and_the_video(run, dance, cli):
+    cli.works("export", run, "--out", run / "a.html", "--poses", dance)
+    names = lambda: [motion["name"] for motion in unpack(run / "a.html")["motions"]]
+    assert names() == ["dance", "walk", "dance", "the video"]
+    (run / "poses.npz").unlink()  # an avatar without poses of its own still moves
+    cli.works("export", run, "--out", run / "a.html", "--overwrite")
+    assert names() == ["walk", "dance"]
+
+
+def test_what_is_no_avatar_of_today_is_one_sentence(run, scene, cli):
+    with np.load(run / "avatar.npz") as file:
+        old = dict(file) | {"format": np.array("gva_mi avatar, version 4")}
+    np.savez(run / "old.npz", **old)
+    for given, sentence in (
+        (run / "old.npz", "'format' must be 'gva_mi avatar, version"),
+        (scene, "a .ply of points, a mesh or Gaussians; expected an avatar"),
+    ):
+        err = cli.fails("export", given, "--out", run / "a.html")
+        assert sentence in err and err.count("\n") == 1, err
 
 
 def test_exported_people_stand_upright_in_the_axes_of_each_format(run, known, cli):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gva_mi.subject.numbering import first_number, frames_named
+from gva_mi.subject.footage import first_number, frames_named
 
 # Names of six pictures, or None: a video file has none.
 UNNAMED, NAMED = None, [f"shot_{k}.png" for k in range(8, 14)]

@@ -61,7 +61,8 @@ def test_a_video_becomes_an_avatar_once(filmed, tmp_path, cli):
     page = (me / "report.html").read_text()
     assert "How to film better" in page and f"given as {height:.2f} m" in page
     assert 'href="avatar.html"' in page
-    assert [x["name"] for x in unpack(me / "avatar.html")["motions"]] == ["walk", "dance", "the video"]
+    played = [motion["name"] for motion in unpack(me / "avatar.html")["motions"]]
+    assert played == ["walk", "dance", "the video"]
     rows = json.loads((me / "run/metrics.json").read_text())["figures"]
     whole = {
         (row["alignment"], row["split"]): row["value"]

@@ -22,7 +22,7 @@ OPTIONAL = {"mitsuba", "pymeshlab", "trimesh", "skimage", "matplotlib", "av", "j
             "scipy", "viser", "transformers", "onnxruntime", "ai_edge_litert"}  # fmt: skip
 HOMES = {  # packages that only some modules may import
     "mitsuba": ("gva_mi_plugins", "gva_mi.mesh", "gva_mi.synthetic", "gva_mi.gradcheck",
-                "gva_mi.avatar.stage"),
+                "gva_mi.avatar.stage", "gva_mi.app.scenes"),
     "pymeshlab": ("gva_mi.avatar", "gva_mi.mesh.surface"),
     "viser": ("gva_mi.viewer",),
     "transformers": ("gva_mi.networks",),

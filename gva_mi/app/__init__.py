@@ -20,6 +20,7 @@ ours.
 ============  ======================================================================
 ``steps``     one function for each step up to the evaluation
 ``driving``   ``render``, and what drives an avatar
+``scenes``    an avatar's motion in a Mitsuba scene
 ``pipeline``  all steps on a video (``avatar``), or on a synthetic subject (``demo``)
 ============  ======================================================================
 """

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch.nn.functional import pad
 
+from gva_mi.app.scenes import SceneOptions, StagedMotion
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, Shape, is_pose_file
 from gva_mi.core.atomic import folder_lock, require_writable
@@ -46,6 +47,7 @@ def render(
     alpha: bool = False,
     video: bool = False,
     fps: int = 25,
+    scene: SceneOptions = SceneOptions(),  # noqa: B008 (frozen)
     body: Path | str | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -64,6 +66,7 @@ def render(
         alpha: make the pictures transparent around the avatar.
         video: also write video.mp4 there; not with ``alpha``, because videos have no transparency.
         fps: frames per second of videos; motions of other programs are resampled to it.
+        scene: a Mitsuba scene around the person, and how the person stands in it.
         body: the body file of an avatar without its body; without it, the run's, else the built-in.
         overwrite: replace existing renders.
 
@@ -92,24 +95,35 @@ def render(
         raise InputError("render: give --cameras, or say where cameras stand; not both")
     if video and alpha:
         raise InputError("render: a video cannot be transparent; give --video or --alpha, not both")
+    if scene.scene is None and scene != SceneOptions():
+        raise InputError("render: --light, --exposure, --spp and --place need --scene")
+    if scene.scene is not None and (alpha or background != "white"):
+        raise InputError("render: a scene is the background; give --scene alone")
     body = run_folder.body_of_run(run, None if body is None else Path(body))
     avatar = run_folder.load_avatar(run, body)
     motion, _ = motion_of(run, avatar, poses, fps, body)
-    if cameras is None:
-        pictures = shots(path.or_usual(moving=poses is not None), avatar.rig, motion)
-    else:
+    staged, pictures = None, None
+    if cameras is not None:
         pictures = _given_cameras(Path(cameras), motion)
+    elif scene.scene is None or path != CameraPath():
+        pictures = shots(path.or_usual(moving=poses is not None), avatar.rig, motion)
+    if scene.scene is not None:
+        staged = StagedMotion.of(run, avatar, motion, scene, pictures)
+        pictures = staged.shots
     size = pictures[0].camera.width, pictures[0].camera.height
     behind = read_background(background, *size)
-    made_of = _stamp(avatar, motion, pictures, behind, alpha, video, fps)
-    about = {"avatar": str(run), "poses": poses, "cameras": cameras}
+    made_of = _stamp(avatar, motion, pictures, behind, alpha, video, fps, *scene.inputs())
+    about = {"avatar": str(run), "poses": poses, "cameras": cameras, "scene": scene.scene}
     files = [frame_name(k) for k in range(len(pictures))]
     names = [*files, VIDEO] if video else files
 
     def images(missing: Collection[str]) -> Iterator[np.ndarray]:
         """Render and write the missing pictures, and yield them; for a video yield all."""
         drawn = [k for k, file in enumerate(files) if file in missing]
-        layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
+        if staged is None:
+            layers = render_shots(avatar, motion, [pictures[k] for k in drawn], progress)
+        else:
+            layers = staged.layers(drawn, progress)
         for k in range(len(files)) if VIDEO in missing else drawn:
             if files[k] not in missing:
                 yield read_image(out / files[k], 4 if alpha else 3)

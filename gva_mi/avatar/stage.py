@@ -100,6 +100,7 @@ class Stage:
         *,
         T_scene_avatar: np.ndarray | None = None,
         surface: SurfaceMesh | None = None,
+        sensor: mi.Sensor | None = None,
     ) -> None:
         """Put an avatar into a scene.
 
@@ -111,6 +112,7 @@ class Stage:
             T_scene_avatar: (4, 4) rigid, from the world of the avatar's poses to the scene's; None:
                 both are the same.
             surface: of the avatar's last re-initialisation; see :meth:`Proxy.of`.
+            sensor: in place of the scene's.
 
         Raises:
             InputError: the scene has no sensor or no emitter, or another variant than
@@ -128,12 +130,12 @@ class Stage:
         scene = mi.load_dict(scene) if isinstance(scene, dict) else scene
         if not scene.emitters():
             raise InputError("scene: has no light, expected an emitter, such as 'constant'")
-        if not scene.sensors():
+        if sensor is None and not scene.sensors():
             raise InputError("scene: has no sensor, expected one, such as 'perspective'")
         self.avatar, self.options, self.proxy = avatar, options, Proxy.of(avatar, surface)
         self.T_scene_avatar = np.eye(4) if T_scene_avatar is None else T_scene_avatar
         self.integrator = scene.integrator() or mi.load_dict({"type": "path"})
-        self.others = OtherShapes(scene, scene.sensors()[0])
+        self.others = OtherShapes(scene, sensor or scene.sensors()[0])
 
         G, vertices = avatar.canonical, self.proxy.vertices.float().numpy()
         means = G.means.detach().float().numpy()

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional
 
 from gva_mi import app
+from gva_mi.app.scenes import SceneOptions
 from gva_mi.cli.parse import Flat, Switch
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, Workers
@@ -172,6 +173,7 @@ def track(
 def render(
     run: Positional[Path],
     path: Flat[CameraPath] = CameraPath(),  # noqa: B008 (frozen)
+    scene: Flat[SceneOptions] = SceneOptions(),  # noqa: B008 (frozen)
     *,
     out: Path,
     poses: Path | None = None,
@@ -190,6 +192,7 @@ def render(
     Args:
         run: the folder of a finished fit, or an avatar.npz.
         path: where the cameras stand, if --cameras is not given.
+        scene: a Mitsuba scene around the person.
         out: folder for the pictures 000000.png, 000001.png ...
         poses: poses under SMPL-X's names, each (T, ...), or any motion that gva-mi motion reads;
             without it, the poses trained with the avatar.
@@ -203,5 +206,5 @@ def render(
     """
     app.render(
         run, out, path, poses=poses, cameras=cameras, background=background, alpha=alpha,
-        video=video, fps=fps, body=body, overwrite=overwrite,
+        video=video, fps=fps, scene=scene, body=body, overwrite=overwrite,
     )  # fmt: skip

@@ -3,8 +3,9 @@
 1. v'  = v + D(v) c + MLP(theta)      v: a vertex at rest;  c, D, MLP: as for a Gaussian at v
 2. v_t = A(v) v'                      eq. 1 and 2 of :mod:`gva_mi.avatar.avatar`
 
-The skin is the surface of the last re-initialisation, with the fingers of the rest body. An avatar
-that was never re-initialised has the rest body with its clothes' offsets.
+The skin is the surface of the last re-initialisation, with the fingers of the rest body, smoothed
+once more: Gaussians do not mind a fold of it, but no light falls into one. An avatar that was never
+re-initialised has the rest body with its clothes' offsets.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from gva_mi.avatar.rig import moved_by
 from gva_mi.avatar.surface import SurfaceMesh, with_fingers
 from gva_mi.body.pose import Pose
 from gva_mi.body.skinning import skin_points
+
+SMOOTHING = 10  # steps of Taubin's filter; chosen: folds of a few triangles come apart
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,9 @@ class Proxy:
                 means, weights = (x[solid].double().numpy() for x in (G.means, G.weights))
                 surface = mesh_gaussians(means, rig, ReinitOptions(), weights)
             whole = with_fingers(surface, rig)
-            vertices = torch.from_numpy(whole.vertices).to(rig.vertices)
+            smooth = whole.meshlab()
+            smooth.apply_coord_taubin_smoothing(stepsmoothnum=SMOOTHING)
+            vertices = torch.from_numpy(smooth.current_mesh().vertex_matrix()).to(rig.vertices)
             faces = torch.from_numpy(np.ascontiguousarray(whole.faces))
         bound = skin.bind(vertices)
         return Proxy(avatar, vertices, faces, bound["weights"], bound["directions"])

@@ -101,7 +101,8 @@ def test_the_proxy_is_the_outer_skin(known):
     again = type(known).from_record(known.record())
     again.set_skin_weights(found.skin)
     proxy = Proxy.of(again, found.surface)
-    np.testing.assert_allclose(proxy.vertices, found.skin.vertices, atol=1e-6)
+    moved = (proxy.vertices - found.skin.vertices).norm(dim=1)  # by smoothing
+    assert moved.median() < 0.002 and moved.quantile(0.95) < 0.01
     assert len(proxy.faces) == len(with_fingers(found.surface, known.rig).faces)
     anew = Proxy.of(again).vertices
     assert torch.cdist(anew, proxy.vertices).min(1).values.mean() < 0.02

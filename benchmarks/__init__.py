@@ -1,1 +1,1 @@
-"""Benchmarks of a checkout: ``gva-mi bench splat|growth|fit|mesh``."""
+"""Benchmarks of a checkout: ``gva-mi bench splat|growth|fit``."""

@@ -1,8 +1,11 @@
-"""Time a fit: a step by its stages, a re-initialisation, and a driven avatar.
+"""Time a fit: a step by its stages, a re-initialisation, and a driven avatar; a refinement's step.
 
 The subject is the built-in body in stripes, 0.8 of the picture's height, and turns; the avatar lies
 on it already. One step in ``perceptual_every`` has the perceptual term: Eq. 9 is timed with and
 without it, and the mean step includes its share.
+
+A refinement renders ``mesh_normals`` of the built-in body (22,000 faces), which fills the height of
+the picture. The body moves a little at each step, so that nothing can be reused.
 """
 
 from __future__ import annotations
@@ -12,6 +15,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import drjit as dr
+import numpy as np
 import torch
 
 from benchmarks.timing import WARM_UP, Clock, Table, Timing
@@ -27,6 +32,7 @@ from gva_mi.fit.perceptual import rand_vgg_loss
 from gva_mi.fit.renders import render_frame
 from gva_mi.fit.samples import FrameSampler, RandomStream, torch_state
 from gva_mi.fit.train import Run
+from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera, Screen, look_at, render
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.video import Video, load_video
@@ -34,10 +40,11 @@ from gva_mi.subject.video import Video, load_video
 FRAMES = 9  # of the turn; chosen: eight train frames, as every eighth is a test frame
 HEIGHT_SHARE = 0.8  # of the picture's height, filled by the subject; chosen: as in a video
 EYE_DISTANCE = 3.0  # metres from the subject to the camera; chosen: as in a video
+VERTEX_STEP = 1e-3  # metres from one step to the next; chosen: as far as a refinement moves
 
 
 def run(repeats: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Table]:
-    """Yield the stages of a step, and whole steps, re-initialisations and driven frames."""
+    """Yield the stages of a step, whole steps, re-initialisations, driven frames; mesh_normals."""
     body, seeds = load_body(), SeedOptions(count=gaussians)
     options = FitOptions(steps=10**6, avatar=AvatarOptions(seed=seeds))
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
@@ -61,6 +68,33 @@ def run(repeats: int, gaussians: int = 20_000, size: int = 512) -> Iterator[Tabl
         table = clock.table(f"{title}: as a whole", WARM_UP)
         table.rows.insert(0, {"": "a step, mean"} | step.columns)
         yield table
+    yield from _mesh_normals(repeats, (size // 2, size))
+
+
+def _mesh_normals(repeats: int, sizes: tuple[int, ...]) -> Iterator[Table]:
+    """Yield one table per size of picture (pixels)."""
+    body = load_body()
+    scene, template = MeshScene(body.faces, body.v_template), body.v_template
+    import mitsuba as mi  # its variant is chosen by MeshScene
+
+    centre = template.mean(0).numpy()
+    T_camera_world = look_at(centre + (0.2, 0.1, 2.6), centre)
+    for size in sizes:
+        camera = Camera(1.2 * size, 1.2 * size, size / 2, size / 2, T_camera_world, size, size)
+        noise = np.random.default_rng(0).normal(size=(size, size, 4))
+        grad, clock = mi.TensorXf(noise.astype(np.float32)), Clock()
+        for k in range(WARM_UP + repeats):
+            moved = template + VERTEX_STEP * (k + 1)
+            with clock("whole step"):
+                with clock("ray tracer's update"):
+                    scene.show(moved)
+                with clock("image"):
+                    view = scene.view(moved, camera)
+                    dr.eval(view.image())
+                with clock("adjoint"):
+                    dr.eval(view.adjoint(grad))
+        title = f"mesh_normals, {len(body.faces):,} faces, {size} x {size} pixels, 1 ray a pixel"
+        yield clock.table(title, WARM_UP)
 
 
 def _turning(folder: Path, body: BodyModel, seeds: SeedOptions, size: int) -> Video:

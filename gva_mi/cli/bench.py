@@ -18,12 +18,12 @@ CHECKOUT = Path(gva_mi.__file__).parents[1]
 
 
 def bench(
-    what: Positional[Literal["splat", "growth", "fit", "mesh"]],
+    what: Positional[Literal["splat", "growth", "fit"]],
     *,
     repeats: Annotated[int, Within(1, 100_000)] = 20,
     scene: Path | None = None,
 ) -> None:
-    """Measure the speed of the renderer, of larger scenes, of a fit, or of rendered normals.
+    """Measure the speed of the renderer, of larger scenes, or of a fit and a refinement.
 
     Prints tables of milliseconds; on a shared machine trust only ratios within one run.
 

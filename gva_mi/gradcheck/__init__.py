@@ -13,6 +13,7 @@ Soundings Analysis", 1992). The checks compare it with tangents, differences and
 ===============  ===================================================================
 ``engine``       comparisons by all methods, a report, its table and JSON
 ``probes``       directions, tangents and finite differences
+``causes``       guesses why a renderer is wrong
 ``splat``        a renderer against the reference implementation; its pictures
 ``avatar``       an avatar from pose to picture
 ``normals``      ``mesh_normals`` by the body's pose, against the next two

@@ -180,7 +180,13 @@ class Report:
         if not failed:
             return f"all {len(self.rows)} comparisons pass ({self.subject})"
         wrong = [row for row in failed if not row.coarse]
-        named = ", ".join(f"{row.method} of {row.name}" for row in wrong or failed)
+        methods: dict[str, list[str]] = {}  # of each input
+        for row in wrong or failed:
+            methods.setdefault(row.name, []).append(row.method)
+        inputs: dict[str, list[str]] = {}  # by methods that fail together
+        for name, by in methods.items():
+            inputs.setdefault(", ".join(by), []).append(name)
+        named = "; ".join(f"{by} of {', '.join(names)}" for by, names in inputs.items())
         if not wrong:
             return f"less accurate than allowed: {named} ({self.subject})"
         images = ", ".join(x for x in IMAGES if any(row.name == x for row in wrong))

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -37,6 +37,8 @@ from torch import Generator
 
 from gva_mi.core.atomic import write_bytes
 from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.errors import InputError
+from gva_mi.gradcheck.causes import causes
 from gva_mi.gradcheck.engine import PRECISIONS, Check, Comparison, Report
 from gva_mi.gradcheck.probes import (
     IMAGES,
@@ -53,6 +55,7 @@ from gva_mi.splat import reference
 from gva_mi.splat.camera import CameraTensors
 from gva_mi.splat.scene import Scene
 
+NO_DEPTH = "this renderer draws no depth: only colour and alpha are compared"
 NO_CAMERA = (
     "this renderer does not differentiate with respect to the camera's T_camera_world and K: their "
     "gradients are missing"
@@ -112,10 +115,11 @@ class RendererReport(Report):
     gaussians: int = 0
     rounding: dict[str, float] = field(default_factory=dict)  # see the module's docstring
     maps: Maps | None = field(default=None, repr=False)
+    causes: tuple[str, ...] = ()  # of a failure, guessed: gva_mi.gradcheck.causes
 
     def table(self) -> str:
         """Return all comparisons as text, and how far the true gradient moves by rounding."""
-        found = super().table()
+        found = "\n".join([super().table(), *self.causes])
         if not self.rounding:
             return found
         moves = ", ".join(f"{name} {moved:.0e}" for name, moved in self.rounding.items())
@@ -125,7 +129,8 @@ class RendererReport(Report):
     def to_dict(self) -> dict:
         """Return the report for JSON, without the pictures."""
         names = ("gaussians", "pixels", "band", "rounding")
-        return super().to_dict() | {name: getattr(self, name) for name in names}
+        found = super().to_dict() | {name: getattr(self, name) for name in names}
+        return found | {"causes": list(self.causes)}
 
 
 def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
@@ -133,9 +138,9 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
 
     Args:
         fn: ``fn(gaussians, camera, options, background) -> Image``, such as ``splat.render``. It
-            must take float32 tensors. Where it refuses float64 or forward-mode AD, or does not
-            differentiate with respect to the camera's tensors, the report notes it and omits those
-            comparisons.
+            must take float32 tensors. Where it refuses float64 or forward-mode AD, draws no depth,
+            or does not differentiate with respect to the camera's tensors, the report notes it and
+            omits those comparisons.
         scene: what to render; some hundred Gaussians on some thousand pixels take seconds.
         seed: of the weights in the loss and of the choice of entries.
 
@@ -155,12 +160,21 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
     """
     with one_torch_thread():  # faster for the reference's thousands of small tensors
         generator = Generator().manual_seed(seed)
-        by_camera, scene = _differentiates_camera(fn, scene), scene.rounded()
+        by_camera, by_depth = _capabilities(fn, scene)
+        scene = scene.rounded()
+        notes = [] if by_camera else [NO_CAMERA]
         if by_camera:
             scene = scene.with_camera_inputs().to(torch.float64)
+        if not by_depth:
+            notes.append(NO_DEPTH)
+            scene = replace(scene, options=replace(scene.options, depth=False))
         check = _check_of(scene, generator)
-        notes = [] if by_camera else [NO_CAMERA]
         rows = _answers(fn, scene, check, notes)
+        failed: dict[str, str] = {}
+        for row in rows:
+            if not row.passed:
+                failed[row.name] = ", ".join(filter(None, (failed.get(row.name), row.method)))
+        guessed = tuple(causes(fn, scene, check.weights, failed)) if failed else ()
         images = drawn(fn, scene, leaves(scene.inputs(), torch.float32))
         moved = leaves(_last_digit(scene.inputs(), generator))
         other = gradients(drawn(reference.render, scene, moved), moved, check.weights.values())
@@ -181,6 +195,7 @@ def gradcheck(fn: Renderer, scene: Scene, *, seed: int = 0) -> RendererReport:
         band=int(band.sum()),
         gaussians=count,
         rounding=rounding if count else {},
+        causes=guessed,
         maps=Maps(check.images["color"].numpy(), (off * ~band).numpy(), band.numpy()),
     )
 
@@ -222,16 +237,29 @@ def _answers(fn: Renderer, scene: Scene, check: Check, notes: list[str]) -> list
     return rows
 
 
-def _differentiates_camera(fn: Renderer, scene: Scene) -> bool:
-    """Whether the picture depends on the camera's tensors."""
+def _capabilities(fn: Renderer, scene: Scene) -> tuple[bool, bool]:
+    """Whether the picture depends on the camera's tensors, and whether there is a depth image.
+
+    Raises:
+        InputError: the renderer returns no colour or alpha, or images of other shapes.
+    """
     seen = scene.with_camera_inputs()
     inputs = leaves(seen.inputs(), torch.float32)
-    color = drawn(fn, seen, inputs)[0]
+    moved = seen.with_inputs(inputs)
+    image = fn(moved.gaussians, moved.camera, moved.options, moved.background)
+    size = (scene.camera.height, scene.camera.width)
+    for name in images_of(scene):
+        shape = (*size, len(scene.background)) if name == "color" else size
+        found = getattr(image, name, None)
+        if (found is not None or name != "depth") and tuple(getattr(found, "shape", ())) != shape:
+            what = "None" if found is None else f"{tuple(getattr(found, 'shape', ()))}"
+            raise InputError(f"gradcheck(): the renderer's {name} must be {shape}, got {what}")
+    by_depth, color = image.depth is not None or not scene.options.depth, image.color
     if not color.requires_grad:
-        return False
+        return False, by_depth
     matrices = [inputs[name] for name in CameraTensors._fields]
     found = torch.autograd.grad(color.sum(), matrices, allow_unused=True)
-    return any(gradient is not None for gradient in found)
+    return any(gradient is not None for gradient in found), by_depth
 
 
 def _last_digit(inputs: Tensors, generator: Generator) -> Tensors:

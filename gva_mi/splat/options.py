@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Annotated
 
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import InnerShare, PythonOnly, Share, Within, options_of
+from gva_mi.core.options import PythonOnly, Share, Within, options_of
 
 # Metres; the upper bound is chosen: far beyond any scene, and finite in float32.
 Distance = Annotated[float, Within(0, 1e12, "low")]
@@ -29,9 +29,10 @@ class SplatOptions:
         gva_mi.core.errors.InputError: SplatOptions: near < far is needed, got 2.0, 1.0
     """
 
-    # A Gaussian is skipped in pixels where its alpha is below.
-    alpha_min: PythonOnly[InnerShare] = 1 / 255
-    alpha_max: PythonOnly[InnerShare] = 0.999  # alpha is clamped to it
+    # A Gaussian is skipped in pixels where its alpha is below; 0: of the reference alone.
+    alpha_min: PythonOnly[Annotated[float, Within(0, 1, "high")]] = 1 / 255
+    # Alpha is clamped to it; 1: of the reference alone.
+    alpha_max: PythonOnly[Annotated[float, Within(0, 1, "low")]] = 0.999
     # A pixel stops before its transmittance falls to this.
     transmittance_min: PythonOnly[Share] = 1e-4
     # Added to the diagonal of the 2D covariance, square pixels.
@@ -40,6 +41,9 @@ class SplatOptions:
     far: PythonOnly[Distance] = 1e10  # metres
     # Pixels; a Gaussian that reaches no further in x and y is not drawn.
     radius_min: PythonOnly[Annotated[float, Within(0, 1e6)]] = 0.0
+    # A pinhole's Jacobian follows the mean up to 15 % of the picture beyond its border, as in 3DGS
+    # and gsplat; False: everywhere, as EWA splatting is written.
+    hold_jacobian: PythonOnly[bool] = True
     antialiased: bool = False  # reduce the opacity by the area that the blur adds
     depth: PythonOnly[bool] = True  # make the depth image too; pictures without it are faster
 
@@ -51,7 +55,17 @@ class SplatOptions:
             raise InputError(f"SplatOptions: near < far is needed, got {self.near}, {self.far}")
 
     def kernel_constants(self) -> SplatOptions:
-        """Return the options that are constants in the kernels' code; the rest are arguments."""
+        """Return the options that are constants in the kernels' code; the rest are arguments.
+
+        Raises:
+            InputError: the kernels have no picture without a cut-off or a clamp of alpha.
+        """
+        if self.alpha_min == 0 or self.alpha_max == 1:
+            found = f"{self.alpha_min}, {self.alpha_max}"
+            raise InputError(
+                "splat: alpha_min must be above 0 and alpha_max below 1, but in the reference "
+                f"(gva_mi.splat.reference); got {found}"
+            )
         return _kernel_constants(self)
 
 
@@ -63,4 +77,5 @@ def _kernel_constants(options: SplatOptions) -> SplatOptions:
         near=SplatOptions.near,
         far=SplatOptions.far,
         radius_min=SplatOptions.radius_min,
+        hold_jacobian=SplatOptions.hold_jacobian,
     )

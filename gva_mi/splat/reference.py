@@ -122,10 +122,10 @@ def _render(
     depth = torch.zeros(H, W, dtype=torch.float64)
     never = torch.full((H, W), torch.inf, dtype=torch.float64)
     steps, last = _Margins(never, never, never), -never  # last: the depth in front, (H, W)
-    off = lambda value, cut: (value.detach() / cut - 1).abs()
+    off = lambda value, cut: (value.detach() / cut - 1).abs() if cut else never
     nearer = lambda known, where, value: torch.minimum(known, torch.where(where, value, torch.inf))
     for i in order[visible[order]].tolist():
-        mean2d, sharp = project(x[i], covariances[i], R, camera, K)
+        mean2d, sharp = project(x[i], covariances[i], R, camera, K, options.hold_jacobian)
         covariance = sharp + options.blur * torch.eye(2, dtype=torch.float64)
         opacity = opacities[i]
         if options.antialiased:
@@ -185,12 +185,12 @@ def _colors(gaussians: Gaussians, means: Tensor, position: Tensor) -> Tensor:
 
 
 def project(
-    x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor
+    x: Tensor, covariance: Tensor, R: Tensor, camera: Camera, K: Tensor, hold: bool = True
 ) -> tuple[Tensor, Tensor]:
     """Project one Gaussian at ``x`` in camera space: mean (2,), covariance (2, 2) before blur.
 
     This is EWA splatting (Zwicker et al. 2001; paper, Eq. 2), with R of the camera, its matrix K,
-    and J held at the picture's border as in gsplat.
+    and J held at the picture's border as in gsplat if ``hold``.
 
     Example:
         >>> camera = Camera(100.0, 100.0, 32.0, 24.0, torch.eye(4).numpy(), 64, 48)
@@ -201,7 +201,7 @@ def project(
     """
     falls = lambda x: picture_point(x, K, camera.model)
     J = torch.func.jacrev(falls)(x)
-    if camera.model == "pinhole":
+    if camera.model == "pinhole" and hold:
         # gsplat: J follows the mean up to 15 % of the picture's size beyond its border
         size = torch.tensor([camera.width, camera.height], dtype=torch.float64)
         u = falls(x)

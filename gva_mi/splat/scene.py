@@ -112,7 +112,7 @@ class Scene:
             stretch = np.sqrt(1 + ((x[:, :2] / z[:, None]) ** 2).sum(axis=1)) / z
         sigma = scales.max(axis=1) * max(camera.fx, camera.fy) * stretch
         # alpha < alpha_min beyond so many sigma
-        sigmas = math.sqrt(2 * math.log(1 / self.options.alpha_min))
+        sigmas = math.sqrt(-2 * math.log(max(self.options.alpha_min, 1e-12)))  # 0: no cut-off
         reach = sigmas * np.sqrt(sigma**2 + self.options.blur)[:, None]
         u = camera.project(np.where(ahead[:, None], means, np.nan))
         near = (u + reach > 0) & (u - reach < [width, height])

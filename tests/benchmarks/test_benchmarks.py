@@ -18,7 +18,6 @@ ROOT = Path(__file__).parents[2]
 TINY = {
     "splat": {"gaussians": 300, "size": 64},
     "fit": {"gaussians": 300, "size": 32},
-    "mesh": {"sizes": (48,)},
 }
 
 
@@ -73,7 +72,7 @@ def test_gsplats_reference_draws_our_picture():
 def test_the_command_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_path, scene_file):
     out = cli.works("bench", "splat", "--repeats", 1, "--scene", scene_file)
     assert out.startswith("renderer, 8 Gaussians") and "composite, adjoint" in out
-    assert "an option of bench splat" in cli.fails("bench", "mesh", "--scene", scene_file)
+    assert "an option of bench splat" in cli.fails("bench", "fit", "--scene", scene_file)
     monkeypatch.setattr("gva_mi.cli.bench.CHECKOUT", tmp_path)
     err = cli.fails("bench", "fit")
     assert "in the repository" in err and "python -m gva_mi bench fit" in err

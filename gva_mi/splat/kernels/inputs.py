@@ -291,7 +291,8 @@ def camera_arrays(camera: Camera, options: SplatOptions) -> CameraArrays:
     f, c = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     size = np.array([camera.width, camera.height])
     T = camera.T_camera_world
-    low, high = -HELD_MARGIN * size - c, (1 + HELD_MARGIN) * size - c
+    margin = HELD_MARGIN if options.hold_jacobian else np.inf
+    low, high = -margin * size - c, (1 + margin) * size - c
     radius = options.radius_min if options.radius_min > 0 else -1
     reach = np.array([options.near, options.far, options.blur, radius])
     parts = [T[:3, :3].ravel(), T[:3, 3], f, c, camera.position, low, high, reach]

@@ -72,6 +72,10 @@ FLOATER_NEIGHBOURS = 16  # whose mean distance makes a floater; chosen: more tha
 # Density at the most curved places / in flat ones, minus 1; chosen: an ear has 3 ×.
 CURVATURE_GAIN = 2.0
 COLOR_NEIGHBOURS = 4  # K, of opacity and colour; chosen: the old Gaussians all around
+OFFSET_ALPHA = 0.015  # metres, of the offset surface; chosen: seams close, limbs stay apart
+# The values of α that are tried for an alpha shape: from the points' spacing, each so many times
+# the one before. Chosen: the last is 12 times the spacing, wider than any gap on a person.
+ALPHA_RATIO, ALPHAS = 1.1, 27
 COINCIDENT = 1e-8  # m², added to squared distances; chosen: a tenth of a millimetre counts as equal
 
 
@@ -80,8 +84,8 @@ class ReinitOptions:
     """Sizes of the four operations, in metres where they are lengths.
 
     Example:
-        >>> ReinitOptions(count=5000, face_gain=0.0).alpha
-        0.015
+        >>> ReinitOptions(count=5000, face_gain=0.0).smoothing
+        10
     """
 
     # Gaussians afterwards, within a few percent; 0: as many as before.
@@ -91,8 +95,9 @@ class ReinitOptions:
     # Gaussians whose mean distance to their neighbours exceeds the average by more than this many
     # standard deviations are floaters.
     floater_sigmas: PythonOnly[Annotated[float, Within(0, 1000)]] = 2.0
-    # Gaps narrower than twice this are closed, metres; at least the points' spacing.
-    alpha: PythonOnly[Annotated[float, Within(0.004, 1)]] = 0.015
+    # Gaps narrower than twice this are closed, metres; at least the points' spacing. Without it,
+    # 0.015 for the offset surface, and for an alpha shape the smallest that leaves no open edge.
+    alpha: Annotated[float, Within(0.004, 1, unit="metres")] | None = None
     # Depth of the inner body below its surface, metres.
     filler_depth: PythonOnly[Annotated[float, Within(0, 1)]] = 0.012
     # Steps of Taubin's, or Laplace's filter.
@@ -209,16 +214,19 @@ def mesh_gaussians(
     from scipy.spatial import cKDTree
 
     # Between points that are further apart than alpha, the surface would sink onto the filler.
-    reach = lambda x: max(options.alpha, np.percentile(mean_distance(x, 6), 95))
+    spacing = lambda x: np.percentile(mean_distance(x, 6), 95)
     if options.surface == "alpha":
-        return alpha_shape(points, reach(points), options.smoothing)
+        least = max(options.alpha or 0, spacing(points))
+        alphas = least * ALPHA_RATIO ** np.arange(ALPHAS if options.alpha is None else 1)
+        return alpha_shape(points, alphas, options.smoothing)
     filler, naked = _filler(rig, options.filler_depth), rig.weights.double().numpy()
     if weights is None:
         weights = naked[cKDTree(filler.vertices).query(points)[1]]
     spread = SpreadLimbs.of(rig, np.vstack([points, filler.vertices]), np.vstack([weights, naked]))
     outer, inner = np.split(spread.points, [len(points)])
     filled = SurfaceMesh(inner, filler.faces)
-    found = offset_surface(outer, filled, reach(outer), options.smoothing)
+    alpha = max(options.alpha or OFFSET_ALPHA, spacing(outer))
+    found = offset_surface(outer, filled, alpha, options.smoothing)
     return SurfaceMesh(spread.at_rest(found.vertices), found.faces)
 
 

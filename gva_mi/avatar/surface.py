@@ -39,6 +39,7 @@ the surface by dart throwing (Cline et al., "Dart throwing on surfaces", 2009).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -73,8 +74,8 @@ class SurfaceMesh:
 
         >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
         >>> mesh = SurfaceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
-        >>> mesh.areas().round(3), mesh.volumes().sum().round(3)
-        (array([0.5  , 0.5  , 0.5  , 0.866]), np.float64(0.167))
+        >>> mesh.areas().round(3), mesh.volumes().sum().round(3), mesh.open_edges()
+        (array([0.5  , 0.5  , 0.5  , 0.866]), np.float64(0.167), 0)
     """
 
     vertices: np.ndarray  # (V, 3) float64, metres
@@ -92,6 +93,11 @@ class SurfaceMesh:
     def volumes(self) -> np.ndarray:
         """Return each face's part of the enclosed volume, (F,) m³."""
         return (self._crosses() * self.vertices[self.faces[:, 0]]).sum(1) / 6
+
+    def open_edges(self) -> int:
+        """Count the edges that belong to a single face: 0 if the surface is closed."""
+        ends = np.sort(self.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        return int((np.unique(ends, axis=0, return_counts=True)[1] == 1).sum())
 
     def part(self, kept: np.ndarray) -> SurfaceMesh:
         """Keep some of the faces (F,) bool, and the vertices that they use."""
@@ -177,29 +183,54 @@ def _large_pieces(surface: SurfaceMesh, alpha: float) -> SurfaceMesh:
 FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite to each corner
 
 
-def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh:
+def alpha_shape(points: np.ndarray, alphas: Iterable[float], smoothing: int) -> SurfaceMesh:
     """Return the outer boundary of the alpha shape of points (N, 3), smoothed; lengths in metres.
 
     It has no triangles that are outside on both sides. Where more than two meet at an edge, some
-    are left out: it is a manifold, but not closed there.
+    are left out: it is a manifold, but not closed there. If α is too small, the ball rolls in
+    between the points, and shreds are left. So the first of ``alphas`` that leaves no open edge is
+    taken; if all of them do, the one that leaves fewest.
 
     Source: Edelsbrunner, Kirkpatrick and Seidel, 1983 (see the module).
 
     Example:
         >>> grid = np.stack(np.mgrid[:6, :6, :6], -1).reshape(-1, 3)
         >>> jittered = grid / 10 + np.random.default_rng(0).normal(0, 1e-3, (216, 3))
-        >>> box = alpha_shape(jittered, alpha=0.12, smoothing=0)
+        >>> box = alpha_shape(jittered, [0.12], smoothing=0)
         >>> print(f"{box.volumes().sum():.2f} m³")  # its sides are 0.5 m long
         0.13 m³
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import Delaunay
 
     cells = Delaunay(points)
     corners, count = cells.simplices.astype(np.int64), len(cells.simplices)
     over = np.where(cells.neighbors < 0, count, cells.neighbors)  # number `count`: all outside
-    closed = _smallest_empty_balls(points, corners, over) <= alpha
+    balls = _smallest_empty_balls(points, corners, over)
+    best, fewest = None, np.inf
+    for alpha in alphas:
+        found = _outer_boundary(points, corners, over, balls <= alpha)
+        if (left := found.open_edges()) < fewest:
+            best, fewest = found, left
+        if not left:
+            break
+    if smoothing:
+        meshes = best.meshlab()
+        meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
+        best = SurfaceMesh(np.array(meshes.current_mesh().vertex_matrix()), best.faces)
+    return best
+
+
+def _outer_boundary(
+    points: np.ndarray, corners: np.ndarray, over: np.ndarray, closed: np.ndarray
+) -> SurfaceMesh:
+    """Return eq. 3 as a manifold: ``closed`` (C, 4) are the triangles with μ ≤ α.
+
+    ``corners`` and ``over`` are those of :func:`_smallest_empty_balls`.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(corners)
     cell = np.broadcast_to(np.arange(count)[:, None], over.shape)
     passed = cell[~closed], over[~closed]
     graph = coo_array((np.ones(len(passed[0]), bool), passed), (count + 1, count + 1))
@@ -213,8 +244,6 @@ def alpha_shape(points: np.ndarray, alpha: float, smoothing: int) -> SurfaceMesh
     meshes = SurfaceMesh(points, faces).part(np.ones(len(faces), bool)).meshlab()
     meshes.meshing_repair_non_manifold_edges()  # curvature needs a manifold
     meshes.meshing_repair_non_manifold_vertices()
-    if smoothing:
-        meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
     mesh = meshes.current_mesh()
     found = SurfaceMesh(np.array(mesh.vertex_matrix()), mesh.face_matrix().astype(np.int64))
     return found.part(np.ones(len(found.faces), bool))  # without vertices that no face is left of

@@ -27,7 +27,13 @@ from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
 from gva_mi.study.engine import Outcome, Study, run_study
 from gva_mi.study.multiview import multiview
-from gva_mi.study.refine_study import REFINED, STAGE_1, RefineStudy, RefineStudyOptions
+from gva_mi.study.refine_study import (
+    PRINTED,
+    REFINED,
+    STAGE_1,
+    RefineStudy,
+    RefineStudyOptions,
+)
 from gva_mi.study.report import study_tables, write_study_report
 from gva_mi.study.variants import variants_named
 
@@ -59,6 +65,7 @@ class RefineChoice(_Choice):
 
     # 1: only measure the poses before refinement, which takes little time.
     stage: Literal[1, 2] = 2
+    printed: Switch = False  # also refine by Eq. 8 as printed, and compare the methods
     options: Flat[RefineStudyOptions] = field(default_factory=RefineStudyOptions)
 
 
@@ -110,7 +117,8 @@ def study(
         return
     body, cases = load_body(what.body), _chosen(what)
     if isinstance(what, RefineChoice):
-        variants = (STAGE_1 if what.stage == 1 else REFINED,)
+        variants = (STAGE_1,) if what.stage == 1 else (REFINED,)
+        variants = (*variants, PRINTED) if what.printed else variants
         made = RefineStudy(what.out, body, what.options, variants)
     else:
         made = AvatarStudy(what.out, body, what.options, variants_named(what.rows))
@@ -137,7 +145,7 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
             made.save([*outcomes, *waiting, *others])
     for title, tables in study_tables(made.kind, outcomes).items():
         say(title)
-        for found in tables if made.kind == "refine" else tables[:1]:
+        for found in tables[:1] if made.kind == "avatar" else tables:
             _print(found)
     page, settings = made.path.with_suffix(".html"), {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, settings)

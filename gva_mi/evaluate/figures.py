@@ -57,6 +57,7 @@ METRICS = {
     "LPIPS": Metric(".4f"),
     "rand_vgg": Metric(".4f"),
     "pictures": Metric(".0f"),  # or boxes, in the mean of a score
+    "error, mm": Metric(".1f"),  # of poses; a row of the table names their stage
     **{f"{stage} error, mm": Metric(".1f") for stage in STAGES},
     **{f"{stage} depth, mm": Metric("+.1f", farthest) for stage in STAGES},
     "change": Metric("+.0%"),  # of an error by the refinement, relative
@@ -71,6 +72,8 @@ METRICS = {
     "opaque Gaussians": Metric(",.0f"),
     "spacing": Metric(".2f"),
     "bias, mm": Metric(".1f"),
+    "area, m²": Metric(".2f"),  # of the surface that a re-initialisation found
+    "open edges": Metric(",.0f"),  # of the same: 0 if it is closed
     "stray, mm": Metric(".1f"),
     # of videos by several cameras: gva-mi study multiview
     **{f"{name}, px": Metric(".0f") for name in ("lens", "true lens", "points")},

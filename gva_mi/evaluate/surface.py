@@ -82,7 +82,10 @@ def surface_figures(run: Path, avatar: Avatar, subject: Path, body: BodyModel) -
     moments = []
     for snapshot in run_folder.load_snapshots(run):
         moments.append((f"step {snapshot.step:,}, before", snapshot.before))
-        moments.append((f"step {snapshot.step:,}, after", snapshot.after))
+        moments.append((after := f"step {snapshot.step:,}, after", snapshot.after))
+        area, left = snapshot.surface.areas().sum(), snapshot.surface.open_edges()
+        yield Figure(split=after, metric="area, m²", value=float(area))
+        yield Figure(split=after, metric="open edges", value=left)
     for moment, gaussians in (*moments, (AT_END, avatar.canonical)):
         opaque = gaussians.opacities.detach() > OPAQUE_ABOVE
         means = gaussians.means.detach()[opaque].double().numpy()

@@ -254,6 +254,7 @@ class Snapshot:
     step: int
     before: Gaussians
     after: Gaussians
+    surface: SurfaceMesh  # between them
 
 
 def load_snapshots(out: Path) -> Iterator[Snapshot]:
@@ -266,8 +267,9 @@ def load_snapshots(out: Path) -> Iterator[Snapshot]:
                 Gaussians(**{n: torch.from_numpy(arrays[f"{side}_{n}"]) for n in GAUSSIANS})
                 for side in ("before", "after")
             )
+            surface = SurfaceMesh(arrays["vertices"], arrays["faces"])
             step = int(path.stem)
-        yield Snapshot(step, before, after)
+        yield Snapshot(step, before, after, surface)
 
 
 def last_surface(run: Path) -> SurfaceMesh | None:

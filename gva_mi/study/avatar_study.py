@@ -53,7 +53,8 @@ class AvatarStudyOptions(VideoOptions):
 
     frames: VideoFrames = 80  # frames of each video
     steps: Annotated[int, Within(1, 1_000_000)] = 3000  # steps of each fit
-    novel: PythonOnly[NovelPictures] = 8  # pictures of novel poses, and as many of novel views
+    novel: NovelPictures = 8  # pictures of novel poses, and as many of novel views
+    fitted: bool = True  # also score under poses that are fitted to the pictures, which takes long
     refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
     fit: PythonOnly[FitOptions] = field(default_factory=FitOptions)  # but for its steps and seed
 
@@ -80,7 +81,9 @@ class AvatarStudy(Study):
         """Make the videos of the cases, refine each case, then fit each variant."""
         cases = list(dict.fromkeys(case for case, _ in missing))
         of, given = self.videos.subject, (self.body, self.options.refine, self.stamp)
-        prepared = [Work(partial(prepare_case, of(case), case, *given)) for case in cases]
+        refined = {row.name for row in self.rows if row.poses == "refined"}
+        used = dict.fromkeys(case for case, variant in missing if variant in refined)
+        prepared = [Work(partial(prepare_case, of(case), case, *given)) for case in used]
         fitted = [Work(self.run(case, variant).solve) for case, variant in missing]
         return [self.videos.work(cases, self.body), prepared, fitted]
 
@@ -90,7 +93,8 @@ class AvatarStudy(Study):
         out = self.folder / "runs" / file_name(case.name) / file_name(variant)
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
         options = options.of_video() if case.noise == VIDEO_KIND else options
-        return VariantRun(self.videos.subject(case), out, row, self.body, options, self.stamp)
+        about = (self.body, options, self.stamp, self.options.fitted)
+        return VariantRun(self.videos.subject(case), out, row, *about)
 
 
 def file_name(name: str) -> str:
@@ -123,6 +127,7 @@ class VariantRun:
     body: BodyModel
     options: FitOptions  # of the study; the variant changes them
     stamp: str  # of the study
+    fitted: bool = True  # also score under fitted poses
 
     def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
         """Fit, or resume a fit, and return its figures."""
@@ -138,7 +143,8 @@ class VariantRun:
         return measure_run(
             self.out, avatar, video, self.variant.name, self.body, self._poses,
             driven=self.driven(video),
-            fit_to_pictures=not self.variant.rigid,  # fitted poses would bend a rigid body
+            # fitted poses would bend a rigid body
+            fit_to_pictures=self.fitted and not self.variant.rigid,
         ).figures  # fmt: skip
 
     def video(self) -> Video:

@@ -18,6 +18,8 @@ from gva_mi.core.tasks import Task
 from gva_mi.evaluate.figures import Figure
 from gva_mi.evaluate.refinement import MeasuredRefinement, mask_iou
 from gva_mi.evaluate.similarity import zoomed
+from gva_mi.fit import paper
+from gva_mi.refine import RefineOptions
 from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
@@ -27,7 +29,8 @@ from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.video import Video, load_video
 
-STAGE_1, REFINED = "stage 1", "refined"  # variants
+# Variants: poses as stage 1 leaves them, refined by Eq. 8 as printed, and by the default.
+STAGE_1, PRINTED, REFINED = "stage 1", "Eq. 8 as printed", "refined"
 
 
 @options_of("study")
@@ -40,7 +43,7 @@ class RefineStudyOptions(VideoOptions):
 
 @dataclass(frozen=True)
 class RefineStudy(Study):
-    """A study of one variant: the refinement, or stage 1 unchanged."""
+    """A study of the refinement, of Eq. 8 as printed, or of stage 1 unchanged."""
 
     options: RefineStudyOptions
     variants: Sequence[str] = (REFINED,)
@@ -70,7 +73,8 @@ def refinement_figures(
         truth = load_ground_truth(video.truth, body)
         found = MeasuredRefinement(video, body, options.refine, None, truth)
     else:
-        found = refine_case(subject, case, body, options.refine, options.known, progress)
+        method = paper.REFINE if variant == PRINTED else options.refine
+        found = refine_case(subject, case, body, method, options.known, progress)
     return [*found.figures(), Figure(metric="mask IoU", value=mask_iou(found.video))]
 
 
@@ -78,15 +82,18 @@ def refine_case(
     subject: Path,
     case: StudyCase,
     body: BodyModel,
-    options: SequenceOptions,
+    options: RefineOptions,
     known: bool = False,
     progress: Progress | None = None,
 ) -> MeasuredRefinement:
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = load_video(subject, normals=None if case.normals else "none")
-    truth, options = load_ground_truth(video.truth, body), replace(options, seed=case.draw)
-    if case.noise == VIDEO_KIND or known:  # the stage 1 of videos was given the height, too
-        options = replace(options, height=height_of(truth))
+    truth = load_ground_truth(video.truth, body)
+    if isinstance(options, SequenceOptions):
+        # the stage 1 of videos was given the height, too
+        known_height = case.noise == VIDEO_KIND or known
+        height = height_of(truth) if known_height else options.height
+        options = replace(options, seed=case.draw, height=height)
     if not known:
         refined = refine(video, body, options, progress)
     else:

@@ -19,6 +19,7 @@ import numpy as np
 from gva_mi.evaluate.figures import METRICS, Table, pivot, table, where
 from gva_mi.evaluate.page import Section, write_page
 from gva_mi.study.engine import Outcome
+from gva_mi.study.refine_study import STAGE_1
 from gva_mi.study.variants import FULL
 
 TEXTS = {  # of the sections, by the title of their tables
@@ -36,18 +37,45 @@ AVATAR_SHOWN = (  # metrics, and regions unless all are
     ("PSNR, dB", ("white",)), ("PSNR, dB", ("person", "hands", "face")), ("SSIM", ("white",)),
     ("LPIPS", ("white",)), ("rand_vgg", ("white",)), ("given error, mm", ()),
     ("trained error, mm", ()), ("spacing", ()), ("bias, mm", ()), ("stray, mm", ()),
-    ("seconds", ()), ("Gaussians", ()),
+    ("area, m²", ()), ("open edges", ()), ("seconds", ()), ("Gaussians", ()),
 )  # fmt: skip
 
 
 def study_tables(kind: str, outcomes: Sequence[Outcome]) -> dict[str, list[Table]]:
     """Summarise a study, ``refine`` or ``avatar``: tables by their common title."""
     if kind == "refine":
-        return {"error models": _refine_tables(outcomes)}
+        variants = dict.fromkeys(outcome.variant for outcome in outcomes)
+        tables = {} if len(variants) < 2 else {"methods": _method_tables(outcomes)}
+        for name in variants:
+            title = f"error models, {name}" if tables else "error models"
+            tables[title] = _refine_tables([o for o in outcomes if o.variant == name])
+        return tables
     return {
         f"{purpose} subjects": _avatar_tables([o for o in outcomes if o.case.purpose == purpose])
         for purpose in sorted({outcome.case.purpose for outcome in outcomes})
     }
+
+
+def _method_tables(outcomes: Sequence[Outcome]) -> list[Table]:
+    """Return errors with a row for stage 1 and for each method, over the cases that all have."""
+    variants = dict.fromkeys(outcome.variant for outcome in outcomes)
+    having = lambda case: {outcome.variant for outcome in outcomes if outcome.case == case}
+    figures = []
+    for outcome in outcomes:
+        if having(outcome.case) != set(variants):
+            continue
+        for figure in outcome.figures:
+            stage, _, metric = figure.metric.partition(" error")
+            row = STAGE_1 if stage == STAGE_1 else outcome.variant
+            named = f"error{metric}" if metric else figure.metric
+            about = {"subject": outcome.case.take.name, "variant": row, "metric": named}
+            figures.append(replace(figure, **about))
+    figures.sort(key=lambda figure: figure.variant != STAGE_1)
+    tables = []
+    for metric in ("error, mm", "increased"):
+        cells = pivot(where(figures, metric=metric), ("variant",), ("alignment", "region"))
+        tables.append(table(cells, metric))
+    return tables
 
 
 def _refine_tables(outcomes: Iterable[Outcome]) -> list[Table]:

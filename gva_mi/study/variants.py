@@ -36,7 +36,7 @@ class AvatarVariant:
         if self.changes is not None:
             kept = [name for _, names in CHANGES[: self.changes + 1] for name in names]
             kept += ["steps", "seed", "checkpoint_every", "vgg16"]
-            return changed(paper.FIT, {name: attrgetter(name)(options) for name in kept})
+            options = changed(paper.FIT, {name: attrgetter(name)(options) for name in kept})
         return changed(options, self.options)
 
 
@@ -94,21 +94,32 @@ LADDER = tuple(
     for k, (name, _) in enumerate(CHANGES)
 )
 
+# The method as printed, by the α of its alpha shape: without one, it is the smallest that leaves no
+# open edge.
+ALPHAS_MM = (25, 40, 60, 90, 150)
+BY_ALPHA = tuple(
+    AvatarVariant(f"as printed, α {mm} mm", {"reinit.alpha": mm / 1000}, "printed", changes=0)
+    for mm in ALPHAS_MM
+)
+
 
 def variants_named(names: Sequence[str]) -> list[AvatarVariant]:
     """Return the named variants, in the order of the study.
 
-    Without names: all that change one part. The name "ladder" is all of :data:`LADDER`.
+    Without names: all that change one part. The name "ladder" is all of :data:`LADDER`, "alphas"
+    all of :data:`BY_ALPHA`.
 
     Raises:
         InputError: there is no variant of a name.
     """
     if not names:
         return list(VARIANTS)
-    known = {variant.name: variant for variant in (*LADDER, *VARIANTS)}
-    asked = {*names, *(row.name for row in LADDER if "ladder" in names)} - {"ladder"}
+    known = {variant.name: variant for variant in (*LADDER, *BY_ALPHA, *VARIANTS)}
+    groups = {"ladder": LADDER, "alphas": BY_ALPHA}
+    asked = {row.name for name in names for row in groups.get(name, ())}
+    asked |= {name for name in names if name not in groups}
     for name in asked:
         if name not in known:
-            there = ", ".join([*known, "ladder"])
+            there = ", ".join([*known, *groups])
             raise InputError(f"study: --rows has no '{name}'; there are: {there}")
     return [variant for name, variant in known.items() if name in asked]

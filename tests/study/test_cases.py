@@ -9,7 +9,15 @@ from gva_mi.core.errors import InputError
 from gva_mi.fit import paper
 from gva_mi.fit.options import FitOptions
 from gva_mi.study.cases import HELD_OUT, LIMITS, NO_NORMALS, TOUCH, TUNING, held_out
-from gva_mi.study.variants import CHANGES, FULL, LADDER, VARIANTS, variants_named
+from gva_mi.study.variants import (
+    ALPHAS_MM,
+    BY_ALPHA,
+    CHANGES,
+    FULL,
+    LADDER,
+    VARIANTS,
+    variants_named,
+)
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.synthetic.errors.models import ERROR_MODELS
 from gva_mi.synthetic.person.identity import NAMED
@@ -112,6 +120,9 @@ def test_the_ladder_leads_from_the_paper_to_the_whole_method():
     for (name, _), before, after in zip(CHANGES[2:], LADDER[1:-1], LADDER[2:], strict=True):
         assert before.of(options) != after.of(options), name
     assert variants_named(("full", "ladder")) == [*LADDER, FULL]
+    assert variants_named(("alphas",)) == list(BY_ALPHA)
+    wide = BY_ALPHA[-1].of(options)
+    assert wide == replace(first, reinit=replace(first.reinit, alpha=ALPHAS_MM[-1] / 1000))
 
 
 def test_rows_are_chosen_by_name_and_keep_their_order():

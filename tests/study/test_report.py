@@ -55,3 +55,24 @@ def test_an_error_model_counts_once_and_the_worst_depth_is_the_farthest_off():
         "refined depth, mm": {"white": "+10.0", "lean": "-30.0", "mean": "-10.0", "worst": "-30.0"},
         "IoU - limit": {"white": "-0.100", "lean": "+0.050", "mean": "-0.025", "worst": "-0.100"},
     }
+
+
+def test_methods_are_compared_with_stage_1_over_the_cases_that_all_have():
+    def measured(case, variant, error, increased):
+        return Outcome(case, variant, (
+            Figure(region="body", metric="stage 1 error, mm", value=50.0),
+            Figure(region="body", metric="refined error, mm", value=error),
+            Figure(region="body", metric="increased", value=increased),
+        ))  # fmt: skip
+
+    first, second = (StudyCase(Take(seed=k), "white", k) for k in (1, 2))
+    found = report.study_tables("refine", [
+        measured(first, "refined", 30.0, 0.0), measured(first, "Eq. 8 as printed", 60.0, 0.5),
+        measured(second, "refined", 99.0, 1.0),
+    ])  # fmt: skip
+    assert list(found) == [
+        "methods", "error models, refined", "error models, Eq. 8 as printed",
+    ]  # fmt: skip
+    errors, worse = ({row[0]: row[1] for row in table.rows} for table in found["methods"])
+    assert errors == {"stage 1": "50.0", "refined": "30.0", "Eq. 8 as printed": "60.0"}
+    assert worse == {"refined": "0 %", "Eq. 8 as printed": "50 %"}

@@ -187,9 +187,8 @@ def alpha_shape(points: np.ndarray, alphas: Iterable[float], smoothing: int) -> 
     """Return the outer boundary of the alpha shape of points (N, 3), smoothed; lengths in metres.
 
     It has no triangles that are outside on both sides. Where more than two meet at an edge, some
-    are left out: it is a manifold, but not closed there. If α is too small, the ball rolls in
-    between the points, and shreds are left. So the first of ``alphas`` that leaves no open edge is
-    taken; if all of them do, the one that leaves fewest.
+    are left out: it is not closed there. If α is too small, the ball rolls in between the points.
+    So the first of ``alphas`` that leaves no open edge is taken, or the one that leaves fewest.
 
     Source: Edelsbrunner, Kirkpatrick and Seidel, 1983 (see the module).
 
@@ -354,28 +353,6 @@ def mean_distance(points: np.ndarray, neighbours: int) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     return cKDTree(points).query(points, k=neighbours + 1, workers=-1)[0][:, 1:].mean(1)
-
-
-def curvature(surface: SurfaceMesh) -> np.ndarray:
-    """Return the root mean square of the principal curvatures, (V,), scaled to [0, 1].
-
-    1 is the 95th percentile. Source: pymeshlab's discrete curvature (Meyer et al., "Discrete
-    differential-geometry operators for triangulated 2-manifolds", 2003).
-
-    Example:
-        >>> from skimage.measure import marching_cubes
-        >>> at = np.mgrid[-6:7, -6:7, -6:7] / 20
-        >>> vertices, faces, _, _ = marching_cubes(np.linalg.norm(at, axis=0), 0.2)
-        >>> ball = SurfaceMesh((vertices - 6) / 20, faces.astype(np.int64))
-        >>> curved = curvature(ball)
-        >>> curved.shape == (len(ball.vertices),), curved.max()
-        (True, np.float64(1.0))
-    """
-    meshes = surface.meshlab()
-    meshes.compute_scalar_by_discrete_curvature_per_vertex(curvaturetype="RMS Curvature")
-    curvature = np.nan_to_num(meshes.current_mesh().vertex_scalar_array(), posinf=0, neginf=0)
-    largest = np.percentile(curvature, 95)
-    return np.clip(curvature / largest, 0, 1) if largest > 0 else np.zeros(len(curvature))
 
 
 def _throw_darts(tree: cKDTree, points: np.ndarray, radius: np.ndarray) -> list[int]:

@@ -244,6 +244,7 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Me
         {"type": "twosided", "side": {"type": "diffuse", "reflectance": color}}
     )
     mesh = mi.Mesh(PERSON, len(vertices), len(faces), has_vertex_normals=True, props=props)
+    mesh.set_id(PERSON)
     mesh.add_attribute("vertex_color", 3, colors.array)
     params = mi.traverse(mesh)
     params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
@@ -255,10 +256,7 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Me
 def _with_person(scene: mi.Scene, person: mi.Mesh) -> mi.Scene:
     """Return a scene of the shapes and emitters of another one, and a person in it."""
     import mitsuba as mi
+    from gva_mi_plugins.gaussian_splat.scene import by_id
 
-    parts = [*scene.shapes(), *(e for e in scene.emitters() if e.get_shape() is None)]
-    named = {PERSON: person}
-    for k, part in enumerate(parts):
-        name = part.id() if part.id() and part.id() not in named else f"part{k}"
-        named[name] = part
-    return mi.load_dict({"type": "scene", **named})
+    emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+    return mi.load_dict({"type": "scene", **by_id([person, *scene.shapes(), *emitters])})

@@ -30,6 +30,7 @@ with a new BVH, because shapes may have moved and only the first scene is notifi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import drjit as dr
@@ -230,6 +231,21 @@ def _tensor(rows: list[list[mi.Float | float]]) -> mi.TensorXf:
     return mi.TensorXf(dr.concat(numbers), (len(rows), len(rows[0])))
 
 
+def by_id(parts: Iterable[mi.Object]) -> dict[str, mi.Object]:
+    """Return parts of a scene by their ids, for ``mi.load_dict``, which gives them the key as id.
+
+    Example:
+        >>> parts = [mi.load_dict({"type": "sphere", "id": name}) for name in ("ball", "ball")]
+        >>> list(by_id(parts))
+        ['ball', 'part1']
+    """
+    named: dict[str, mi.Object] = {}
+    for k, part in enumerate(parts):
+        taken = not part.id() or part.id() in named
+        named[f"part{k}" if taken else part.id()] = part
+    return named
+
+
 @dataclass(frozen=True)
 class OtherShapes:
     """All shapes of a scene except ellipsoids, with the scene's emitters and a sensor.
@@ -259,8 +275,7 @@ class OtherShapes:
         if not shapes and proxy is None:
             raise ValueError("gaussian_splat: meshes is 'depth', and the scene has no mesh")
         emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
-        parts = {f"part{i}": part for i, part in enumerate([*shapes, *emitters, sensor])}
-        others = mi.load_dict({"type": "scene", **parts})
+        others = mi.load_dict({"type": "scene", **by_id([*shapes, *emitters, sensor])})
         for emitter in emitters:  # an environment encloses the scene that took it in last
             emitter.set_scene(scene)
         return OtherShapes(others, sensor)

@@ -93,6 +93,8 @@ def test_the_example_of_gaussian_splat_makes_its_picture_and_its_figure(
 def test_every_parameter_of_gaussian_splat_is_documented(scenes):
     """Mitsuba refuses unknown properties, so the table lists all."""
     table = re.findall(r"^\| `(\w+)` \|", SPLATS, re.MULTILINE)
-    assert table == ["meshes", "background", "srgb_primitives", "depth", "blur", "antialiased"]
+    first = ["meshes", "proxy", "bake", "background"]
+    assert table == [*first, "srgb_primitives", "depth", "blur", "antialiased"]
     given = {"srgb_primitives": False, "depth": True, "blur": 0.1, "antialiased": True}
     mi.load_dict({"type": "gaussian_splat", "meshes": "none", "background": 0.5} | given)
+    mi.load_dict({"type": "gaussian_splat", "meshes": "lit", "proxy": "mesh", "bake": 8} | given)

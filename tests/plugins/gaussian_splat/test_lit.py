@@ -1,8 +1,12 @@
 """``gaussian_splat`` in a scene's light: its proxy, and sensors that see it and past it."""
 
+import re
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
+import torch
 
 SKY = {"type": "constant", "radiance": 1.0}
 
@@ -144,3 +148,30 @@ def test_errors(splats, proxy, parameters, message):
     with pytest.raises((RuntimeError, ValueError), match=message):
         method = splats.integrator(**parameters)
         method.render(splats.scene(splats.arrays(4, 0), proxy=proxy(), sky=SKY), splats.sensor())
+
+
+def test_the_example_of_light_lights_any_splats_with_a_mesh(scenes, splats, tmp_path, monkeypatch):
+    """Two files as programs of others write them: ellipsoids on a ball, and the ball."""
+    from gva_mi.splat import Gaussians
+    from gva_mi.splat.formats.ply import save_ply
+
+    page = (Path(__file__).parents[3] / "docs/plugins.md").read_text()
+    page = page.partition("## Ellipsoids in the light")[2].partition("\n## ")[0]
+    monkeypatch.chdir(tmp_path)
+    g = splats.arrays(2000, 0, scales=(0.02, 0.05), opacities=(0.9, 0.95))
+    g["means"] *= 0.8 / np.linalg.norm(g["means"], axis=1, keepdims=True)
+    save_ply(
+        tmp_path / "splats.ply", Gaussians(**{k: torch.from_numpy(x).float() for k, x in g.items()})
+    )
+    ball = scenes.mesh("ball", *scenes.sphere(radius=0.8))
+    ball.add_attribute("vertex_color", 3, [0.5] * (3 * ball.vertex_count()))
+    ball.write_ply("mesh.ply")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names, small = {}, program.replace("320", "80").replace("256", "64").replace("spp=64", "spp=4")
+    exec(compile(small, "plugins.md", "exec"), names)
+    lit, kept = (np.array(names[name]) for name in ("lit", "kept"))
+    ball = lit[25:35, 35:45].mean(0).mean(-1)
+    assert ball[:3].mean() > 1.5 * ball[-3:].mean()  # the lamp is to the left
+    assert np.abs(lit - kept)[60:].max() < 1e-4 < np.abs(lit - kept)[32].max()  # the same floor
+    shadow = kept[45:60].mean(-1)
+    assert shadow.min() < 0.3 * shadow.max()

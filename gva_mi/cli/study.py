@@ -34,6 +34,7 @@ from gva_mi.study.refine_study import (
     RefineStudy,
     RefineStudyOptions,
 )
+from gva_mi.study.relight import RelightStudy, RelightStudyOptions, lights_named
 from gva_mi.study.report import study_tables, write_study_report
 from gva_mi.study.variants import variants_named
 
@@ -82,6 +83,19 @@ class AvatarChoice(_Choice):
     options: Flat[AvatarStudyOptions] = field(default_factory=AvatarStudyOptions)
 
 
+@dataclass(frozen=True)
+class RelightChoice(_Choice):
+    """Fit draft avatars of synthetic subjects, and draw them in light that their videos lack.
+
+    Writes relight.json and relight.html: PSNR of test frames against the same subjects in the same
+    light, not relit, with the own light turned, and relit by a Mitsuba scene's light. Only cases on
+    white take part.
+    """
+
+    lights: tuple[str, ...] = ()  # such as usual, left or sky; without it, all of synth --light
+    options: Flat[RelightStudyOptions] = field(default_factory=RelightStudyOptions)
+
+
 @options_of("study multiview")
 class MultiviewChoice:
     """Compare stage 1 of real videos with points triangulated from several calibrated cameras.
@@ -103,6 +117,7 @@ def study(
     what: Annotated[
         Annotated[RefineChoice, subcommand("refine", prefix_name=False)]
         | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)]
+        | Annotated[RelightChoice, subcommand("relight", prefix_name=False)]
         | Annotated[MultiviewChoice, subcommand("multiview", prefix_name=False)],
         arg(name=""),
     ],
@@ -120,6 +135,8 @@ def study(
         variants = (STAGE_1,) if what.stage == 1 else (REFINED,)
         variants = (*variants, PRINTED) if what.printed else variants
         made = RefineStudy(what.out, body, what.options, variants)
+    elif isinstance(what, RelightChoice):
+        made = RelightStudy(what.out, body, what.options, lights_named(what.lights))
     else:
         made = AvatarStudy(what.out, body, what.options, variants_named(what.rows))
     with folder_lock(what.out, "gva-mi study"):
@@ -203,9 +220,14 @@ def _chosen(what: _Choice) -> list[StudyCase]:
                 known = ", ".join(there)
                 raise InputError(f"study: --{name} has no '{one}'; these cases have: {known}")
         chosen = [case for case in chosen if not asked or of(case) in asked]
+    if isinstance(what, RelightChoice):
+        chosen = [case for case in chosen if case.take.scene == "white"]
     for case in filter(lambda case: case.lacks, chosen):
         say(f"{case.name}: left out, because the package {case.lacks} is not installed")
     chosen = [case for case in chosen if not case.lacks]
     if not chosen:
-        raise InputError("study: no case has both one of these error models and these subjects")
+        on_white = ", on white" if isinstance(what, RelightChoice) else ""
+        raise InputError(
+            f"study: no case has both one of these error models and these subjects{on_white}"
+        )
     return chosen

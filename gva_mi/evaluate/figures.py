@@ -32,7 +32,7 @@ class Figure:
     variant: str = ""  # how it was made
     split: str = ""  # frames of the video
     region: str = ""  # part of the picture or of the body
-    alignment: str = ""  # what was aligned before measuring, or under which poses
+    alignment: str = ""  # what was aligned before measuring, or which poses or light
     metric: str
     value: float | None  # None: not known
 

@@ -7,6 +7,7 @@
 ``engine``        cases x variants -> figures (:mod:`gva_mi.evaluate.figures`), resumable
 ``refine_study``  the study of refinement
 ``avatar_study``  the study of avatars
+``relight``       the study of avatars in other light
 ``report``        tables and page of a study
 ``multiview``     stage 1 of one camera, against several calibrated cameras
 ================  ==================================================================

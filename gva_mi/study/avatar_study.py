@@ -15,6 +15,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
+from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
@@ -131,6 +132,16 @@ class VariantRun:
 
     def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
         """Fit, or resume a fit, and return its figures."""
+        avatar, video = self.fit(progress)
+        return measure_run(
+            self.out, avatar, video, self.variant.name, self.body, self._poses,
+            driven=self.driven(video),
+            # fitted poses would bend a rigid body
+            fit_to_pictures=self.fitted and not self.variant.rigid,
+        ).figures  # fmt: skip
+
+    def fit(self, progress: Progress | None = None) -> tuple[Avatar, Video]:
+        """Fit, or resume a fit; return the avatar, and the video that it was fitted to."""
         self._make_room()
         if self.variant.poses == "printed" and not self._poses.exists():
             found = refine(load_video(self.subject), self.body, REFINE)
@@ -140,12 +151,7 @@ class VariantRun:
         avatar = fit(
             video, self.body, options, self.out, offsets=offsets, resume=True, progress=progress
         )
-        return measure_run(
-            self.out, avatar, video, self.variant.name, self.body, self._poses,
-            driven=self.driven(video),
-            # fitted poses would bend a rigid body
-            fit_to_pictures=self.fitted and not self.variant.rigid,
-        ).figures  # fmt: skip
+        return avatar, video
 
     def video(self) -> Video:
         """Open the case's video under the poses that this variant is fitted with."""

@@ -4,7 +4,7 @@ A subject counts once in a cell of a study's table: the figures of its cases are
 refinement study has a row for each error model (of ``LIMITS`` for each case), their mean, and the
 worst of each column. The avatar study has a row for each variant, separately for held-out and tuned
 subjects, with the mean difference to the variant "full" of the same cases, because subjects differ
-more than variants do.
+more than variants do. The relighting study has a row for each light.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ TEXTS = {  # of the sections, by the title of their tables
     "frames whose error increased. Every error model counts once.",
     "held out subjects": "Mean ± standard deviation over subjects, the worst subject, and in "
     "brackets the difference to full.",
+    "lights, held out subjects": "Means over subjects. Rows are lights that the video does not "
+    "have, but for the usual one; one gain a channel is fitted to each subject's frames.",
 }
 REFINE_SHOWN = (  # a study's tables
     "change", "stage 1 error, mm", "refined error, mm", "refined depth, mm", "increased",
@@ -42,7 +44,7 @@ AVATAR_SHOWN = (  # metrics, and regions unless all are
 
 
 def study_tables(kind: str, outcomes: Sequence[Outcome]) -> dict[str, list[Table]]:
-    """Summarise a study, ``refine`` or ``avatar``: tables by their common title."""
+    """Summarise a study, ``refine``, ``avatar`` or ``relight``: tables by their common title."""
     if kind == "refine":
         variants = dict.fromkeys(outcome.variant for outcome in outcomes)
         tables = {} if len(variants) < 2 else {"methods": _method_tables(outcomes)}
@@ -50,8 +52,9 @@ def study_tables(kind: str, outcomes: Sequence[Outcome]) -> dict[str, list[Table
             title = f"error models, {name}" if tables else "error models"
             tables[title] = _refine_tables([o for o in outcomes if o.variant == name])
         return tables
+    title, tables = {"avatar": ("", _avatar_tables), "relight": ("lights, ", _light_tables)}[kind]
     return {
-        f"{purpose} subjects": _avatar_tables([o for o in outcomes if o.case.purpose == purpose])
+        f"{title}{purpose} subjects": tables([o for o in outcomes if o.case.purpose == purpose])
         for purpose in sorted({outcome.case.purpose for outcome in outcomes})
     }
 
@@ -76,6 +79,20 @@ def _method_tables(outcomes: Sequence[Outcome]) -> list[Table]:
         cells = pivot(where(figures, metric=metric), ("variant",), ("alignment", "region"))
         tables.append(table(cells, metric))
     return tables
+
+
+def _light_tables(outcomes: Iterable[Outcome]) -> list[Table]:
+    """Return a table for each region, with a row for each light and a column for each way."""
+    figures = [
+        replace(figure, subject=outcome.case.take.name)
+        for outcome in outcomes
+        for figure in outcome.figures
+    ]
+    by_region = {x: where(figures, region=x) for x in dict.fromkeys(f.region for f in figures)}
+    return [
+        table(pivot(rows, ("variant",), ("alignment",)), f"PSNR, dB, {region}")
+        for region, rows in by_region.items()
+    ]
 
 
 def _refine_tables(outcomes: Iterable[Outcome]) -> list[Table]:
@@ -143,7 +160,7 @@ def write_study_report(
 
     Args:
         path: the ``.html`` file.
-        kind: "refine" or "avatar".
+        kind: "refine", "avatar" or "relight".
         outcomes: all that were asked for.
         settings: options and versions.
     """

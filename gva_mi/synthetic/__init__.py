@@ -13,7 +13,7 @@ The packages follow the way of a subject into its folder:
 =============  =====================================================================
 """
 
-from gva_mi.synthetic.folder import degrade, make_subject, remake_subject
+from gva_mi.synthetic.folder import degrade, make_subject, relit_pictures, remake_subject
 from gva_mi.synthetic.options import SynthOptions
 
-__all__ = ["SynthOptions", "degrade", "make_subject", "remake_subject"]
+__all__ = ["SynthOptions", "degrade", "make_subject", "relit_pictures", "remake_subject"]

@@ -1,7 +1,7 @@
 """A subject's folder: the video that a real pipeline would have, and its ground truth.
 
-:func:`make_subject` writes one, :func:`degrade` copies one with other errors, and
-:func:`remake_subject` makes its person again.
+:func:`make_subject` writes one, :func:`degrade` copies one with other errors,
+:func:`remake_subject` makes its person again, and :func:`relit_pictures` shows it in other light.
 
 Pictures are sRGB-encoded, the person on white or in a room (see ``render``); held-out ones are on
 white, in the light of the room. ``phone.mp4`` is the video that a phone would make in a room.
@@ -11,7 +11,7 @@ whose focal length may be wrong. All in ``truth`` is exact:
 
 ======================  ========================================================================
 ``poses.npz``           poses of the body that was drawn
-``body.npz``            this body, if it is not the fitted one, see ``person/stretched_body``
+``body.npz``            this body, if it is not the fitted one, see ``person/bodies``
 ``cameras.npz``         the true cameras
 ``masks``, ``normals``  of the video
 ``novel_view``          frames of the video from other sides; ``splits.json`` lists them
@@ -40,7 +40,7 @@ import numpy as np
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
-from gva_mi.core.errors import expecting
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_arrays, write_json
 from gva_mi.core.tasks import in_order, worker_processes
 from gva_mi.splat import Camera
@@ -60,7 +60,7 @@ from gva_mi.synthetic.motion import motions
 from gva_mi.synthetic.options import SubjectStream, SynthOptions
 from gva_mi.synthetic.person.surface import PersonSurface
 from gva_mi.synthetic.pictures.cameras import PHONE_VIDEO, camera_around, write_phone_video
-from gva_mi.synthetic.pictures.render import Moment, Renderer
+from gva_mi.synthetic.pictures.render import Moment, Renderer, Rendering
 from gva_mi.synthetic.staging import Staging, lowered
 
 
@@ -173,6 +173,37 @@ def remake_subject(subject: Path, body: BodyModel) -> tuple[PersonSurface, BodyM
     _, options = recorded_options(subject)
     drawn_on = options.drawn_on(body)
     return options.subject_on(drawn_on), drawn_on
+
+
+def relit_pictures(
+    subject: Path, body: BodyModel, light: str, frames: Sequence[int]
+) -> list[Rendering]:
+    """Render some frames of a subject's video again, under another light.
+
+    They are those of ``gva-mi synth --light``, before rounding to 8 bits, of the same person.
+
+    Args:
+        subject: a folder that :func:`make_subject` or :func:`degrade` made, on white and with a
+            shutter that does not blur.
+        body: of its stage-1 poses.
+        light: one of :data:`gva_mi.synthetic.pictures.lights.LIGHTS`.
+        frames: of the video.
+
+    Raises:
+        InputError: the folder was not made by ``gva-mi synth``, or in a room, or on another body.
+    """
+    surface, drawn_on = remake_subject(subject, body)
+    options = recorded_options(subject)[1]
+    if options.scene != "white" or options.shutter > 0:
+        raise InputError(f"{subject}: only a sharp subject on white can be rendered in other light")
+    staging, renderer = Staging(options, drawn_on, surface), Renderer(surface, None, light)
+    poses, cameras = [pose[list(frames)] for pose in staging.poses], staging.cameras
+    still = staging.still(poses, [cameras[k] for k in frames])
+    seeds = ((*options.entropy(SubjectStream.RENDER), SubjectStream.MOTION, k) for k in frames)
+    return [
+        renderer.expose(moments, options.samples, _picture_seed(seed))
+        for moments, seed in zip(still, seeds, strict=True)
+    ]
 
 
 def recorded_options(subject: Path) -> tuple[dict, SynthOptions]:
@@ -288,9 +319,8 @@ def _rendering(make: Callable[[], Renderer], workers: int) -> Iterator[Render]:
 
 def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
     """Render one picture and write its files; return its colour, 8-bit (H, W, 3)."""
-    random, _ = np.random.SeedSequence(job.seed).spawn(2)  # the second is for the errors
     samples, errors = job.samples // len(job.moments), job.errors
-    seed = int(random.generate_state(1)[0])
+    seed = _picture_seed(job.seed)
     true = renderer.expose(job.moments, samples, seed, shown=errors is not None)
     stored = np.round(true.color * 255).astype(np.uint8)
     SubjectWriter(job.folder).frame(job.index, stored)
@@ -300,6 +330,12 @@ def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
         rendered = (true.mask, true.normals) if errors.as_rendered else None
         write_estimates(job.folder, job.index, errors, job.samples, rendered)
     return stored
+
+
+def _picture_seed(seed: tuple[int, ...]) -> int:
+    """Return the renderer's seed of a picture, from the seed of its job."""
+    random, _ = np.random.SeedSequence(seed).spawn(2)  # the second is for the errors
+    return int(random.generate_state(1)[0])
 
 
 _renderer: Renderer | None = None  # of a worker process

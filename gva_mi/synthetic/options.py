@@ -14,8 +14,8 @@ from gva_mi.body.smplx import BodyModel, load_body
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Seed, Share, Within, Workers, options_of
 from gva_mi.synthetic.errors.models import ERROR_MODELS, NO_ERRORS
+from gva_mi.synthetic.person.bodies import BodyStretch, stretched
 from gva_mi.synthetic.person.identity import NAMED, ONE_PIECE, SyntheticPerson, foreign_outfit
-from gva_mi.synthetic.person.stretched_body import BodyStretch, stretched
 from gva_mi.synthetic.person.surface import PersonSurface, draw_surface
 
 
@@ -52,7 +52,8 @@ class SynthOptions:
     motion: Literal["turn", "touch", "everyday", "still", "half", "walk", "dance"] = "turn"
     frames: VideoFrames = 80  # frames of the video; a turn fills all of them
     size: PictureSide = 512  # pixels, width and height of the pictures
-    light: Literal["usual", "side"] = "usual"  # lamps besides the sky
+    # Lamps besides the sky; all but the first two are for ground truth of a relit avatar.
+    light: Literal["usual", "side", "turned", "right", "left", "above", "sky"] = "usual"
     # A phone held by hand, in a room, or one that circles once around the person on white: with
     # error model none.
     camera: Literal["stands", "held", "circles"] = "stands"

@@ -1,8 +1,11 @@
 """``gva-mi render --scene``: an avatar in a Mitsuba scene."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from gva_mi.app.scenes import load_scene, scene_path
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.pictures import read_image
 
@@ -107,3 +110,21 @@ def test_cameras_of_a_file_look_into_the_scene(run, cli, camera):
     inside, plain = (read_image(run.parent / f / "000000.png", 3) for f in ("out", "plain"))
     person = (plain < 200).any(2)
     assert np.median(np.abs(inside.astype(int) - plain)[person]) <= 1  # kept
+
+
+@pytest.mark.parametrize("name", ["studio", "room", "sky"])
+def test_a_scene_of_the_package_has_light_and_ground_for_a_person_at_the_origin(name):
+    scene = load_scene(scene_path(Path(name)))
+    import mitsuba as mi
+
+    assert scene.integrator() and scene.emitters()
+    down = scene.ray_intersect(mi.Ray3f([0.0, 1.9, 0.0], [0, -1, 0]))
+    assert down.p.y.numpy() == pytest.approx(0, abs=1e-3)
+    (sensor,) = scene.sensors()
+    eye = mi.Point3f(sensor.world_transform().translation())
+    for height in (0.05, 1.85):  # a person's feet and head, with nothing before them
+        to = mi.Point3f(0, height, 0) - eye
+        assert not scene.ray_test(mi.Ray3f(eye, to, 1.0, 0.0, [])).numpy().any()
+        local = sensor.world_transform().inverse() @ mi.Point3f(0, height, 0)
+        tilt = np.degrees(np.arctan2(abs(local.y.numpy()), local.z.numpy()))
+        assert tilt < 0.97 * float(mi.traverse(sensor)["x_fov"][0]) / 2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.avatar.avatar import AvatarOptions
+from gva_mi.avatar.avatar import AVATAR_SPLATTING, AvatarOptions
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.core.errors import InputError
@@ -23,9 +23,11 @@ from gva_mi.evaluate.measure import ALIGNED, AS_REFINED, Metrics
 from gva_mi.fit.options import FitOptions, Schedule
 from gva_mi.fit.photometric import FITTED, PhotometricOptions
 from gva_mi.fit.renders import render_frame, render_layer
-from gva_mi.fit.run_folder import load_avatar
+from gva_mi.fit.run_folder import load_avatar, under_trained_poses
 from gva_mi.prior.body_height import Stature
 from gva_mi.refine import SequenceOptions
+from gva_mi.splat import render
+from gva_mi.study import relight
 from gva_mi.study.avatar_study import MADE_WITH, AvatarStudy, AvatarStudyOptions, VariantRun
 from gva_mi.study.cases import TUNING
 from gva_mi.study.engine import Outcome, Study, run_study
@@ -37,6 +39,7 @@ from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.ground_truth import load_ground_truth
 from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video import load_video
+from gva_mi.synthetic.pictures.render import Rendering
 
 MADE = {"options": {"frames": 8}, "results_version": 1}
 
@@ -271,6 +274,28 @@ def test_a_finished_variant_is_not_fitted_again(runs):
     before = (run.out / "avatar.npz").stat().st_mtime_ns
     assert run.solve() == figures
     assert (run.out / "avatar.npz").stat().st_mtime_ns == before
+
+
+def test_a_cast_of_all_frames_is_no_error_of_relighting(runs, monkeypatch):
+    """If the truth is the avatar's own picture, but for a gain, only "not relit" is exact."""
+    run, _ = runs
+    avatar, video = run.fit()
+    video = under_trained_poses(video, run.out)
+
+    def in_other_colors(folder, body, light, frames):
+        for k in frames:
+            with torch.no_grad():
+                g = avatar(video.pose[k])
+            colors = relight.encoded(relight.own_colors(avatar, video.pose[k]) * [0.5, 0.7, 0.9])
+            g = replace(g, sh=None, colors=torch.from_numpy(colors))
+            image = render(g, video.cameras[k], AVATAR_SPLATTING, torch.ones(3))
+            yield Rendering(image.color.numpy(), image.alpha.numpy(), None, None)
+
+    monkeypatch.setattr(relight, "relit_pictures", lambda *about: list(in_other_colors(*about)))
+    figures = relight.relight_figures(run, "left", rays=1)
+    found = {f.alignment: f.value for f in where(figures, region="silhouette")}
+    assert found["not relit"] > 45
+    assert max(found["own light turned"], found["relit"]) < found["not relit"] - 5
 
 
 @pytest.mark.slow

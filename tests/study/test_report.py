@@ -36,6 +36,26 @@ def test_variants_are_compared_in_the_same_cases_and_tuned_subjects_are_apart():
     assert found["tuning subjects"][0].rows == [["full", "99.00 ± 0.00"]]
 
 
+def test_lights_have_a_row_and_each_region_a_table():
+    def lit(case, light, **psnr):
+        figures = [
+            Figure(variant=light, region=region, alignment=way, metric=PSNR,
+                   value=x - (region == "silhouette"))
+            for region in ("white", "silhouette") for way, x in psnr.items()
+        ]  # fmt: skip
+        return Outcome(case, light, tuple(figures))
+
+    outcomes = [
+        lit(BRUNO[0], "left", kept=20.0, relit=25.0), lit(EDGAR[0], "left", kept=21.0, relit=27.0),
+        lit(BRUNO[0], "sky", kept=30.0, relit=29.0),
+    ]  # fmt: skip
+    ((title, (whole, silhouette)),) = report.study_tables("relight", outcomes).items()
+    assert title == "lights, held out subjects" and title in report.TEXTS
+    assert list(whole.head) == ["PSNR, dB, white", "kept", "relit"]
+    assert whole.rows == [["left", "20.50", "26.00"], ["sky", "30.00", "29.00"]]
+    assert silhouette.rows[1] == ["sky", "29.00", "28.00"]
+
+
 def refined(error_model, draw, change, ankles, iou):
     case = StudyCase(Take(seed=draw), error_model, draw)
     return Outcome(case, "refined", (

@@ -8,10 +8,10 @@ import torch
 import trimesh
 
 from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.synthetic.person.bodies import RestBody
 from gva_mi.synthetic.person.dressing import follow_nearest, hang_from_hips
 from gva_mi.synthetic.person.garments import shoe
 from gva_mi.synthetic.person.level_sets import BodySurface, VoxelGrid, smax, surface_of
-from gva_mi.synthetic.person.rest_body import RestBody
 from gva_mi.synthetic.person.surface import LAG_STEPS, lag
 from gva_mi.synthetic.person.surface import creases as place_creases
 

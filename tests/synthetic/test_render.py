@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from gva_mi.mesh.mesh_scene import sensor_of
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.pictures.finishes import Finish
-from gva_mi.synthetic.pictures.render import LIGHTS, Moment, Renderer, faces_seen
+from gva_mi.synthetic.pictures.lights import LIGHTS, Light
+from gva_mi.synthetic.pictures.render import Moment, Renderer, faces_seen
 from gva_mi.synthetic.pictures.room import Room, draw_room
 
-pytest.importorskip("mitsuba")
+mi = pytest.importorskip("mitsuba")
 RADIUS = 0.5
 CAMERA = Camera(70, 70, 33.5, 30.25, look_at((0.4, 0.3, 3.0), (0.05, 0, 0)), 64, 60)
 PHONE = Camera(60, 60, 32, 32, look_at((0, 1.2, 3.5), (0, 0.6, 0)), 64, 64)
@@ -43,7 +45,7 @@ def test_mask_normals_and_depth_of_a_ball(picture):
 
 
 def test_side_light_comes_from_the_left_and_the_sky_from_everywhere(ball, monkeypatch):
-    monkeypatch.setitem(LIGHTS, "ambient", ())
+    monkeypatch.setitem(LIGHTS, "ambient", Light(()))
     ahead = Camera(70, 70, 32, 30, look_at((0, 0, 3.0), (0, 0, 0)), 64, 60)
     halves = {}
     for light in ("usual", "side", "ambient"):
@@ -58,6 +60,28 @@ def test_side_light_comes_from_the_left_and_the_sky_from_everywhere(ball, monkey
     assert right == pytest.approx(halves["ambient"][1], rel=0.05)  # nothing else reaches it
     upper, lower = (np.nanmean(half) for half in np.array_split(color, [30]))
     assert upper > lower + 0.03  # the sky is brighter than the ground
+
+
+def test_a_light_is_the_same_in_a_scene_of_mitsuba(ball):
+    camera = Camera(70, 70, 32, 32, look_at((0.4, 1.0, 3.0), (0, 0.9, 0)), 64, 64)
+    sphere = {"type": "sphere", "center": [0, 0.9, 0], "radius": RADIUS}
+    white = {"bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}}
+    path = {"type": "path", "max_depth": 2, "hide_emitters": True}
+    for name in ("usual", "right"):
+        moment = Moment(ball.vertices + np.float32([0, 0.9, 0]), camera)
+        seen = Renderer(ball, light=name).expose([moment], 16, 0)
+        scene = {"type": "scene", "integrator": path, "ball": sphere | white}
+        lit = mi.load_dict(scene | LIGHTS[name].emitters())
+        image = np.array(mi.render(lit, sensor=mi.load_dict(sensor_of(camera)), spp=64))
+        inside = seen.mask == 1
+        for half in (slice(0, 32), slice(32, 64)):
+            ours, theirs = (x[:, half][inside[:, half]] for x in (decoded(seen.color), image))
+            ratio = ours.mean(0) / theirs.mean(0)
+            assert ratio == pytest.approx(0.5, rel=0.015), name  # the ball's albedo
+
+
+def decoded(x):
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
 def test_color_is_white_where_the_mask_is_zero_and_blended_where_it_is_soft(picture):

@@ -16,7 +16,7 @@ from gva_mi.subject.ground_truth import load_ground_truth
 from gva_mi.subject.pictures import read_image
 from gva_mi.subject.video import load_video
 from gva_mi.subject.video_file import VideoFile
-from gva_mi.synthetic import SynthOptions, degrade, make_subject
+from gva_mi.synthetic import SynthOptions, degrade, make_subject, relit_pictures
 from gva_mi.synthetic.errors.models import draw_errors
 
 pytest.importorskip("mitsuba")
@@ -68,6 +68,14 @@ def test_the_posed_body_lies_in_the_true_mask(exact, body, part):
         mask = read_image(folder / f"masks/{k:06d}.png", 1)
         pixels = camera.project(body(pose[k], shape).vertices[0].double().numpy())
         assert_overlay(mask, pixels)
+
+
+def test_a_subject_in_another_light_is_the_one_that_synth_makes(noisy, bare, body, tmp_path):
+    make_subject(tmp_path / "lit", replace(bare, light="right", novel_views=0), body)
+    (found,) = relit_pictures(noisy, body, "right", [2])
+    stored, usual = (read_image(f / "frames/000002.png", 3) for f in (tmp_path / "lit", noisy))
+    assert np.array_equal(np.round(found.color * 255), stored)
+    assert (np.abs(found.color * 255 - usual).max(2) > 25).sum() > 0.2 * found.mask.sum()
 
 
 def test_no_errors_are_exact(exact):

@@ -2,8 +2,7 @@
 
 ==================  ===============================================================
 ``identity``        the person: shape, colours, cut of clothes and hair
-``stretched_body``  a body of other proportions than the fitted one can have
-``rest_body``       the body below the clothes: joints, nails, face
+``bodies``          the body below the clothes; a body of other proportions
 ``level_sets``      closed surfaces around a body
 ``garments, hair``  clothes and hair as such surfaces
 ``dressing``        which of them a person wears, and how they follow the body

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.random import Generator
 
 from gva_mi.body.pose import JOINTS, SIDES
+from gva_mi.synthetic.person.bodies import RestBody
 from gva_mi.synthetic.person.garments import CLOTH_CELL, shirt, shoe, skirt, trousers
 from gva_mi.synthetic.person.hair import hair_mesh
 from gva_mi.synthetic.person.identity import Outfit
@@ -35,7 +36,6 @@ from gva_mi.synthetic.person.level_sets import (
     smoothstep,
     vertex_normals,
 )
-from gva_mi.synthetic.person.rest_body import RestBody
 from gva_mi.synthetic.person.texture import Material, SkirtCone
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.random import Generator
 
+from gva_mi.synthetic.person.bodies import RestBody
 from gva_mi.synthetic.person.identity import Outfit
 from gva_mi.synthetic.person.level_sets import (
     RestMesh,
@@ -26,7 +27,6 @@ from gva_mi.synthetic.person.level_sets import (
     smoothstep,
     surface_of,
 )
-from gva_mi.synthetic.person.rest_body import RestBody
 from gva_mi.synthetic.person.texture import SkirtCone
 
 # All in metres, chosen by eye; cells are a compromise of detail and time.

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from gva_mi.synthetic.person.bodies import RestBody
 from gva_mi.synthetic.person.identity import Outfit
 from gva_mi.synthetic.person.level_sets import (
     BodySurface,
@@ -27,7 +28,6 @@ from gva_mi.synthetic.person.level_sets import (
     smoothstep,
     surface_of,
 )
-from gva_mi.synthetic.person.rest_body import RestBody
 
 # In metres, chosen by eye on a head of usual size.
 HAIR_CELL = 0.005  # grid of hair; chosen: resolves locks

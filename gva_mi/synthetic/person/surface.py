@@ -29,10 +29,10 @@ from numpy.random import Generator
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.body.smplx import BodyModel
+from gva_mi.synthetic.person.bodies import RestBody, face_landmarks
 from gva_mi.synthetic.person.dressing import Piece, covered, dress
 from gva_mi.synthetic.person.identity import SyntheticPerson
 from gva_mi.synthetic.person.level_sets import vertex_normals
-from gva_mi.synthetic.person.rest_body import RestBody, face_landmarks
 from gva_mi.synthetic.person.texture import Look, Material
 
 if TYPE_CHECKING:

@@ -28,43 +28,21 @@ import numpy as np
 from drjit import ArrayBase as Array
 
 from gva_mi.splat import Camera
-from gva_mi.synthetic.person.identity import Color
 from gva_mi.synthetic.person.level_sets import vertex_normals
 from gva_mi.synthetic.person.surface import PersonSurface
-from gva_mi.synthetic.person.texture import Material, Point, albedo
+from gva_mi.synthetic.person.texture import Material, albedo
 from gva_mi.synthetic.pictures.finishes import finish_color
-from gva_mi.synthetic.pictures.room import INDIRECT_LIGHT, SKY_RADIANCE, Room, smoothly_lit
+from gva_mi.synthetic.pictures.lights import LIGHTS, AreaLight
+from gva_mi.synthetic.pictures.room import Room, smoothly_lit
 
 VARIANT = "llvm_ad_rgb"
 # Metres from the surface to the origins of secondary rays. Chosen: above float32's error.
 SECONDARY_RAY_OFFSET = 1e-4
 FEWER_SAMPLES = 4  # times fewer beside the person; chosen: eq. 6 smooths the light there
 PERSON_MATERIALS = len(Material)  # finishes of a room have the numbers from here on
-GROUND_RADIANCE = (0.30, 0.29, 0.28)  # ambient, from below, on white; chosen: half of the sky's
 # Columns of what a ray finds; ALBEDO only if the room is shown.
 RADIANCE, NORMAL, DEPTH, HIT, ALBEDO = slice(0, 3), slice(3, 6), 6, slice(7, 8), slice(8, 11)
 OF_PERSON, OF_ROOM = slice(0, 7), np.r_[RADIANCE, ALBEDO]
-
-
-@dataclass(frozen=True)
-class AreaLight:
-    """A parallelogram that emits light on one side."""
-
-    centre: Point  # metres, world
-    u: Point  # half edges; u × v points to the emitting side
-    v: Point
-    radiance: Color  # linear
-
-
-# Besides the sky. Usual: a key light at the upper left of the camera and a weak fill light to the
-# right, both metres wide. Side: one lamp to the left, which lights a turning person from all sides.
-LIGHTS = {
-    "usual": (
-        AreaLight((-2.2, 3.0, 3.0), (0.7, 0.0, 0.5), (-0.4, 0.6, 0.55), (15.0, 14.5, 13.8)),
-        AreaLight((3.2, 1.6, 2.2), (0.5, 0.0, -0.75), (0.0, 0.9, 0.0), (1.6, 1.7, 1.9)),
-    ),
-    "side": (AreaLight((-3.6, 1.4, 0.0), (0.0, 0.8, 0.0), (0.0, 0.0, 0.8), (24.0, 23.2, 22.1)),),
-}
 
 
 @dataclass(frozen=True)
@@ -94,10 +72,11 @@ class Renderer:
         import mitsuba as mi
 
         mi.set_variant(VARIANT)
-        self._look, self._room, self._lights = subject.look, room, LIGHTS[light]
+        self._look, self._room, self._light = subject.look, room, LIGHTS[light]
+        indirect = np.array(self._light.indirect)
         vertices, faces, material = subject.vertices, subject.faces, subject.material
         rest, tint = subject.vertices, subject.tint
-        emission = INDIRECT_LIGHT * np.array([subject.look.mean_color(p) for p in Material])
+        emission = indirect * np.array([subject.look.mean_color(p) for p in Material])
         if room is not None:  # its furniture follows the subject, in one mesh
             faces = np.concatenate([faces, room.faces + len(vertices)])
             numbers = (room.finish + PERSON_MATERIALS).astype(np.uint32)
@@ -105,7 +84,7 @@ class Renderer:
             rest = np.concatenate([rest, np.pad(room.uv, ((0, 0), (0, 1)))])
             tint = np.concatenate([tint, np.ones_like(room.vertices)])
             colors = [finish.mean_color() for finish in room.finishes]
-            emission = np.concatenate([emission, INDIRECT_LIGHT * np.array(colors)])
+            emission = np.concatenate([emission, indirect * np.array(colors)])
             self._finishes = mi.Float(np.ravel([f.row() for f in room.finishes]).astype("f4"))
             vertices = np.concatenate([vertices, room.vertices])
         self._faces, mesh = faces, mi.Mesh("subject", len(vertices), len(faces))
@@ -210,7 +189,7 @@ class Renderer:
         start = ray(t) + n_shading * SECONDARY_RAY_OFFSET - ray.d * SECONDARY_RAY_OFFSET
 
         light = mi.Color3f(0)
-        for source in self._lights:
+        for source in self._light.lamps:
             light += self._direct(source, start, n_shading, stratum(), lit)
         light += dr.pi * self._ambient(start, n_shading, stratum(), lit)
         radiance = color * light * dr.inv_pi
@@ -281,7 +260,7 @@ class Renderer:
         material = dr.gather(mi.UInt32, self._material, pi.prim_index, active & blocked)
         emission = dr.gather(mi.Color3f, self._emission, material, active & blocked)
         if self._room is None:
-            ground, sky = mi.Color3f(*GROUND_RADIANCE), mi.Color3f(*SKY_RADIANCE)
+            ground, sky = mi.Color3f(*self._light.ground), mi.Color3f(*self._light.sky)
             return dr.select(blocked, emission, dr.lerp(ground, sky, 0.5 + 0.5 * direction.y))
         # Every direction that nothing blocks gives the mean of all, which leaves little to chance.
         below, above = (mi.Color3f(c.tolist()) for c in self._room.ambient)

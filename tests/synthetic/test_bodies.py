@@ -8,7 +8,7 @@ from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import load_body
 from gva_mi.synthetic.errors.closest_pose import LIMBS, closest
 from gva_mi.synthetic.motion.motions import perform
-from gva_mi.synthetic.person.stretched_body import BodyStretch, stretched
+from gva_mi.synthetic.person.bodies import BodyStretch, stretched
 
 AVERAGE = Shape(torch.zeros(10))
 

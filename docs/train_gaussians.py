@@ -2,7 +2,7 @@
 
     python docs/train_gaussians.py [--scene FILE] [--steps 400] [--size 64] [--out FILE.ply]
 
-It needs only the bare install. The target scene is a .ply, or random Gaussians. Its pictures are
+It needs only the bare install. The target scene is a .ply or .glb, or random Gaussians. Its pictures are
 rendered first, from cameras on a ring. Density control follows gsplat's DefaultStrategy. It has no
 reset of opacities, which is for runs of thousands of steps. Thresholds are chosen for small
 pictures. To use your own data, replace ``Views``.
@@ -182,7 +182,7 @@ def train(scene: Scene, views: Views, steps: int, count: int = 100, seed: int = 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", type=Path, help=".ply; else random Gaussians")
+    parser.add_argument("--scene", type=Path, help=".ply or .glb; else random Gaussians")
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--size", type=int, default=64, help="of the pictures, px")
     parser.add_argument("--out", type=Path, help="a .ply of the fitted Gaussians")

@@ -1,4 +1,4 @@
-"""Export an avatar's surface and poses to other programs, which know meshes but no Gaussians.
+"""Export an avatar with skeleton and motions to other programs, and its poses.
 
 :mod:`gva_mi.splat.formats` writes the Gaussians of one pose.
 
@@ -13,6 +13,13 @@ of :mod:`gva_mi.body.kinematics`. A motion turns the nodes, and moves the first 
 express the blend shapes of bent joints. So they are left out, as well as the blend shapes of the
 face and all but the four largest skinning weights of a vertex. Vertices take their colours from the
 Gaussians around them, lit in the rest pose, and are shown unlit.
+
+With ``splats`` the file also holds the Gaussians at rest (:mod:`gva_mi.splat.formats.gltf`), in a
+node of the same skin: their four largest skinning weights are ``JOINTS_0`` and ``WEIGHTS_0``. No
+standard says yet how a skin moves Gaussians; programs that know none show the surface, and the
+Gaussians as points. The second scene is without the surface, which hides some of the Gaussians.
+:func:`load_gltf_avatar` reads such a file again. It has neither blend shapes nor light, and takes
+the derivatives of weights from the surface.
 
 ``save_amass`` writes poses in AMASS's format, which most programs that know a body can read:
 
@@ -34,36 +41,65 @@ Sources: the glTF 2.0 specification (Khronos, 2021) with KHR_materials_unlit; AM
 
 from __future__ import annotations
 
-import json
-import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.rig import Rig
+from gva_mi.avatar.avatar import Avatar, AvatarOptions
+from gva_mi.avatar.canonical import CanonicalGaussians, SeedOptions
+from gva_mi.avatar.residual import PoseResidual
+from gva_mi.avatar.rig import Rig, SkinningOptions
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import strongest
-from gva_mi.body.so3 import to_quaternion
-from gva_mi.core.atomic import atomic_write
+from gva_mi.body.so3 import to_quaternion, to_rotvec
+from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import write_arrays
 from gva_mi.mesh.surface import vertex_normals
+from gva_mi.splat.formats.gltf import (
+    SPLATTING,
+    TRIANGLES,
+    VERTICES,
+    Glb,
+    OpenedGlb,
+    as_light,
+    load_gltf,
+)
 from gva_mi.splat.formats.spz import plain_colors
+from gva_mi.splat.gaussians import Gaussians
+from gva_mi.splat.reference import rotation
 
 COLORING_GAUSSIANS = 8  # nearest Gaussians that colour a vertex; chosen: all around it
 # Metres: the smallest distance in the weights. Chosen: less than the Gaussians' spacing.
 SMALLEST_DISTANCE = 0.003
 _UNLIT = "KHR_materials_unlit"
+_OURS = "a .glb of an avatar, as `gva-mi export --splats` writes it"
+
+
+@dataclass(frozen=True)
+class NamedMotion:
+    """A motion of a file that holds several.
+
+    Example:
+        >>> NamedMotion("bow", Pose.rest(frames=50), fps=25).name
+        'bow'
+    """
+
+    name: str
+    pose: Pose  # T frames
+    fps: float  # frames a second
 
 
 @torch.no_grad()
-def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float = 30) -> None:
+def save_gltf(
+    path: Path, avatar: Avatar, motions: Sequence[NamedMotion] = (), splats: bool = False
+) -> None:
     """Write the surface with skeleton, skin and colours to a .glb, atomically.
 
-    A ``motion`` of T frames, ``fps`` a second, is written as its animation.
+    ``motions`` are written as animations; with ``splats``, the Gaussians are written, too.
 
     Example:
         >>> import tempfile
@@ -72,7 +108,7 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
         >>> options = AvatarOptions(SeedOptions(count=500))
         >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     save_gltf(Path(folder) / "avatar.glb", avatar, Pose.rest(frames=30))
+        ...     save_gltf(Path(folder) / "avatar.glb", avatar, splats=True)
         ...     (Path(folder) / "avatar.glb").read_bytes()[:4]
         b'glTF'
     """
@@ -82,6 +118,7 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
     inverse_bind[:, :3, 3] = -joints
     surface = len(JOINTS)  # its node comes after the nodes of the joints
     skin = {"joints": list(range(surface)), "skeleton": 0}
+    skin["extras"] = {"body": rig.body, "betas": rig.betas.tolist()}
     skin["inverseBindMatrices"] = file.add(inverse_bind)
     rough = {"metallicFactor": 0, "roughnessFactor": 1}
     file.description |= {
@@ -93,8 +130,15 @@ def save_gltf(path: Path, avatar: Avatar, motion: Pose | None = None, fps: float
         "materials": [{"pbrMetallicRoughness": rough, "extensions": {_UNLIT: {}}}],
         "meshes": [{"name": "surface", "primitives": [_surface(file, avatar)]}],
     }
-    if motion is not None:
-        file.description["animations"] = [_animation(file, avatar, motion, fps)]
+    if splats:
+        file.description["extensionsUsed"] += [SPLATTING]
+        file.description["scenes"][0]["nodes"] += [surface + 1]
+        file.description["scenes"] += [{"name": "gaussians", "nodes": [0, surface + 1]}]
+        file.description["nodes"] += [{"name": "gaussians", "mesh": 1, "skin": 0}]
+        primitive = _splats(file, path, avatar)
+        file.description["meshes"] += [{"name": "gaussians", "primitives": [primitive]}]
+    if motions:
+        file.description["animations"] = [_animation(file, avatar, motion) for motion in motions]
     file.save(path)
 
 
@@ -112,23 +156,35 @@ def _skeleton(rig: Rig) -> list[dict]:
 def _surface(file: Glb, avatar: Avatar) -> dict:
     """Describe the primitive of the rest surface."""
     rig = avatar.rig
-    weights, joints = strongest(rig.weights, 4).topk(4, dim=1)
-    joints = joints.masked_fill(weights == 0, 0)  # required by the format
     vertices = rig.vertices.float()
-    colors = _as_light(surface_colors(avatar, rig.vertices))
+    colors = as_light(surface_colors(avatar, rig.vertices))
     opaque = np.column_stack([colors, np.ones(len(colors))])
     attributes = {
         "POSITION": vertices.numpy(),
         "NORMAL": vertex_normals(vertices, rig.faces).numpy(),
         "COLOR_0": opaque.astype(np.float32),
-        "JOINTS_0": joints.numpy().astype(np.uint8),
-        "WEIGHTS_0": weights.float().numpy(),
-    }
+    } | _skinning(rig.weights)
     return {
         "attributes": {name: file.add(array, VERTICES) for name, array in attributes.items()},
         "indices": file.add(rig.faces.numpy().astype(np.uint32).ravel(), TRIANGLES),
         "material": 0,
     }
+
+
+def _splats(file: Glb, path: Path, avatar: Avatar) -> dict:
+    """Describe the primitive of the Gaussians, at rest and lit there."""
+    G = avatar.canonical
+    lit = avatar(Pose.rest(1, avatar.rig.expression_joints.shape[2], G.means.dtype)).sh
+    at_rest = Gaussians(G.means, G.quats, G.scales, G.opacities, sh=lit)
+    return file.gaussians(path, at_rest, **_skinning(G.weights))
+
+
+def _skinning(weights: Tensor) -> dict[str, np.ndarray]:
+    """Return the attributes of the four largest of skinning weights (N, 55)."""
+    largest, joints = strongest(weights, 4).topk(4, dim=1)
+    joints = joints.masked_fill(largest == 0, 0)  # required by the format
+    of_joints = joints.numpy().astype(np.uint8)
+    return {"JOINTS_0": of_joints, "WEIGHTS_0": largest.float().numpy()}
 
 
 @torch.no_grad()
@@ -161,9 +217,10 @@ def surface_colors(avatar: Avatar, points: Tensor) -> np.ndarray:
     return np.einsum("vk,vkc->vc", share, plain_colors(gaussians)[nearest])
 
 
-def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
+def _animation(file: Glb, avatar: Avatar, named: NamedMotion) -> dict:
     """Describe a motion: all joints turn, and the first one moves."""
-    times = file.add((np.arange(len(motion)) / fps).astype(np.float32))
+    motion = named.pose
+    times = file.add((np.arange(len(motion)) / named.fps).astype(np.float32))
     real, imaginary = to_quaternion(avatar.applied_rotations(motion).double())
     quats = torch.cat([imaginary, real], -1).numpy()  # xyzw, as in glTF
     for k in range(1, len(quats)):  # of q and -q, take the one nearer to the last
@@ -175,78 +232,91 @@ def _animation(file: Glb, avatar: Avatar, motion: Pose, fps: float) -> dict:
     for node, path, values in moved:
         channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
         samplers.append({"input": times, "output": file.add(values.astype(np.float32))})
-    return {"name": "motion", "samplers": samplers, "channels": channels}
+    return {"name": named.name, "samplers": samplers, "channels": channels}
 
 
-def _as_light(colors: np.ndarray) -> np.ndarray:
-    """Convert colours from sRGB to linear light, which glTF expects at vertices."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+@torch.no_grad()
+def load_gltf_avatar(path: Path) -> Avatar:
+    """Read an avatar again that :func:`save_gltf` wrote with its Gaussians.
 
-
-_COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
-_KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-VERTICES, TRIANGLES = 34962, 34963  # uses of a buffer on a GPU
-_MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
-
-
-class Glb:
-    """Builder of one .glb file.
-
-    Attributes:
-        description: the JSON; the caller adds scenes, nodes, meshes and so on.
-
-    Example:
-        >>> file = Glb()
-        >>> file.add(np.zeros((100, 3), np.float32), VERTICES)
-        0
-        >>> file.description["accessors"][0]["type"], file.description["accessors"][0]["count"]
-        ('VEC3', 100)
+    Raises:
+        InputError: not such a file.
     """
+    file = OpenedGlb.read(path, _OURS)
+    with expecting(path, _OURS):
+        rig, gaussians = _rig(path, file), load_gltf(path)
+        attributes, _ = next(file.splats())
+        skin = rig.skin(SkinningOptions())
+        binding = skin.bind(gaussians.means)
+        binding["weights"] = _weights(file, attributes)
+        canonical = CanonicalGaussians(
+            means=gaussians.means,
+            quats=gaussians.quats,
+            log_scales=gaussians.scales.log(),
+            logit_opacities=torch.logit(gaussians.opacities, eps=1e-6),
+            sh=gaussians.sh[:, :1],
+            **binding,
+        )
+        options = AvatarOptions(SeedOptions(sh_degree=0))
+        residual = PoseResidual(options.residual, torch.zeros(3), 1.0)
+        return Avatar(canonical, residual, rig, skin, options)
 
-    def __init__(self) -> None:
-        self._binary = bytearray()
-        self.description: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "gva_mi"},
-            "bufferViews": [],
-            "accessors": [],
-        }
 
-    def add(self, array: np.ndarray, use: int | None = None) -> int:
-        """Store an array and return the number of its accessor.
+def load_gltf_motion(path: Path) -> tuple[Pose, Shape]:
+    """Return the first animation of such a file, without one the rest pose, and the shape.
 
-        It is (n,), (n, 2), (n, 3), (n, 4) or (n, 4, 4), of float32 or unsigned integers, matrices
-        row by row. ``use`` is :data:`VERTICES` or :data:`TRIANGLES`.
-        """
-        kind = _KINDS[array.shape[1:]]
-        accessor = {
-            "bufferView": len(self.description["bufferViews"]),
-            "componentType": _COMPONENTS[array.dtype.name],
-            "count": len(array),
-            "type": kind,
-        }
-        if array.dtype == np.float32 and kind != "MAT4":  # the format demands some of them
-            low, high = array.min(0), array.max(0)
-            accessor |= {"min": np.atleast_1d(low).tolist(), "max": np.atleast_1d(high).tolist()}
-        if kind == "MAT4":
-            array = array.swapaxes(1, 2)  # column by column
-        content = np.ascontiguousarray(array).tobytes()
-        view = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(content)}
-        self.description["bufferViews"].append(view | ({"target": use} if use else {}))
-        self.description["accessors"].append(accessor)
-        self._binary += content + b"\0" * (-len(content) % 4)
-        return len(self.description["accessors"]) - 1
+    Raises:
+        InputError: not such a file.
+    """
+    file = OpenedGlb.read(path, _OURS)
+    with expecting(path, _OURS):
+        rig, animations = _rig(path, file), file.description.get("animations")
+        shape = Shape(rig.betas)
+        if not animations:
+            return Pose.rest(), shape
+        samplers, found = animations[0]["samplers"], {}
+        for channel in animations[0]["channels"]:
+            target = channel["target"]["node"], channel["target"]["path"]
+            found[target] = file.array(samplers[channel["sampler"]]["output"])
+        quats = np.stack([found[j, "rotation"] for j in range(len(JOINTS))], axis=1)
+        R = rotation(torch.tensor(quats[..., [3, 0, 1, 2]]).flatten(0, 1).double())
+        turns = to_rotvec(R).unflatten(0, (-1, len(JOINTS))).float()
+        transl = torch.tensor(found[0, "translation"]) - rig.joints[0]
+        return Pose(turns, transl, torch.zeros(len(turns), 0)), shape
 
-    def save(self, path: Path) -> None:
-        """Write the file, atomically."""
-        described = self.description | {"buffers": [{"byteLength": len(self._binary)}]}
-        text = json.dumps(described, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        length = 12 + 8 + len(text) + 8 + len(self._binary)
-        with atomic_write(path) as unfinished, unfinished.open("wb") as file:
-            file.write(struct.pack("<III", _MAGIC, 2, length))
-            for kind, chunk in ((_JSON, text), (_BINARY, self._binary)):
-                file.write(struct.pack("<II", len(chunk), kind))
-                file.write(chunk)
+
+def _rig(path: Path, file: OpenedGlb) -> Rig:
+    """Return skeleton and surface of such a file, without blend shapes."""
+    nodes, count = file.description["nodes"], len(JOINTS)
+    if [node.get("name") for node in nodes[:count]] != list(JOINTS):
+        raise InputError(f"{path}: has another skeleton, or none; expected {_OURS}")
+    parents = [-1] * count
+    for parent, node in enumerate(nodes[:count]):
+        for child in node.get("children", ()):
+            parents[child] = parent
+    surface = file.description["meshes"][nodes[count]["mesh"]]["primitives"][0]
+    vertices = torch.tensor(file.array(surface["attributes"]["POSITION"]))
+    extras = file.description["skins"][0]["extras"]
+    return Rig(
+        joints=torch.tensor(np.stack(file.transforms()[:count])[:, :3, 3]).float(),
+        parents=tuple(parents),
+        vertices=vertices,
+        faces=torch.tensor(file.array(surface["indices"]).astype(np.int64)).view(-1, 3),
+        weights=_weights(file, surface["attributes"]),
+        looseness=torch.zeros(len(vertices)),
+        directions=torch.zeros(len(vertices), 3, 0),
+        pose_features=torch.zeros(0, dtype=torch.int64),
+        expression_joints=torch.zeros(count, 3, 0),
+        betas=torch.tensor(extras["betas"]),
+        body=str(extras["body"]),
+    )
+
+
+def _weights(file: OpenedGlb, attributes: dict[str, int]) -> Tensor:
+    """Return skinning weights (N, 55) from the attributes of a primitive."""
+    joints = torch.tensor(file.array(attributes["JOINTS_0"]).astype(np.int64))
+    largest = torch.tensor(file.array(attributes["WEIGHTS_0"]))
+    return torch.zeros(len(joints), len(JOINTS)).scatter_add(1, joints, largest)
 
 
 def save_amass(path: Path, pose: Pose, shape: Shape, fps: float) -> None:

@@ -23,8 +23,7 @@ reads its arguments and calls the library: for a step, the function of its name 
 ``export``      files for other programs
 ``view``        the viewer in the browser
 ``study``       studies over many subjects
-``gradcheck``   gradient checks
-``bench``       benchmarks of a checkout
+``gradcheck``   gradient checks, and ``bench``: benchmarks of a checkout
 ``doctor``      checks the dependencies
 ``parse``       reads a command's arguments, from its signature
 ``arguments``   arguments that several commands share
@@ -61,7 +60,13 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
 
 # Modules of the commands that share one; each other command has the module of its name.
 MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "track", "render"), "steps")
-MODULES |= {"demo": "avatar", "synth": "subjects", "body": "subjects", "motion": "prepare"}
+MODULES |= {
+    "demo": "avatar",
+    "bench": "gradcheck",
+    "synth": "subjects",
+    "body": "subjects",
+    "motion": "prepare",
+}
 
 
 def load(verb: str) -> Callable[..., None]:

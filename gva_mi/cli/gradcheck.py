@@ -1,15 +1,18 @@
-"""The command ``gva-mi gradcheck``: check the gradients of renderer, avatar and normals."""
+"""The commands ``gradcheck`` and ``bench``: gradients checked, and speed measured."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional
 
+import gva_mi
 from gva_mi.cli.parse import Flat, Switch, given
 from gva_mi.core.atomic import require_writable
 from gva_mi.core.console import bar, say
@@ -24,6 +27,7 @@ from gva_mi.splat import render
 from gva_mi.splat.camera import CameraModel
 from gva_mi.splat.scene import Scene, person_scene
 
+CHECKOUT = Path(gva_mi.__file__).parents[1]  # the repository, whose benchmarks are not installed
 REPORT, PICTURE = "gradcheck.json", "gradcheck.png"
 What = Literal["splat", "avatar", "normals"]
 ONLY: dict[str, tuple[What, ...]] = {  # options that only some checks have
@@ -82,7 +86,7 @@ def gradcheck(
     Args:
         what: what to check.
         options: which inputs to check, and how finely.
-        scene: splat: a .ply of Gaussians; without it, a person of 20,000 Gaussians.
+        scene: splat: a .ply or .glb of Gaussians; without it, a person of 20,000 Gaussians.
         body: avatar: a body file in SMPL-X's format (.npz); without it, the built-in body.
         out: a folder for gradcheck.json and, for splat, gradcheck.png.
     """
@@ -132,3 +136,33 @@ def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
             rows += found
             progress(done, count)
     yield "mesh_normals", Report(tuple(rows), f"{count} coordinates of the pose, {SIZE} px")
+
+
+def bench(
+    what: Positional[Literal["splat", "growth", "fit"]],
+    *,
+    repeats: Annotated[int, Within(1, 100_000)] = 20,
+    scene: Path | None = None,
+) -> None:
+    """Measure the speed of the renderer, of larger scenes, or of a fit and a refinement.
+
+    Prints tables of milliseconds; on a shared machine trust only ratios within one run.
+
+    Args:
+        what: the part to measure; growth: larger scenes and more threads.
+        repeats: calls per figure.
+        scene: splat: a .ply or .glb of Gaussians; without it, a person of 20,000 Gaussians at
+            512 px.
+    """
+    if what != "splat" and scene is not None:
+        raise InputError(f"bench {what}: --scene is an option of bench splat")
+    if not (CHECKOUT / "benchmarks/splat.py").exists():
+        raise InputError(
+            "bench: benchmarks are in the repository and not in the installed package; clone it "
+            f"and run there: python -m gva_mi bench {what}"
+        )
+    if str(CHECKOUT) not in sys.path:
+        sys.path.insert(0, str(CHECKOUT))
+    options = {} if scene is None else {"path": scene}
+    for table in import_module(f"benchmarks.{what}").run(repeats, **options):
+        say(f"{table}\n")

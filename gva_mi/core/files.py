@@ -269,5 +269,5 @@ def known_container(path: Path) -> str | None:
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if b"KHR_gaussian_splatting" in start:  # in the JSON of a .glb or .gltf
-        return "Gaussians by glTF's KHR_gaussian_splatting: save them as .ply"
+        return "Gaussians by glTF's KHR_gaussian_splatting"
     return next((text for known, text in _BEGINNINGS.items() if start.startswith(known)), None)

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.export import NamedMotion
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix
@@ -33,7 +34,7 @@ from gva_mi.evaluate.pictures import dots, picture_sections, seen_map, shown_vie
 from gva_mi.evaluate.refinement import OVERLAYS, pose_tables
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
-from gva_mi.fit.web_page import PageMotion, save_page
+from gva_mi.fit.web_page import save_page
 from gva_mi.stage1.prepare import Stage1Record
 from gva_mi.stage1.video_check import ALL_SIDES, SEEN_SHARE, sides_seen
 from gva_mi.subject.pictures import read_image
@@ -197,7 +198,7 @@ def write_avatar_report(
         draft: whether the avatar is a preview.
     """
     avatar, record = run_folder.load_avatar(run), Stage1Record.load(video.folder)
-    own = PageMotion(THE_VIDEO, video.pose, record.fps)
+    own = NamedMotion(THE_VIDEO, video.pose, record.fps)
     save_page(out / WEB_PAGE, avatar, [*driven_motions(avatar), own], title)
     tall = "the person's height was not given: sizes and distances are uncertain by 5 %"
     if record.height is not None:
@@ -273,9 +274,9 @@ def _videos(
         yield animation(name, images[::PAGE_STRIDE])
 
 
-def driven_motions(avatar: Avatar) -> list[PageMotion]:
+def driven_motions(avatar: Avatar) -> list[NamedMotion]:
     """Return all :data:`DRIVEN_MOTIONS` for the page of an avatar."""
-    return [PageMotion(name, driven_motion(avatar, name), VIDEO_FPS) for name in DRIVEN_MOTIONS]
+    return [NamedMotion(name, driven_motion(avatar, name), VIDEO_FPS) for name in DRIVEN_MOTIONS]
 
 
 def driven_motion(avatar: Avatar, name: str) -> Pose:

@@ -31,6 +31,7 @@ import torch
 
 from gva_mi.avatar.avatar import AVATAR_FILE, Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians
+from gva_mi.avatar.export import load_gltf_avatar, load_gltf_motion
 from gva_mi.avatar.surface import SurfaceMesh
 from gva_mi.avatar.without_body import WITHOUT_BODY, with_body
 from gva_mi.body.pose import Pose, Shape, load_poses
@@ -297,6 +298,8 @@ def load_avatar(run: Path, body: Path | None = None) -> Avatar:
         InputError: no such file, not an avatar, or another body.
     """
     path = run / AVATAR if run.is_dir() else run
+    if path.suffix.lower() == ".glb":
+        return load_gltf_avatar(path)
     arrays = read_arrays(path, AVATAR_FILE)
     if str(arrays.get("format")) != WITHOUT_BODY:
         return Avatar.from_arrays(path, arrays)
@@ -307,8 +310,10 @@ def load_motion(run: Path, poses: Path | None) -> tuple[Pose, Shape, Path]:
     """Load a motion, the shape of its person, and the name of its file.
 
     ``poses`` is a file; None: the poses trained with the avatar of the ``run``, its folder or its
-    file in there.
+    file in there, or the first motion of a .glb.
     """
+    if poses is None and run.suffix.lower() == ".glb":
+        return *load_gltf_motion(run), run
     folder = run if run.is_dir() else run.parent
     path = poses or trained_poses(folder)
     if path is None:

@@ -24,7 +24,7 @@ import gzip
 import html
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -34,10 +34,10 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.avatar.export import NamedMotion
 from gva_mi.avatar.lbs_transforms import MAX_STRETCH, SparseWeights
 from gva_mi.avatar.rig import digest
 from gva_mi.avatar.skin_gaussians import light_vector
-from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import load_body
 from gva_mi.core.atomic import write_bytes
 from gva_mi.core.errors import InputError
@@ -49,25 +49,11 @@ MOST_FRAMES = 5000  # of all motions together
 _STEPS = 32767  # of 16 bits, on either side of zero
 
 
-@dataclass(frozen=True)
-class PageMotion:
-    """A motion that the page can play.
-
-    Example:
-        >>> PageMotion("bow", Pose.rest(frames=50), fps=25).name
-        'bow'
-    """
-
-    name: str  # on the page
-    pose: Pose  # T frames
-    fps: float  # frames a second
-
-
 @torch.no_grad()
 def save_page(
     path: Path,
     avatar: Avatar,
-    motions: Sequence[PageMotion],
+    motions: Sequence[NamedMotion],
     title: str,
     surface: bool = True,
 ) -> None:
@@ -86,12 +72,12 @@ def save_page(
     Example:
         >>> import tempfile
         >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
-        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.pose import Pose, Shape
         >>> from gva_mi.body.smplx import load_body
         >>> options = AvatarOptions(SeedOptions(count=500))
         >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
         >>> path = Path(tempfile.mkdtemp()) / "me.html"
-        >>> save_page(path, avatar, [PageMotion("rest", Pose.rest(), fps=30)], "Me")
+        >>> save_page(path, avatar, [NamedMotion("rest", Pose.rest(), fps=30)], "Me")
         >>> path.read_text()[:15]
         '<!doctype html>'
     """
@@ -119,7 +105,7 @@ def save_page(
     write_bytes(path, content.encode("utf-8", "xmlcharrefreplace"))
 
 
-def packed(avatar: Avatar, motions: Sequence[PageMotion], surface: bool) -> bytes:
+def packed(avatar: Avatar, motions: Sequence[NamedMotion], surface: bool) -> bytes:
     """Return all that the page's script reads, compressed: a length, a JSON of it, and arrays."""
     G, rig, file = avatar.canonical, avatar.rig, _Arrays()
     weights = G.sparse_weights

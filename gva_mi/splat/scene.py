@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 from gva_mi.core.errors import InputError
 from gva_mi.splat.axes import half_turned
 from gva_mi.splat.camera import Camera, CameraModel, CameraTensors, look_at
+from gva_mi.splat.formats.gltf import load_gltf
 from gva_mi.splat.formats.ply import load_ply
 from gva_mi.splat.gaussians import Gaussians
 from gva_mi.splat.options import SplatOptions
@@ -45,14 +46,15 @@ class Scene:
 
     @staticmethod
     def load(path: Path) -> Scene:
-        """Look at the Gaussians of a .ply from their front, +z, on black.
+        """Look at the Gaussians of a .ply or .glb from their front, +z, on black.
 
         Nine tenths of them fill the middle: the rest of a captured scene is far away.
 
         Raises:
             InputError: no Gaussians, or numbers that are not finite; the message has the path.
         """
-        gaussians = half_turned(load_ply(path))
+        in_world = path.suffix.lower() == ".glb"
+        gaussians = load_gltf(path) if in_world else half_turned(load_ply(path))
         if not len(gaussians):
             raise InputError(f"{path}: holds no Gaussians; a scene needs one")
         for name, tensor in gaussians.arrays().items():

@@ -73,7 +73,7 @@ def test_the_command_runs_the_benchmarks_of_a_checkout(cli, monkeypatch, tmp_pat
     out = cli.works("bench", "splat", "--repeats", 1, "--scene", scene_file)
     assert out.startswith("renderer, 8 Gaussians") and "composite, adjoint" in out
     assert "an option of bench splat" in cli.fails("bench", "fit", "--scene", scene_file)
-    monkeypatch.setattr("gva_mi.cli.bench.CHECKOUT", tmp_path)
+    monkeypatch.setattr("gva_mi.cli.gradcheck.CHECKOUT", tmp_path)
     err = cli.fails("bench", "fit")
     assert "in the repository" in err and "python -m gva_mi bench fit" in err
 

@@ -13,7 +13,9 @@ from gva_mi.avatar.rig import digest
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.fit.run_folder import load_avatar
 from gva_mi.splat.axes import half_turned
+from gva_mi.splat.formats.gltf import Glb
 from gva_mi.splat.formats.ply import load_ply
+from gva_mi.splat.scene import Scene
 
 
 @pytest.fixture
@@ -43,6 +45,17 @@ def test_gaussians_at_rest_in_a_frame_and_in_a_motion(run, dance, known, cli, tu
         assert same(found, half_turned(gaussians)), chosen
         assert found.sh.shape == (600, 1, 3)  # in a pose, colours follow from the light
         assert torch.allclose(found.sh, gaussians.sh, atol=1e-5)
+
+
+def test_a_series_has_a_file_for_each_frame(run, dance, cli, known, turning):
+    cli.works("export", run, "--series", "--poses", dance, "--out", run / "dance/walk.ply")
+    files = sorted((run / "dance").iterdir())
+    assert [file.name for file in files] == [f"walk{k:04d}.ply" for k in range(5)]
+    with torch.no_grad():
+        assert same(load_ply(files[4]), half_turned(known(turning(5, 1.0)[0][4])))
+    files[4].write_text("mine")
+    err = cli.fails("export", run, "--series", "--poses", dance, "--out", run / "dance/walk.ply")
+    assert "walk0000.ply: exists already" in err and files[4].read_text() == "mine"
 
 
 def test_poses_in_amass_form_and_a_surface_with_a_motion(run, dance, cli):
@@ -116,12 +129,30 @@ def test_a_page_plays_given_motions_then_others_and_the_video(run, dance, cli):
     assert names() == ["walk", "dance"]
 
 
+def test_a_glb_with_gaussians_is_drawn_again(run, cli):
+    """With its own first motion, and as a scene."""
+    cli.works("export", run, "--splats", "--out", run / "a.glb")
+    size = ("--size", 32, 40, "--path", "static")
+    cli.works("render", run / "a.glb", "--out", run / "again", *size)
+    assert len(list((run / "again").glob("*.png"))) == 120  # of the walk
+    assert len(Scene.load(run / "a.glb").gaussians) == 600
+    cli.works("export", run, "--out", run / "mesh.glb")
+    err = cli.fails("render", run / "mesh.glb", "--out", run / "none", *size)
+    assert "mesh.glb: holds no Gaussians" in err and err.count("\n") == 1
+
+
 def test_what_is_no_avatar_of_today_is_one_sentence(run, scene, cli):
     with np.load(run / "avatar.npz") as file:
         old = dict(file) | {"format": np.array("gva_mi avatar, version 4")}
     np.savez(run / "old.npz", **old)
+    foreign, file = run / "a.glb", Glb()
+    primitive = file.gaussians(foreign, half_turned(load_ply(scene)))
+    file.description |= {"nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}]}
+    file.save(foreign)
+    assert len(Scene.load(foreign).gaussians) == 8  # but it is a scene
     for given, sentence in (
         (run / "old.npz", "'format' must be 'gva_mi avatar, version"),
+        (foreign, "a.glb: has another skeleton, or none; expected a .glb of an avatar"),
         (scene, "a .ply of points, a mesh or Gaussians; expected an avatar"),
     ):
         err = cli.fails("export", given, "--out", run / "a.html")

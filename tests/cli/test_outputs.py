@@ -55,7 +55,7 @@ WRITERS = {
     "a.ply": lambda path, known: save_ply(path, known(Pose.rest())),
     "a.splat": lambda path, known: save_splat(path, known(Pose.rest())),
     "a.spz": lambda path, known: save_spz(path, known(Pose.rest())),
-    "a.glb": lambda path, known: save_gltf(path, known, None, 30),
+    "a.glb": lambda path, known: save_gltf(path, known),
     "checkpoint.pt": lambda path, known: save_state(path.parent, {"a": "x" * 1000}),
 }
 

@@ -7,12 +7,13 @@ from samples.browser import CHROMIUM, NO_BROWSER, SOFTWARE_WEBGL, Browser
 from samples.web_pages import unpack
 
 from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+from gva_mi.avatar.export import NamedMotion
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.skinning import skin_points
 from gva_mi.core.errors import InputError
 from gva_mi.fit import web_page
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_layer, shots
-from gva_mi.fit.web_page import PageMotion, save_page
+from gva_mi.fit.web_page import save_page
 from gva_mi.splat.axes import matrices
 from gva_mi.splat.kernels.sh import C0
 
@@ -65,7 +66,7 @@ class Skinned:
 
 def test_the_pages_numbers_give_the_avatars_gaussians(lit, bends, tmp_path):
     path, frame = tmp_path / "a.html", 2
-    save_page(path, lit, [PageMotion("bend", bends, 25)], "A <person>")
+    save_page(path, lit, [NamedMotion("bend", bends, 25)], "A <person>")
     assert "A &lt;person&gt;" in path.read_text() and "http" not in path.read_text()
     page = unpack(path)
     found = Skinned(page, "splat", "motion0", frame)
@@ -97,7 +98,7 @@ def test_the_pages_numbers_give_the_avatars_gaussians(lit, bends, tmp_path):
 
 
 def test_a_page_without_the_body_holds_neither_surface_nor_blend_shapes(lit, tmp_path):
-    save_page(tmp_path / "a.html", lit, [PageMotion("rest", Pose.rest(), 25)], "A", surface=False)
+    save_page(tmp_path / "a.html", lit, [NamedMotion("rest", Pose.rest(), 25)], "A", surface=False)
     page = unpack(tmp_path / "a.html")
     assert "faces" not in page and not page["splatShapeCounts"].any()
 
@@ -109,7 +110,7 @@ def test_a_page_that_would_be_too_large_is_refused(lit, bends, tmp_path, monkeyp
     ):
         with monkeypatch.context() as changed, pytest.raises(InputError, match=said):
             changed.setattr(web_page, name, most)
-            save_page(tmp_path / "a.html", lit, [PageMotion("bend", bends, 25)], "A")
+            save_page(tmp_path / "a.html", lit, [NamedMotion("bend", bends, 25)], "A")
     assert not list(tmp_path.iterdir())
 
 
@@ -128,8 +129,8 @@ DRAWN = "document.body && document.body.dataset.drawn"
 def paged(lit, bends, tmp_path_factory):
     """The address of a page of two motions."""
     path = tmp_path_factory.mktemp("page") / "a.html"
-    still = PageMotion("rest", Pose.rest(), 25)
-    save_page(path, lit, [PageMotion("bend", bends, 25), still], "A person")
+    still = NamedMotion("rest", Pose.rest(), 25)
+    save_page(path, lit, [NamedMotion("bend", bends, 25), still], "A person")
     return path.as_uri()
 
 
@@ -138,7 +139,7 @@ def paged(lit, bends, tmp_path_factory):
 def test_a_browser_draws_what_render_draws(lit, bends, paged, tmp_path):
     """A page without the body lacks its blend shapes, which thicken bent joints."""
     size, naked = (300, 380), tmp_path / "naked.html"
-    save_page(naked, lit, [PageMotion("bend", bends, 25)], "A person", surface=False)
+    save_page(naked, lit, [NamedMotion("bend", bends, 25)], "A person", surface=False)
     with Browser(*SOFTWARE_WEBGL) as browser:
         for page, frame, turn, elevation, least in (
             (paged, 0, 0, 5, 45), (paged, 2, 130, -20, 45), (naked.as_uri(), 0, 0, 5, 25),

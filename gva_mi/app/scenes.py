@@ -21,12 +21,12 @@ import gva_mi
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.proxy import Proxy
 from gva_mi.avatar.stage import Stage, StageOptions
-from gva_mi.body.pose import Pose
+from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.console import Progress, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import Within, options_of
 from gva_mi.fit.renders import CameraShot, cylinder
-from gva_mi.fit.run_folder import last_surface
+from gva_mi.fit.run_folder import last_surface, trained_poses
 from gva_mi.mesh.mesh_scene import load_plugins, pixel_aspect, sensor_of
 from gva_mi.splat import Camera
 
@@ -121,6 +121,7 @@ class StagedMotion:
         ``shots`` are cameras in the world of the poses; None: the scene's sensor sees each frame.
         """
         path, surface = scene_path(options.scene), last_surface(run)
+        filmed = trained_poses(run if run.is_dir() else run.parent)
         scene = load_scene(path)
         import mitsuba as mi
         from gva_mi_plugins.gaussian_splat.scene import SensorCamera
@@ -137,6 +138,7 @@ class StagedMotion:
                 options,
                 T_scene_avatar=T,
                 surface=surface,
+                filmed=None if filmed is None else load_poses(filmed)[0],
                 sensor=(sensors or [None])[0],
             )
             if shots is None:

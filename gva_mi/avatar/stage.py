@@ -10,9 +10,12 @@ S, the light on Gaussians, and the sensors that see past a proxy and onto it bel
 stops. The proxy (:mod:`gva_mi.avatar.proxy`) is an ordinary mesh with diffuse vertex colours, so
 any integrator makes its shadows and reflections.
 
-The albedo. A video shows albedo times light. f_0 of a Gaussian, its colour without the light's
-direction (eq. 4 of :mod:`gva_mi.avatar.avatar`), is taken as albedo under a mean light of 1,
-because a video's exposure is unknown; ``exposure`` corrects it.
+A video shows albedo times light, and cannot tell them apart. f_0 of a Gaussian, its colour without
+the light's direction (eq. 4 of :mod:`gva_mi.avatar.avatar`), still has the dark armpits and
+nostrils of the video, which the scene's light would darken again. So the video's light is taken to
+come from all sides alike, and the person's mean light to be 1:
+
+4. a_g = f_0 mean(V) / V_g            V: direct light of a white sky, mean over poses of the video
 
 Limits: surfaces are diffuse; the light is measured at the proxy's vertices, a centimetre apart;
 through glass, and in mirrors, the person is the proxy; hair is opaque in shadows.
@@ -20,7 +23,7 @@ through glass, and in mirrors, the person is the proxy; hair is opaque in shadow
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -40,11 +43,15 @@ from gva_mi.mesh.mesh_scene import load_plugins
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.splat.drjit_render import render as splat
 from gva_mi.splat.kernels.sh import C0
+from gva_mi.subject.splits import spread
 
 if TYPE_CHECKING:
     import mitsuba as mi
+    from gva_mi_plugins.gaussian_splat.lighting import ProxyLight
 
 DARKEST, BRIGHTEST = 0.01, 0.95  # albedos of cloth and skin; chosen: black velvet to fresh snow
+SKY_POSES = 6  # of the video, for eq. 4; chosen: a turn in steps of a sixth
+LEAST_SKY = 0.2  # V / mean(V) in eq. 4; chosen: what sees less was hardly filmed, and is noise
 VARIANT = "llvm_ad_rgb"
 PERSON = "person"  # the proxy's name among the scene's parameters
 
@@ -100,6 +107,7 @@ class Stage:
         *,
         T_scene_avatar: np.ndarray | None = None,
         surface: SurfaceMesh | None = None,
+        filmed: Pose | None = None,
         sensor: mi.Sensor | None = None,
     ) -> None:
         """Put an avatar into a scene.
@@ -112,6 +120,7 @@ class Stage:
             T_scene_avatar: (4, 4) rigid, from the world of the avatar's poses to the scene's; None:
                 both are the same.
             surface: of the avatar's last re-initialisation; see :meth:`Proxy.of`.
+            filmed: poses of the avatar's video, for eq. 4; None: the rest pose.
             sensor: in place of the scene's.
 
         Raises:
@@ -120,7 +129,7 @@ class Stage:
         """
         load_plugins()
         import mitsuba as mi
-        from gva_mi_plugins.gaussian_splat.lighting import ProxyLight, Shares
+        from gva_mi_plugins.gaussian_splat.lighting import Shares
         from gva_mi_plugins.gaussian_splat.scene import OtherShapes
 
         if mi.variant() != VARIANT:
@@ -137,18 +146,21 @@ class Stage:
         self.integrator = scene.integrator() or mi.load_dict({"type": "path"})
         self.others = OtherShapes(scene, sensor or scene.sensors()[0])
 
-        G, vertices = avatar.canonical, self.proxy.vertices.float().numpy()
-        means = G.means.detach().float().numpy()
-        self.albedo = _albedo(avatar)
-        solid = np.flatnonzero(G.opacities.detach().numpy() > SURFACE_OPACITY)
-        chosen = solid if len(solid) else np.arange(len(means))
-        colors = self.albedo.numpy()[chosen]
-        colors = Shares.around(vertices, means[chosen]).mean(mi.TensorXf(colors))
-        mesh = _mesh(vertices, self.proxy.faces.numpy(), colors)
-        self.whole = _with_person(scene, mesh)
-        self.params = mi.traverse(self.whole)
+        vertices, means = (
+            x.detach().float().numpy() for x in (self.proxy.vertices, avatar.canonical.means)
+        )
         self.around = Shares.around(means, vertices)
-        self.proxy_light = ProxyLight.of(self.whole, vertices, self.proxy.faces.numpy())
+        mesh = _mesh(vertices, self.proxy.faces.numpy())
+        self.albedo = _albedo(
+            avatar, self._sky_light(mesh, Pose.rest() if filmed is None else filmed)
+        )
+        emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
+        self.whole = _WithPerson.of([mesh, *scene.shapes(), *emitters], self.proxy)
+        self.params = self.whole.params
+        opacities = avatar.canonical.opacities.detach().numpy()
+        solid = opacities >= min(SURFACE_OPACITY, opacities.max())
+        colors = Shares.around(vertices, means[solid]).mean(mi.TensorXf(self.albedo.numpy()[solid]))
+        self.params[f"{PERSON}.vertex_color"] = colors.array
 
     @exclusive
     def render(self, pose: Pose, *, sensor: mi.Sensor | None = None, seed: int = 0) -> mi.TensorXf:
@@ -170,23 +182,25 @@ class Stage:
         behind = to_srgb(gain * self.surroundings(seed))
         return color + (1 - mi.TensorXf(alpha.array, (*alpha.shape, 1))) * behind
 
-    @torch.no_grad()
     def place(self, pose: Pose) -> None:
         """Move the proxy to a pose of one frame."""
-        import mitsuba as mi
-
         T = torch.from_numpy(self.T_scene_avatar)
-        x = self.proxy.posed(pose).double() @ T[:3, :3].T + T[:3, 3]
-        self.params[f"{PERSON}.vertex_positions"] = mi.Float(x.float().numpy().ravel())
-        self.params.update()
-        self.proxy_light.follow(x.float().numpy(), self.proxy.faces.numpy())
+        self.whole.move(self.proxy.posed(pose).double() @ T[:3, :3].T + T[:3, 3])
 
     def light(self, seed: int = 0) -> mi.TensorXf:
         """Return S, the light on the Gaussians in the last pose, (N, 3) linear, attached."""
-        on_vertices = self.proxy_light.on_vertices(
-            self.integrator, self.options.bake, seed, self.params
-        )
-        return self.around.mean(on_vertices)
+        return self.around.mean(self.whole.light(self.integrator, self.options.bake, seed))
+
+    def _sky_light(self, mesh: mi.Mesh, poses: Pose) -> np.ndarray:
+        """Return V of eq. 4, (N, 3)."""
+        import mitsuba as mi
+
+        outside = _WithPerson.of([mesh, mi.load_dict({"type": "constant"})], self.proxy)
+        direct, found = mi.load_dict({"type": "path", "max_depth": 2}), []
+        for k in spread(range(len(poses)), SKY_POSES):
+            outside.move(self.proxy.posed(poses[k]))
+            found.append(self.around.mean(outside.light(direct, self.options.bake)).numpy())
+        return np.mean(found, axis=0)
 
     def person(self, pose: Pose, seed: int = 0) -> tuple[mi.TensorXf, mi.TensorXf]:
         """Return C (H, W, 3) sRGB and α (H, W) of eq. 2, after :meth:`place`."""
@@ -213,7 +227,7 @@ class Stage:
 
     def surroundings(self, seed: int = 0) -> mi.TensorXf:
         """Return L of eq. 3, (H, W, 3) linear, attached, after :meth:`place`."""
-        whole = type(self.others)(self.whole, self.others.sensor)
+        whole = type(self.others)(self.whole.scene, self.others.sensor)
         image = whole.image(self.integrator, seed, self.options.spp, self.params, self.others)
         return image[:, :, :3]
 
@@ -224,18 +238,18 @@ def _tensor(x: Tensor) -> mi.TensorXf:
     return mi.TensorXf(to_drjit(x.float(), mi.Float), tuple(x.shape))
 
 
-def _albedo(avatar: Avatar) -> mi.TensorXf:
-    """Return f_0 as linear colours, (N, 3)."""
-    import drjit as dr
+def _albedo(avatar: Avatar, sky_light: np.ndarray) -> mi.TensorXf:
+    """Return a of eq. 4, linear, (N, 3)."""
     import mitsuba as mi
 
     first = _tensor((avatar.canonical.sh.detach()[:, 0] * C0 + 0.5).clamp_min(0))
-    linear = mi.math.srgb_to_linear(first.array)
-    return mi.TensorXf(dr.clip(linear, DARKEST, BRIGHTEST), first.shape)
+    linear = mi.math.srgb_to_linear(first.array).numpy().reshape(-1, 3)
+    relative = np.maximum(sky_light / max(sky_light.mean(), 1e-6), LEAST_SKY)
+    return mi.TensorXf(np.clip(linear / relative, DARKEST, BRIGHTEST).astype(np.float32))
 
 
-def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Mesh:
-    """Return a mesh with diffuse vertex colours (V, 3), and smooth normals."""
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> mi.Mesh:
+    """Return a mesh with diffuse vertex colours, grey, and smooth normals."""
     import mitsuba as mi
 
     color = {"type": "mesh_attribute", "name": "vertex_color"}
@@ -245,7 +259,7 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Me
     )
     mesh = mi.Mesh(PERSON, len(vertices), len(faces), has_vertex_normals=True, props=props)
     mesh.set_id(PERSON)
-    mesh.add_attribute("vertex_color", 3, colors.array)
+    mesh.add_attribute("vertex_color", 3, np.full(vertices.size, 0.5, np.float32))
     params = mi.traverse(mesh)
     params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
     params["vertex_positions"] = mi.Float(vertices.ravel())
@@ -253,10 +267,35 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray, colors: mi.TensorXf) -> mi.Me
     return mesh
 
 
-def _with_person(scene: mi.Scene, person: mi.Mesh) -> mi.Scene:
-    """Return a scene of the shapes and emitters of another one, and a person in it."""
-    import mitsuba as mi
-    from gva_mi_plugins.gaussian_splat.scene import by_id
+@dataclass(frozen=True)
+class _WithPerson:
+    """A scene with a proxy in it."""
 
-    emitters = [emitter for emitter in scene.emitters() if emitter.get_shape() is None]
-    return mi.load_dict({"type": "scene", **by_id([person, *scene.shapes(), *emitters])})
+    scene: mi.Scene
+    params: mi.SceneParameters
+    proxy_light: ProxyLight
+    faces: np.ndarray  # (F, 3)
+
+    @staticmethod
+    def of(parts: list[mi.Object], proxy: Proxy) -> _WithPerson:
+        """Make a scene of shapes and emitters, of which the mesh of the proxy is one."""
+        import mitsuba as mi
+        from gva_mi_plugins.gaussian_splat.lighting import ProxyLight
+        from gva_mi_plugins.gaussian_splat.scene import by_id
+
+        scene, faces = mi.load_dict({"type": "scene", **by_id(parts)}), proxy.faces.numpy()
+        light = ProxyLight.of(scene, proxy.vertices.float().numpy(), faces)
+        return _WithPerson(scene, mi.traverse(scene), light, faces)
+
+    def move(self, vertices: Tensor) -> None:
+        """Move the proxy's vertices (V, 3)."""
+        import mitsuba as mi
+
+        x = vertices.float().numpy()
+        self.params[f"{PERSON}.vertex_positions"] = mi.Float(x.ravel())
+        self.params.update()
+        self.proxy_light.follow(x, self.faces)
+
+    def light(self, integrator: mi.Integrator, rays: int, seed: int = 0) -> mi.TensorXf:
+        """Return the light on the proxy's vertices, (V, 3), attached to ``params``."""
+        return self.proxy_light.on_vertices(integrator, rays, seed, self.params)

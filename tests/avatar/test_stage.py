@@ -92,6 +92,25 @@ def test_gradients_by_light_and_reflectances(known, turning, scene_of, name):
     assert dr.grad(u)[0] == pytest.approx((ahead - back) / (2 * step), rel=5e-3)
 
 
+def test_the_videos_shadows_are_not_counted_twice(known, turning, scene_of):
+    """Under a white sky, in the pose of the video, the person has the colours of the video."""
+    from gva_mi.avatar.stage import BRIGHTEST, LEAST_SKY
+
+    pose = turning(3)[0][1]
+    sky = {"type": "constant", "radiance": rgb(1, 1, 1)}
+    outside = {k: v for k, v in scene_of(sky=sky).items() if k != "floor"}
+    direct = {"type": "path", "max_depth": 2}
+    stage = Stage(outside | {"path": direct}, known, StageOptions("scene"), filmed=pose)
+    stage.place(pose)
+    light, albedo = (x.numpy() for x in (stage.light(), stage.albedo))
+    relative = light / light.mean()
+    srgb = (0.5 + 0.28209479 * known.canonical.sh.detach().numpy()[:, 0]).clip(0)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    chosen = (relative > LEAST_SKY) & (albedo < BRIGHTEST) & (albedo > 0.02)
+    np.testing.assert_allclose((albedo * relative)[chosen], linear[chosen], rtol=1e-3)
+    assert relative.min() < 0.7 and chosen.mean() > 0.7
+
+
 def test_the_proxy_is_the_outer_skin(known):
     """Also where it was re-initialised: with or without the surface of that time."""
     from gva_mi.avatar.reinit import ReinitOptions, reinitialise

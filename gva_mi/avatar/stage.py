@@ -43,7 +43,6 @@ from gva_mi.mesh.mesh_scene import load_plugins
 from gva_mi.splat import Camera, Gaussians
 from gva_mi.splat.drjit_render import render as splat
 from gva_mi.splat.kernels.sh import C0
-from gva_mi.subject.splits import spread
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -197,8 +196,9 @@ class Stage:
 
         outside = _WithPerson.of([mesh, mi.load_dict({"type": "constant"})], self.proxy)
         direct, found = mi.load_dict({"type": "path", "max_depth": 2}), []
-        for k in spread(range(len(poses)), SKY_POSES):
-            outside.move(self.proxy.posed(poses[k]))
+        chosen = np.linspace(0, len(poses) - 1, min(SKY_POSES, len(poses)))
+        for k in chosen.round().astype(int):
+            outside.move(self.proxy.posed(poses[int(k)]))
             found.append(self.around.mean(outside.light(direct, self.options.bake)).numpy())
         return np.mean(found, axis=0)
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-import gva_mi
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.proxy import Proxy
 from gva_mi.avatar.stage import Stage, StageOptions
@@ -33,7 +32,7 @@ from gva_mi.splat import Camera
 if TYPE_CHECKING:
     import mitsuba as mi
 
-SHIPPED = Path(gva_mi.__file__).parent / "scenes"  # of this package, by name
+SHIPPED = Path(__file__).parent / "scenes"  # of this package, by name
 STANDING_FRAMES = 64  # of a motion that find its lowest vertex; chosen: a second of posing
 FAR_CLIP = 1e4  # metres; Mitsuba's own, so that grounds reach the horizon
 OTHER_FORMATS = {  # what to do with files that Mitsuba does not read

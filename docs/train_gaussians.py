@@ -2,9 +2,9 @@
 
     python docs/train_gaussians.py [--scene FILE] [--steps 400] [--size 64] [--out FILE.ply]
 
-It needs only the bare install. The target scene is a .ply or .glb, or random Gaussians. Its pictures are
-rendered first, from cameras on a ring. Density control follows gsplat's DefaultStrategy. It has no
-reset of opacities, which is for runs of thousands of steps. Thresholds are chosen for small
+It needs only the bare install. The target scene is a .ply, a .glb, or random Gaussians. Its
+pictures are rendered first, from cameras on a ring. Density control follows gsplat's
+DefaultStrategy. It has no reset of opacities, which is for runs of thousands of steps. Thresholds are chosen for small
 pictures. To use your own data, replace ``Views``.
 """
 

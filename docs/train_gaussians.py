@@ -4,8 +4,8 @@
 
 It needs only the bare install. The target scene is a .ply, a .glb, or random Gaussians. Its
 pictures are rendered first, from cameras on a ring. Density control follows gsplat's
-DefaultStrategy. It has no reset of opacities, which is for runs of thousands of steps. Thresholds are chosen for small
-pictures. To use your own data, replace ``Views``.
+DefaultStrategy. It has no reset of opacities, which is for runs of thousands of steps. Thresholds
+are chosen for small pictures. To use your own data, replace ``Views``.
 """
 
 from __future__ import annotations

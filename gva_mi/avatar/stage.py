@@ -17,6 +17,9 @@ come from all sides alike, and the person's mean light to be 1:
 
 4. a_g = f_0 mean(V) / V_g            V: direct light of a white sky, mean over poses of the video
 
+Single Gaussians are brighter than white where pictures blend them to white, so only the proxy's
+albedo is limited.
+
 Limits: surfaces are diffuse; the light is measured at the proxy's vertices, a centimetre apart;
 through glass, and in mirrors, the person is the proxy; hair is opaque in shadows.
 """
@@ -48,7 +51,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
     from gva_mi_plugins.gaussian_splat.lighting import ProxyLight
 
-DARKEST, BRIGHTEST = 0.01, 0.95  # albedos of cloth and skin; chosen: black velvet to fresh snow
+DARKEST, BRIGHTEST = 0.01, 0.95  # albedos of the proxy; chosen: black velvet to fresh snow
 SKY_POSES = 6  # of the video, for eq. 4; chosen: a turn in steps of a sixth
 LEAST_SKY = 0.2  # V / mean(V) in eq. 4; chosen: what sees less was hardly filmed, and is noise
 VARIANT = "llvm_ad_rgb"
@@ -127,6 +130,7 @@ class Stage:
                 ``llvm_ad_rgb`` is set.
         """
         load_plugins()
+        import drjit as dr
         import mitsuba as mi
         from gva_mi_plugins.gaussian_splat.lighting import Shares
         from gva_mi_plugins.gaussian_splat.scene import OtherShapes
@@ -159,7 +163,7 @@ class Stage:
         opacities = avatar.canonical.opacities.detach().numpy()
         solid = opacities >= min(SURFACE_OPACITY, opacities.max())
         colors = Shares.around(vertices, means[solid]).mean(mi.TensorXf(self.albedo.numpy()[solid]))
-        self.params[f"{PERSON}.vertex_color"] = colors.array
+        self.params[f"{PERSON}.vertex_color"] = dr.clip(colors.array, DARKEST, BRIGHTEST)
 
     @exclusive
     def render(self, pose: Pose, *, sensor: mi.Sensor | None = None, seed: int = 0) -> mi.TensorXf:
@@ -245,7 +249,7 @@ def _albedo(avatar: Avatar, sky_light: np.ndarray) -> mi.TensorXf:
     first = _tensor((avatar.canonical.sh.detach()[:, 0] * C0 + 0.5).clamp_min(0))
     linear = mi.math.srgb_to_linear(first.array).numpy().reshape(-1, 3)
     relative = np.maximum(sky_light / max(sky_light.mean(), 1e-6), LEAST_SKY)
-    return mi.TensorXf(np.clip(linear / relative, DARKEST, BRIGHTEST).astype(np.float32))
+    return mi.TensorXf((linear / relative).astype(np.float32))
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray) -> mi.Mesh:

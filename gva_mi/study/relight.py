@@ -135,7 +135,7 @@ def relight_figures(
     scene = {"type": "scene", "sensor": sensor_of(cameras[0]), "path": path}
     stage = Stage(
         scene | LIGHTS[light].emitters(), avatar, StageOptions("scene", bake=rays),
-        surface=last_surface(run.out),
+        surface=last_surface(run.out), filmed=video.pose,
     )  # fmt: skip
     turned = torch.from_numpy(LIGHTS[light].direction).to(avatar.light)
     ways = {

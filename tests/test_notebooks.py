@@ -29,6 +29,7 @@ SHORT = {  # set after the parameter cell
     "5_reinitialising_on_the_surface": "SIZE, FRAMES, STEPS = 48, 9, 10",
     "6_an_ablation": "",
     "9_a_phone_video": "SIDE, FRAMES, PASSES, STEPS = 192, 12, 1, 8",
+    "10_a_scene": "SIZE, RAYS, ROWS, COLUMNS, STEPS = 48, 4, 3, 4, 2",
     "8_hands": "SIZE, FRAMES, STEPS, PASSES = 128, 9, 10, 2",
 }
 PARTS = ("overview", "you will learn", "setup", "reference", "initial state", "results",

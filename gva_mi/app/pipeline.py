@@ -4,7 +4,7 @@
 
     out/
       subject/      the folder that the steps before a fit write
-      run/          the fit, its metrics and its report
+      run/          the fit and its metrics; of a synthetic subject also their report
       report.html   only for a video: the page about the avatar, with videos beside it
       avatar.html   only for a video: a page that plays the avatar
       avatar.json   only for a video: the stamp of each step (:mod:`gva_mi.core.stamp`)
@@ -166,7 +166,7 @@ def avatar(
 
     def evaluate_anew(begun: bool) -> None:
         tested = few is None and bool(load_video(subject).splits.test)
-        evaluate(run, subject, title=title, poses=refined, body=body, fit_poses=tested, few=few)
+        evaluate(run, subject, poses=refined, body=body, fit_poses=tested, few=few, page=False)
 
     def report(begun: bool) -> None:
         trained = run_folder.under_trained_poses(load_video(subject, refined), run)
@@ -180,7 +180,7 @@ def avatar(
     prepared = [*body_files, *(subject / name for name in parts)]
     before_fit = [*prepared, subject / SPLITS, refined]
     fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]
-    measured, page = [run / run_folder.METRICS, run / run_folder.REPORT], out / run_folder.REPORT
+    metrics, page = run / run_folder.METRICS, out / run_folder.REPORT
     prepare_options = [asdict(options), asdict(own_masks), person, lens]
     steps = [
         Step("prepare", "refine", prepare_options, inputs, [subject / PREPARED], prepare_anew),
@@ -189,8 +189,8 @@ def avatar(
         Step("split", "refine", effort.test_frames, [subject / PREPARED], [subject / SPLITS],
              lambda begun: _split(subject, effort.test_frames)),
         Step("fit", "avatar", fitting.plain(), before_fit, fitted, fit_or_resume),
-        Step("evaluate", "avatar", few, [*before_fit, *fitted], measured, evaluate_anew),
-        Step("report", "avatar", draft, [*before_fit, findings, *fitted, *measured],
+        Step("evaluate", "avatar", few, [*before_fit, *fitted], [metrics], evaluate_anew),
+        Step("report", "avatar", draft, [*before_fit, findings, *fitted, metrics],
              [page, out / WEB_PAGE], report),
     ]  # fmt: skip
     source = stamp(files_of(video) or [video])

@@ -262,6 +262,7 @@ def evaluate(
     body: Path | str | None = None,
     fit_poses: bool = False,
     few: int | None = None,
+    page: bool = True,
 ) -> Metrics:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -276,6 +277,7 @@ def evaluate(
             poses to these same frames; reported in separate rows.
         few: measure at most so many test frames, or training frames if there are none of these;
             without it, all splits.
+        page: write report.html.
 
     Example:
         >>> metrics = evaluate("me/run", "me/subject")  # doctest: +SKIP
@@ -295,12 +297,14 @@ def evaluate(
             metrics = measure_run(
                 run, avatar, video, "full", model, opened.poses, progress, **about
             )
-        page = run / run_folder.REPORT
-        write_report(page, run, avatar, trained, title or subject.resolve().name, model)
+        report = run / run_folder.REPORT
+        if page:
+            write_report(report, run, avatar, trained, title or subject.resolve().name, model)
     for table in metrics.tables():
         for line in aligned([table.head, *table.rows]):
             say(line)
-    say(f"report: {page}")
+    if page:
+        say(f"report: {report}")
     return metrics
 
 

@@ -50,6 +50,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import numpy as np
+
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import Pose
@@ -61,7 +63,7 @@ from gva_mi.evaluate.figures import Figure, Table, figures_from, pivot, table, t
 from gva_mi.evaluate.foreign import foreign_figures
 from gva_mi.evaluate.refinement import error_figures, load_refinement, pose_tables
 from gva_mi.evaluate.regions import Detail, Details, person_box
-from gva_mi.evaluate.scores import ImageScores, Scorer, mean_figures
+from gva_mi.evaluate.scores import Scorer, mean_figures
 from gva_mi.evaluate.similarity import Similarity, in_avatars_world, similarity_to_truth
 from gva_mi.evaluate.surface import surface_figures
 from gva_mi.fit import run_folder
@@ -72,7 +74,7 @@ from gva_mi.subject.crop import Box
 from gva_mi.subject.folder import REFINED_POSES
 from gva_mi.subject.ground_truth import held_out_views, truth_of
 from gva_mi.subject.splits import spread
-from gva_mi.subject.video import Frame, Video, load_video
+from gva_mi.subject.video import Video, load_video
 
 Split = Literal["train", "test", "held_out_range", "novel_pose", "novel_view"]
 SPLITS: tuple[Split, ...] = get_args(Split)
@@ -97,10 +99,11 @@ class SplitView:
     video: Video
     frames: Sequence[int]
     details: Details | None = None  # None: hands and face are not measured
+    alignment: str = ""  # how poses or cameras differ from the run's own, for its rows
 
-    def through(self, change: Callable[[Video], Video]) -> SplitView:
+    def through(self, change: Callable[[Video], Video], alignment: str = "") -> SplitView:
         """Return the same pictures under other poses or cameras; details stay in place."""
-        return replace(self, video=change(self.video))
+        return replace(self, video=change(self.video), alignment=alignment)
 
 
 def views_of(
@@ -146,45 +149,52 @@ def evaluate(
 
 
 def evaluate_views(
-    avatar: Avatar,
-    views: Sequence[SplitView],
-    scorer: Scorer,
-    alignment: str = "",
-    progress: Progress | None = None,
+    avatar: Avatar, views: Sequence[SplitView], scorer: Scorer, progress: Progress | None = None
 ) -> list[Figure]:
-    """Measure an avatar on some views.
+    """Measure an avatar on some views. Those of the same pictures are measured together.
 
     Returns:
         The scores of each view, region by region, without regions that no frame has.
     """
-    figures, done, total = [], 0, sum(len(view.frames) for view in views)
-    for view in views:
-        scores: dict[Region, list[ImageScores]] = {region: [] for region in REGIONS}
-        for frame in view.video.frames(view.frames):
-            for region, found in _scores(avatar, frame, view, scorer):
-                scores[region].append(found)
+    scores = [{region: [] for region in REGIONS} for _ in views]
+    pictures: dict[tuple[Split, tuple[int, ...]], list[int]] = {}
+    for number, view in enumerate(views):
+        pictures.setdefault((view.split, tuple(view.frames)), []).append(number)
+    done, total = 0, sum(len(frames) for _, frames in pictures)
+    for same in pictures.values():
+        for found in scorer.of_frames(_parts(avatar, [views[number] for number in same])):
+            for region, of_views in found:
+                for number, one in zip(same, of_views, strict=True):
+                    scores[number][region].append(one)
             done += 1
             if progress:
-                progress(done, total, psnr=scores["white"][-1].psnr)
-        for region, own in scores.items():
+                progress(done, total, psnr=scores[same[0]]["white"][-1].psnr)
+    figures = []
+    for view, of_view in zip(views, scores, strict=True):
+        for region, own in of_view.items():
             if own:
-                about = {"split": view.split, "region": region, "alignment": alignment}
+                about = {"split": view.split, "region": region, "alignment": view.alignment}
                 figures += mean_figures(own, **about)
     return figures
 
 
-def _scores(
-    avatar: Avatar, frame: Frame, view: SplitView, scorer: Scorer
-) -> Iterator[tuple[Region, ImageScores]]:
-    """Score the render of a frame region by region, cut out by the true mask if it is known."""
-    frame = view.video.with_true_mask(frame)
-    whole = Box(0, 0, frame.camera.width, frame.camera.height)
-    boxes: list[tuple[Region, Box]] = [("white", whole), ("person", person_box(frame.mask))]
-    if view.details is not None:
-        boxes += view.details.boxes(frame.index)
-    both = render_frame(avatar, frame.pose, frame.camera), cut_out(frame)
-    found = scorer.of_pairs(tuple(map(box.cut, both)) for _, box in boxes)
-    return zip((region for region, _ in boxes), found, strict=True)
+def _parts(
+    avatar: Avatar, views: Sequence[SplitView]
+) -> Iterator[list[tuple[Region, list[np.ndarray], np.ndarray]]]:
+    """Yield each frame's regions, with the renders of all views and the target they share.
+
+    The target is cut out by the true mask if it is known.
+    """
+    first = views[0]
+    for frame in first.video.frames(first.frames):
+        k, frame = frame.index, first.video.with_true_mask(frame)
+        whole = Box(0, 0, frame.camera.width, frame.camera.height)
+        boxes: list[tuple[Region, Box]] = [("white", whole), ("person", person_box(frame.mask))]
+        if first.details is not None:
+            boxes += first.details.boxes(k)
+        renders = [render_frame(avatar, v.video.pose[k], v.video.cameras[k]) for v in views]
+        target = cut_out(frame)
+        yield [(region, [*map(box.cut, renders)], box.cut(target)) for region, box in boxes]
 
 
 def source_of(video: Video, split: Split) -> Video | None:
@@ -287,21 +297,21 @@ def measure_run(
     ]
     views = [with_trained_poses(view, trained) for view in given]
     similarity = similarity_to_truth(avatar.rig, trained, body)
-    groups = {"": views}
+    as_refined: list[SplitView] = []
     if trained is not video and few is None:  # the worth of trained poses on unseen frames
-        groups[AS_REFINED] = [view for view in given if view.split in OF_VIDEO[1:]]
+        own = [view for view in given if view.split in OF_VIDEO[1:]]
+        as_refined = [replace(view, alignment=AS_REFINED) for view in own]
+    aligned = []
     if similarity is not None:
-        groups[ALIGNED] = aligned_views(views, similarity, avatar.rig, body)
+        aligned = aligned_views(views, similarity, avatar.rig, body)
     options = made_with["options"]
     protocol = protocol_of(scorer, video, poses, options)
     protocol["similarity"] = None if similarity is None else similarity.to_json()
-    figures: list[Figure] = []
-    for alignment, some in groups.items():
-        figures += evaluate_views(avatar, some, scorer, alignment, progress)
+    measured = [*views, *as_refined, *aligned]
     if fit_to_pictures:
         own = [view for view in views if view.split in OF_VIDEO[1:]]
-        novel = groups.get(ALIGNED, [])
-        figures += _under_fitted_poses(avatar, own, novel, scorer, protocol, progress)
+        measured += _under_fitted_poses(avatar, own, aligned, protocol, progress)
+    figures = evaluate_views(avatar, measured, scorer, progress)
     refinement, _ = load_refinement(video.folder)
     figures += where(refinement, split="")
     truth = truth_of(video, body)
@@ -309,7 +319,7 @@ def measure_run(
         for stage, source in (("given", video), ("trained", trained)):
             figures += error_figures(body, (source.pose, source.shape), truth, stage)
     figures += surface_figures(run, avatar, video.folder, body)
-    for view in groups.get(ALIGNED, []):
+    for view in aligned:
         if view.split == "novel_pose":
             true = ground_truth_video(video, view.split)
             figures += foreign_figures(avatar, video.folder, body, true, view.video, ALIGNED)
@@ -359,7 +369,7 @@ def aligned_views(
 ) -> list[SplitView]:
     """Transform views of the true world to the avatar's (:mod:`gva_mi.evaluate.similarity`)."""
     return [
-        view.through(lambda source: in_avatars_world(similarity, source, rig, body))
+        view.through(lambda source: in_avatars_world(similarity, source, rig, body), ALIGNED)
         for view in views
         if view.split in ("novel_pose", "novel_view")
     ]
@@ -369,11 +379,10 @@ def _under_fitted_poses(
     avatar: Avatar,
     own: Sequence[SplitView],
     novel: Sequence[SplitView],
-    scorer: Scorer,
     protocol: dict[str, Any],
     progress: Progress | None,
-) -> list[Figure]:
-    """Measure frames under poses that are fitted to these very frames, as GART reports.
+) -> list[SplitView]:
+    """Return frames under poses that are fitted to these very frames, as GART reports.
 
     Scores show the avatar, wherever its skeleton is inside it.
 
@@ -381,17 +390,16 @@ def _under_fitted_poses(
         avatar: the fitted avatar.
         own: test frames of the video, under the poses that follow from training.
         novel: novel poses and views, under the true ones in the avatar's world.
-        scorer: of the renders.
         protocol: to which the options of the fit are added, and what has been seen.
         progress: called after each step of a fit.
     """
-    figures, about = [], {"options": {}, "kept": {}, "seconds_per_frame": {}}
+    found_views, about = [], {"options": {}, "kept": {}, "seconds_per_frame": {}}
     for group in filter(None, (own, *([view] for view in novel))):
         name, frames = group[0].split, sorted(k for view in group for k in view.frames)
         options = _pose_fit_options(len(frames))
         found = fit_poses(avatar, group[0].video, options, frames, progress)
-        posed = [v.through(lambda source, p=found.pose: replace(source, pose=p)) for v in group]
-        figures += evaluate_views(avatar, posed, scorer, FITTED)
+        posed = lambda source, pose=found.pose: replace(source, pose=pose)
+        found_views += [view.through(posed, FITTED) for view in group]
         about["kept"] |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
         about["options"][name] = asdict(options)
         about["seconds_per_frame"][name] = found.seconds_per_frame
@@ -400,7 +408,7 @@ def _under_fitted_poses(
             if FITTED not in protocol["seen"].setdefault(what, []):
                 protocol["seen"][what].append(FITTED)
     protocol["pose_fit"] = about
-    return figures
+    return found_views
 
 
 def _pose_fit_options(frames: int) -> PhotometricOptions:

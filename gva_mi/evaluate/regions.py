@@ -15,7 +15,7 @@ the ground-truth pose if there is one, and else from the video's pose.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -77,6 +77,7 @@ class Details:
     pose: Pose
     shape: Shape
     cameras: list[Camera]
+    _found: dict[int, list[tuple[Detail, Box]]] = field(default_factory=dict)
 
     @staticmethod
     def of(video: Video, body: BodyModel) -> Details:
@@ -85,9 +86,14 @@ class Details:
             return Details(truth.body, truth.pose, truth.shape, truth.cameras)
         return Details(body, video.pose, video.shape, video.cameras)
 
+    def boxes(self, frame: int) -> list[tuple[Detail, Box]]:
+        """Return the boxes of visible hands, and of a visible face, in a frame."""
+        if frame not in self._found:
+            self._found[frame] = list(self._boxes(frame))
+        return self._found[frame]
+
     @torch.no_grad()
-    def boxes(self, frame: int) -> Iterator[tuple[Detail, Box]]:
-        """Yield the boxes of visible hands, and of a visible face, in a frame."""
+    def _boxes(self, frame: int) -> Iterator[tuple[Detail, Box]]:
         posed, camera = self.body(self.pose[frame], self.shape), self.cameras[frame]
         seen = seen_vertices(posed.vertices[0], self.body.faces, camera.position[None])[0]
         joints, weights = posed.joints[0].double().numpy(), self.body.weights

@@ -33,7 +33,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -73,6 +73,8 @@ _SSIM = {
     "channel_axis": -1, "gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False,
 }  # fmt: skip
 
+Label = TypeVar("Label")
+
 
 class ImageScores(NamedTuple):
     """Scores of one render against its target."""
@@ -102,18 +104,35 @@ class Scorer:
 
     def __call__(self, render: np.ndarray, target: np.ndarray) -> ImageScores:
         """Score two 8-bit images (H, W, 3), both sides at least 11 pixels."""
-        (a, b), size = _for_networks(render, target)
-        return ImageScores(
-            psnr(render, target),
-            ssim(render, target),
-            np.nan if self.lpips is None else float(self.lpips(a, b, size)),
-            float(self.rand_vgg(a, b, size)),
-        )
+        return self.of_renders([render], target)[0]
 
-    def of_pairs(self, pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[ImageScores]:
-        """Score renders and targets on all cores; any number of them gives the same bits."""
+    def of_renders(self, renders: Iterable[np.ndarray], target: np.ndarray) -> list[ImageScores]:
+        """Score renders of one target, whose features are computed once for each part of it."""
+        scores, seen, known = [], torch.empty(0), {}
+        for render in renders:
+            (a, b), size = _for_networks(render, target)
+            if not torch.equal(b, seen):
+                seen, known = b, {}
+            distances = []
+            for network in (self.lpips, self.rand_vgg):
+                if network is not None and network not in known:
+                    known[network] = network.features(b)
+                distance = None if network is None else network.to_features(a, known[network], size)
+                distances.append(np.nan if distance is None else float(distance))
+            scores.append(ImageScores(psnr(render, target), ssim(render, target), *distances))
+        return scores
+
+    def of_frames(
+        self, frames: Iterable[Sequence[tuple[Label, Sequence[np.ndarray], np.ndarray]]]
+    ) -> Iterator[list[tuple[Label, list[ImageScores]]]]:
+        """Score the parts of frames: each has a label, renders, and the target of all of them.
+
+        Each core takes a frame, while the next ones are made. Any number of cores gives the same
+        bits.
+        """
+        score = lambda parts: [(label, self.of_renders(*images)) for label, *images in parts]
         with one_torch_thread():
-            return list(on_all_cores(lambda pair: self(*pair), pairs))
+            yield from on_all_cores(score, frames)
 
     def networks(self) -> dict[str, Any]:
         """Describe network and weights of each perceptual metric; None for LPIPS without any."""

@@ -88,9 +88,13 @@ class FeatureMetric(FeatureDistance):
             image, target: two pictures (H, W, 3), or the same part of them.
             size: (H, W) of pictures that are equal outside of this part; None: the part is all.
         """
-        height, width = size or image.shape[:2]
-        total = torch.zeros(())
-        for k, (f, g) in enumerate(zip(self.features(image), self.features(target), strict=True)):
+        return self.to_features(image, self.features(target), size or image.shape[:2])
+
+    @torch.no_grad()
+    def to_features(self, image: Tensor, target: list[Tensor], size: Sequence[int]) -> Tensor:
+        """Return the distance to a target with known features; see :meth:`forward`."""
+        (height, width), total = size, torch.zeros(())
+        for k, (f, g) in enumerate(zip(self.features(image), target, strict=True)):
             difference = (_unit(f) - _unit(g)).square()
             weight = self.heads[k].view(1, -1, 1, 1) if self.heads else 1 / len(TAPS)
             count = (height >> k) * (width >> k)  # positions of features: a pool in each group

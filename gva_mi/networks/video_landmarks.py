@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 from gva_mi.body.pose import SIDES
 from gva_mi.core.console import Progress, listed
 from gva_mi.core.errors import InputError
+from gva_mi.core.tasks import in_order
 from gva_mi.networks.body_landmarks import BodyNetwork, SeenBody
 from gva_mi.networks.hand_face_landmarks import FaceNetwork, HandNetwork, SeenPart
 from gva_mi.networks.person_tracker import PersonDetector, PersonTracker
@@ -48,22 +50,32 @@ def watch_video(
     body_network = BodyNetwork(weights)
     hand_network, face_network = HandNetwork(weights), FaceNetwork(weights)
     tracker = PersonTracker(PersonDetector(weights), body_network, person)
-    rows, body, hands, face = [], None, {}, None
-    for k in range(len(pictures)):
-        image, before = pictures[k], body
-        body = tracker.follow(image)
-        if body is None:
-            hands, face = {}, None
-        else:
-            body = body_network.see_mirrored(image, body, before)
-            hands = hand_network.find(image, body, hands)
-            face = face_network.find(image, body, face)
-        rows.append(_row(body, hands, face))
-        if on_silhouette is not None:
-            nobody = np.zeros(image.shape[:2], np.float32)
-            on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
-        if progress:
-            progress(k + 1, len(pictures))
+
+    def bodies() -> Iterator[tuple[np.ndarray, SeenBody | None]]:
+        body = None
+        for k in range(len(pictures)):
+            image, before = pictures[k], body
+            body = tracker.follow(image)
+            if body is not None:
+                body = body_network.see_mirrored(image, body, before)
+            yield image, body
+            if on_silhouette is not None:
+                nobody = np.zeros(image.shape[:2], np.float32)
+                on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
+            if progress:
+                progress(k + 1, len(pictures))
+
+    hands, face = {}, None
+
+    def with_parts(seen: tuple[np.ndarray, SeenBody | None]) -> tuple[np.ndarray, ...]:
+        nonlocal hands, face
+        image, body = seen
+        hands = {} if body is None else hand_network.find(image, body, hands)
+        face = None if body is None else face_network.find(image, body, face)
+        return _row(body, hands, face)
+
+    with ThreadPoolExecutor(1) as beside:  # while the next body is found
+        rows = list(in_order(beside, with_parts, bodies(), ahead=1))
     if not tracker.begun:
         several = f"{person} people" if (person or 1) > 1 else "a person"
         raise InputError(

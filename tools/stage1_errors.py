@@ -31,6 +31,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import load_poses
 from gva_mi.body.smplx import load_body
+from gva_mi.body.so3 import turns_between
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.prior.error_model import (
@@ -41,7 +42,7 @@ from gva_mi.prior.error_model import (
     Stage1ErrorModel,
 )
 from gva_mi.prior.inference import PLACE_AXES
-from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.subject.folder import POSES
 from gva_mi.subject.ground_truth import load_ground_truth
 

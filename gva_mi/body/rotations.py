@@ -47,18 +47,13 @@ def about(axis: int, angle: np.ndarray) -> np.ndarray:
 def nearest_rotations(matrices: np.ndarray) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) nearest to matrices that lost digits.
 
-    Source: the orthogonal Procrustes problem, with the sign of Kabsch, "A solution for the best
-    rotation to relate two sets of vectors", 1976.
-
     Example:
         >>> rounded = about(0, 0.3).round(2)
         >>> R = nearest_rotations(rounded)
         >>> bool(np.allclose(R @ R.T, np.eye(3)))
         True
     """
-    U, _, Vt = torch.linalg.svd(torch.from_numpy(np.array(matrices, np.float64)))
-    U[..., -1] *= (torch.det(U) * torch.det(Vt)).sign()[..., None]
-    return (U @ Vt).numpy()
+    return so3.nearest(torch.from_numpy(np.array(matrices, np.float64))).numpy()
 
 
 def composed(first: np.ndarray, then: np.ndarray) -> np.ndarray:

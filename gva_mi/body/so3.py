@@ -20,7 +20,7 @@ operations takes three times as long, in every step of a fit and of a refinement
 
 Source: Solà, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018,
 appendix B (exp, log, right Jacobian and its inverse). The package roma has these functions too, but
-importing it imports torch's compiler, which takes longer than importing torch.
+importing it imports torch's compiler, which takes longer than importing torch. Tests compare both.
 """
 
 from __future__ import annotations
@@ -84,6 +84,58 @@ def to_rotvec(R: Tensor) -> Tensor:
     q = torch.where(q[..., 3:] > 0, q, -q)
     half = torch.atan2(torch.norm(q[..., :3], dim=-1, keepdim=True), q[..., 3:])
     return q[..., :3] * (2 * half / half.sin()).where(half > 0, 2.0)
+
+
+def nearest(M: Tensor) -> Tensor:
+    """Return the rotation matrices (..., 3, 3) nearest to matrices; not for gradients.
+
+    Source: the orthogonal Procrustes problem, with the sign of Kabsch, "A solution for the best
+    rotation to relate two sets of vectors", 1976.
+
+    Example:
+        >>> nearest(torch.diag(torch.tensor([2.0, 1, -0.5]))).diagonal()
+        tensor([1., 1., 1.])
+    """
+    U, _, Vt = torch.linalg.svd(M)
+    U[..., -1] *= (torch.det(U) * torch.det(Vt)).sign()[..., None]
+    return U @ Vt
+
+
+def turns_between(before: Tensor, after: Tensor) -> Tensor:
+    """Return the turns ``log(Rᵀ R')`` (..., 3) between rotations ``R`` and ``R'``, axis-angle.
+
+    This is ``compose(-before, after)`` in the precision of the arguments, with torch's derivatives.
+
+    Example:
+        >>> turns_between(torch.tensor([0.25, 0, 0]), torch.tensor([0.75, 0, 0]))
+        tensor([0.5000, 0.0000, 0.0000])
+    """
+    p, q = torch.broadcast_tensors(_quaternion(-before), _quaternion(after))
+    (u, w), (v, z) = p.split((3, 1), -1), q.split((3, 1), -1)
+    real = w * z - (u * v).sum(-1, keepdim=True)
+    turn = torch.cat([w * v + z * u + torch.linalg.cross(u, v), real], -1)
+    turn = turn * torch.where(real > 0, 1, -1)
+    half = torch.atan2(torch.norm(turn[..., :3], dim=-1, keepdim=True), turn[..., 3:])
+    small = _is_small(half)
+    series = 1 + half**2 / 6 + 7 * half**4 / 360
+    return 2 * torch.where(small, series, half / half.sin().where(~small, 1)) * turn[..., :3]
+
+
+def _quaternion(x: Tensor) -> Tensor:
+    """Return the quaternion (..., 4) of an axis-angle (..., 3), with the real part last."""
+    half = torch.norm(x, dim=-1, keepdim=True) / 2
+    small = _is_small(half)
+    series = 1 - half**2 / 6 + half**4 / 120
+    scale = torch.where(small, series, half.sin() / half.where(~small, 1)) / 2
+    return torch.cat([scale * x, half.cos()], -1)
+
+
+def _is_small(half: Tensor) -> Tensor:
+    """Return where the series of (sin x) / x has a more exact derivative than the quotient.
+
+    The series lacks a share x⁴ of it, the quotient ε / x²: as roma, the limit is their crossing.
+    """
+    return half < 2 * torch.finfo(half.dtype).eps ** (1 / 6)
 
 
 def compose(a: Tensor, b: Tensor) -> Tensor:

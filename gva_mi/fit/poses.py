@@ -49,13 +49,13 @@ from torch import Tensor
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.body.smplx import Rest
-from gva_mi.body.so3 import compose
+from gva_mi.body.so3 import compose, turns_between
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.inference import updated_process
 from gva_mi.prior.process import ProcessPrior
-from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut
 from gva_mi.refine.corrections import Corrections
 from gva_mi.refine.optimize import PriorWeight, Steps, optimiser

@@ -31,10 +31,11 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, SIDES, Pose, mirrored_name
+from gva_mi.body.so3 import turns_between
 from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.prior.inference import CORRECTED_JOINTS, prior_from_stage1
 from gva_mi.prior.process import step_cost
-from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 # a and b, nats. Chosen: one frame in a hundred begins a run of swapped frames.

@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import BODY
-from gva_mi.body.so3 import compose, to_matrix, to_rotvec
+from gva_mi.body.so3 import compose, nearest, to_matrix, to_rotvec
 from gva_mi.core.cpu import sqrt
 from gva_mi.prior.error_model import STUDENT_DOF, median_of_square
 from gva_mi.prior.stage1_poses import Stage1Poses
@@ -69,11 +69,9 @@ class TiltPrior:
     @torch.no_grad()
     def of(stage1: Stage1Poses, rotations: Tensor) -> TiltPrior:
         """Estimate the chance level from a motion with rotations (n, J, 3)."""
-        import roma  # here, as in stage1_poses.py
-
         R = stage1.R_joint_camera[:, TILTING_JOINTS]
         mean = to_matrix(rotations[:, TILTING_JOINTS]).mean(0)
-        means = to_rotvec(roma.special_procrustes(mean, method="svd"))
+        means = to_rotvec(nearest(mean))
         none, shown = torch.ones(len(means)), stage1.turn_amount > SMALLEST_TURN
         tilt = TiltPrior(means, R - R.mean(0), _across(stage1), none, shown)
         m = tilt._turns(rotations)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import PARENTS, Pose
-from gva_mi.body.so3 import compose
+from gva_mi.body.so3 import compose, turns_between
 from gva_mi.splat import Camera
 
 
@@ -80,10 +80,3 @@ class Stage1Poses:
         """
         turns = turns_between(pose.rotations[:-1], pose.rotations[1:])
         return turns, pose.transl.diff(dim=0) @ self.R_camera_world.T
-
-
-def turns_between(before: Tensor, after: Tensor) -> Tensor:
-    """Return the turns ``log(Rᵀ R')`` (..., 3) between rotations ``R`` and ``R'``, axis-angle."""
-    import roma  # here: it imports torch's compiler, which takes longer than importing torch
-
-    return roma.rotvec_composition([-before, after])

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.prior.stage1_poses import turns_between
+from gva_mi.body.so3 import turns_between
 
 SKIM_RUNS = 8  # runs of frames in a skim; chosen: eight sides of a person who turns once
 

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import Pose
-from gva_mi.body.so3 import compose
+from gva_mi.body.so3 import compose, turns_between
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel
 from gva_mi.prior.ground import Ground, Soles
@@ -37,7 +37,7 @@ from gva_mi.prior.inference import (
     prior_from_stage1,
 )
 from gva_mi.prior.process import FrameMatrices
-from gva_mi.prior.stage1_poses import Stage1Poses, turns_between
+from gva_mi.prior.stage1_poses import Stage1Poses
 
 
 class Corrections:

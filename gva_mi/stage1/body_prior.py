@@ -23,10 +23,10 @@ import torch
 from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND
+from gva_mi.body.so3 import turns_between
 from gva_mi.prior.anatomy import LIMIT_SIGMA_DEGREES, Anatomy
 from gva_mi.prior.body_height import Stature
 from gva_mi.prior.error_model import STUDENT_DOF
-from gva_mi.prior.stage1_poses import turns_between
 from gva_mi.stage1.normal_equations import NormalEquations
 from gva_mi.stage1.unknowns import Stage1State, Unknowns
 from gva_mi.stage1.vertical_lines import Vertical

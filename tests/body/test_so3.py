@@ -4,8 +4,7 @@ import pytest
 import roma
 import torch
 
-from gva_mi.body.rotations import nearest_rotations
-from gva_mi.body.so3 import compose, to_matrix, to_rotvec
+from gva_mi.body.so3 import compose, nearest, to_matrix, to_rotvec, turns_between
 
 
 def vectors(*sizes, seed=0):
@@ -37,8 +36,20 @@ def test_matrices_and_back(size, dtype):
 
 def test_the_nearest_rotation_is_no_reflection():
     M = torch.randn(50, 3, 3, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    found = torch.from_numpy(nearest_rotations(M.numpy()))
-    torch.testing.assert_close(found, roma.special_procrustes(M, method="svd"))
+    assert torch.equal(nearest(M), roma.special_procrustes(M, method="svd"))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.02, 0.28, 1.0, 3.14159])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_turns_between_rotations(size, dtype):
+    """In the bits of roma, under which the refinement was tuned and measured."""
+    a = vectors(0.3, 1.2, 2.9, 1e-3).to(dtype).requires_grad_()
+    b = (a.detach() + vectors(size, size, size, size, seed=1)).to(dtype).requires_grad_()
+    found, expected = turns_between(a, b), roma.rotvec_composition([-a, b])
+    assert torch.equal(found, expected)
+    weights = torch.randn(found.shape, dtype=dtype, generator=torch.Generator().manual_seed(3))
+    ours, theirs = (torch.autograd.grad((y * weights).sum(), (a, b)) for y in (found, expected))
+    torch.testing.assert_close(ours, theirs)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.02, 1.0, 2.5])

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, WRISTS, Pose
+from gva_mi.body.so3 import turns_between
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
-from gva_mi.prior.stage1_poses import turns_between
 
 STEPS = 300
 OPTIONS = PoseOptions(every=3)

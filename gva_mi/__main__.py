@@ -12,6 +12,7 @@ from typing import NoReturn
 from gva_mi import __version__
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
+from gva_mi.cli.quick_help import asks_for_help, without_heavy_packages
 from gva_mi.core import cpu, llvm
 from gva_mi.core.console import complete_streams, discard_what_is_unread
 from gva_mi.core.errors import InputError, is_memory
@@ -22,12 +23,13 @@ ALL_COMPLETE = "all files on disk are complete"
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # full disk, quota, largest file
 AFTER_STOP = {  # how to continue after Ctrl-C
     "avatar": "run the same command again to resume",
+    "batch": "run the same command again to resume",
     "fit": "run it with --resume to continue",
     "render": "run the same command again to resume",
     "study": "run the same command again to resume",
 }
 PACKAGES_OF_COMMANDS = (
-    "av jinja2 matplotlib mitsuba PIL pymeshlab roma scipy skimage tqdm trimesh tyro".split()
+    "av jinja2 matplotlib mitsuba PIL pymeshlab scipy skimage tqdm trimesh tyro".split()
 )
 
 
@@ -121,7 +123,10 @@ def _run(arguments: list[str]) -> None:
     elif arguments == ["doctor"]:  # works without tyro and libLLVM, which may be missing
         load(verb)()
     elif verb in VERBS:
-        llvm.require()
+        if asks_for_help(arguments):
+            without_heavy_packages()
+        else:
+            llvm.require()
         parse(load(verb), verb, arguments[1:])()
     else:
         found = f"there is no command '{verb}'" if verb else "a command is missing"

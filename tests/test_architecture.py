@@ -30,10 +30,11 @@ HOMES = {  # packages that only some modules may import
     "ai_edge_litert": ("gva_mi.networks",),
     "tyro": ("gva_mi.cli",),
 }  # fmt: skip
-CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle
+CALLED_FROM_OUTSIDE = {  # by torch's autograd, Dr.Jit's, torch.nn, Mitsuba, pickle, import
     "forward", "backward", "jvp", "vmap", "setup_context", "eval",
     "render", "render_forward", "render_backward", "aov_names", "to_string",
     "sample", "sample_ray", "sample_ray_differential", "traverse", "find_class", "persistent_load",
+    "create_module", "exec_module",
 }  # fmt: skip
 
 

@@ -17,16 +17,16 @@ reads its arguments and calls the library: for a step, the function of its name 
 ==============  ====================================================================
 ``avatar``      ``avatar`` and ``demo``: all steps
 ``prepare``     ``prepare`` and ``motion``
-``steps``       ``check``, ``refine``, ``fit``, ``evaluate``, ``track`` and ``render``
+``steps``       ``check``, ``refine``, ``fit``, ``evaluate``, ``score``, ``track``, ``render``
 ``subjects``    ``synth`` and ``body``
-``score``       renders of any method
 ``export``      files for other programs
 ``view``        the viewer in the browser
 ``study``       studies over many subjects
+``batch``       ``avatar`` for each of many videos, on one machine or a cluster
 ``gradcheck``   gradient checks, and ``bench``: benchmarks of a checkout
 ``doctor``      checks the dependencies
 ``parse``       reads a command's arguments, from its signature
-``arguments``   arguments that several commands share
+``quick_help``  lets ``--help`` do without torch
 ==============  ====================================================================
 """
 
@@ -39,6 +39,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
     "demo": "run all steps on a synthetic subject: synth, refine, fit, evaluate, report",
     "synth": "make a synthetic subject: a video with masks, normals, poses and ground truth",
     "avatar": "run all steps on a video of one person: prepare, refine, fit, evaluate, report",
+    "batch": "run all steps on each of many videos, on this machine or on a cluster",
     "prepare": "make a subject from a video, from an estimator's poses, or from a data set",
     "check": "report everything that is wrong with a subject's folder",
     "refine": "refine poses with normals and masks: stage 2 of the paper, Eq. 8",
@@ -59,7 +60,7 @@ VERBS = {  # shown by `gva-mi --help`, which imports none of them
 
 
 # Modules of the commands that share one; each other command has the module of its name.
-MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "track", "render"), "steps")
+MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "score", "track", "render"), "steps")
 MODULES |= {
     "demo": "avatar",
     "bench": "gradcheck",

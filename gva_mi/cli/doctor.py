@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import platform
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from gva_mi.core import llvm
 PACKAGES = {  # that commands need, by the extra that installs them
     "mitsuba": ("mitsuba",),
     "mesh": ("pymeshlab", "trimesh", "skimage", "scipy"),
-    "avatar": ("av", "PIL", "jinja2", "matplotlib", "roma", "tyro"),
+    "avatar": ("av", "PIL", "jinja2", "matplotlib", "tyro"),
 }
 OPTIONAL = {  # packages that most users do not need: the commands that need each, and the extra
     "ai_edge_litert": ("`gva-mi avatar`, `prepare video` and `motion VIDEO`", "video"),
@@ -57,10 +58,14 @@ def examine() -> Iterator[Component]:
     """Examine everything that the program can use, essential components first."""
     yield Component("python", platform.python_version(), sys.version_info >= (3, 11))
     yield Component("system", f"{platform.platform()}, {os.cpu_count()} cores")
+    extras = {"torch": ""} | {x: extra for extra, modules in PACKAGES.items() for x in modules}
+    together = _start_importing(*extras)  # beside the next lines
     yield from _dr_jit()
-    yield _package("torch", "")
-    for extra, modules in PACKAGES.items():
-        for module in modules:
+    together.communicate()
+    for module, extra in extras.items():
+        if together.returncode == 0:
+            yield Component(module, _version(module))
+        else:
             yield _package(module, extra)
     for module, (commands, extra) in OPTIONAL.items():
         wanted = f"none; {commands} would need it: pip install 'gva_mi[{extra}]'"
@@ -90,16 +95,28 @@ def _dr_jit() -> Iterator[Component]:
 
 
 def _version(module: str) -> str:
-    return metadata.version(metadata.packages_distributions().get(module, [module])[0])
+    return metadata.version(_distributions().get(module, [module])[0])
+
+
+@functools.cache  # reads the list of files of every package
+def _distributions() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()
+
+
+def _start_importing(*modules: str) -> subprocess.Popen[str]:
+    """Import packages in a process of its own, because a broken wheel may fail in any way."""
+    trial = f"import gva_mi, {', '.join(modules)}"
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", trial], stdout=pipe, stderr=pipe, text=True)
 
 
 def _package(module: str, extra: str) -> Component:
-    """Import a package in a process of its own, because a broken wheel may fail in any way."""
-    trial = f"import gva_mi, {module}"
-    result = subprocess.run([sys.executable, "-c", trial], capture_output=True, text=True)
-    if result.returncode == 0:
+    """Import one package, and say what is wrong with it."""
+    trial = _start_importing(module)
+    _, complaint = trial.communicate()
+    if trial.returncode == 0:
         return Component(module, _version(module))
-    last = (result.stderr.strip().splitlines() or [f"exit code {result.returncode}"])[-1]
+    last = (complaint.strip().splitlines() or [f"exit code {trial.returncode}"])[-1]
     if "ModuleNotFound" in last:
         last += f"; pip install 'gva_mi[{extra}]'"
     if "libGL" in last or "libX11" in last:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,11 +17,12 @@ from gva_mi.body.smplx import load_body
 from gva_mi.cli.parse import Flat, Switch
 from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
+from gva_mi.core.cpu import SETTINGS
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
-from gva_mi.core.tasks import local_executor
+from gva_mi.core.tasks import cluster, local_executor
 from gva_mi.evaluate.figures import Table, pivot, table, to_json
 from gva_mi.prior.body_height import PERSON_HEIGHTS
 from gva_mi.readers.up_axis import Axis, axis_of
@@ -52,6 +56,9 @@ class _Choice:
     error_models: tuple[str, ...] = ()
     subjects: tuple[str, ...] = ()  # names of the synthetic subjects, or seeds; without it, all
     workers: Workers = 1  # processes on this machine; any number gives the same bits
+    # Address of a dask.distributed scheduler, whose workers compute the cases instead; all machines
+    # must see the study's folder under the same path.
+    scheduler: str | None = None
     body: PythonOnly[Path | None] = None  # in SMPL-X's .npz format; None: the built-in body
     overwrite: Switch = False  # recompute results that the file already holds
 
@@ -154,7 +161,7 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     if known:
         say(f"{len(known)} results are in {made.path}; --overwrite computes them again")
     outcomes: list[Outcome] = []
-    with bar("study") as progress, local_executor(what.workers) as executor:
+    with bar("study") as progress, _executor(what) as executor:
         for outcome in run_study(made, cases, known, progress, executor):
             outcomes.append(outcome)
             done = {outcome.key for outcome in outcomes}
@@ -167,6 +174,22 @@ def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     page, settings = made.path.with_suffix(".html"), {**made.made_with, "versions": versions()}
     write_study_report(page, made.kind, outcomes, settings)
     say(f"figures: {made.path}; page: {page}")
+
+
+@contextmanager
+def _executor(what: _Choice) -> Iterator[Executor | None]:
+    """Yield what runs the cases."""
+    if what.scheduler is None:
+        with local_executor(what.workers) as pool:
+            yield pool
+    else:
+        with cluster(what.scheduler, 0, _versions_and_settings) as client:
+            yield client.get_executor(pure=False)
+
+
+def _versions_and_settings() -> dict[str, str | None]:
+    """Return what the bits of a result depend on; `gva-mi` makes the settings when it begins."""
+    return versions() | {name: os.environ.get(name) for name in SETTINGS}
 
 
 def _print(found: Table) -> None:

@@ -1,4 +1,4 @@
-"""Run independent tasks in this process, or in worker processes that share its cores.
+"""Run independent tasks in this process, in processes that share its cores, or on a cluster.
 
 A task holds all that its result depends on, so that it gives the same bits wherever it runs. Worker
 processes never outlive their parent:
@@ -8,10 +8,14 @@ processes never outlive their parent:
 * Ctrl-C reaches every process of a terminal. Workers ignore it; the parent kills them, which is
   safe because every file is whole at any moment.
 * If a worker dies, the waiting caller gets one sentence about it.
+
+A cluster is one of dask.distributed (extra ``cluster``): its workers may be on many machines, and
+do what a lost worker left undone. All of them must see the same files.
 """
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -27,13 +31,16 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from gva_mi.core.console import Progress, part_of_progress
+from gva_mi.core.console import Progress, part_of_progress, say
 from gva_mi.core.cpu import one_torch_thread
 from gva_mi.core.errors import InputError, reason_of
+
+if TYPE_CHECKING:
+    from distributed import Client, LocalCluster
 
 Item = TypeVar("Item")
 Result = TypeVar("Result", covariant=True)
@@ -170,6 +177,86 @@ def worker_processes(
     pool.shutdown(cancel_futures=True)
 
 
+MOST_THREADS = 1  # of a cluster's worker: torch and Dr.Jit expect to be alone in a process
+CONNECT = 10  # seconds; chosen: a scheduler that answers later is none
+
+
+@contextmanager
+def cluster(
+    scheduler: str | None, workers: int, same: Callable[[], dict[str, str | None]]
+) -> Iterator[Client]:
+    """Yield a client of a cluster's workers.
+
+    Args:
+        scheduler: address of a running one, such as ``tcp://10.0.0.1:8786``; None: one with new
+            ``workers`` on this machine, which end with this context.
+        workers: processes on this machine.
+        same: what must be the same in all workers and here, by name: versions and settings.
+
+    Raises:
+        InputError: the package is missing, no scheduler or worker answers, or one differs.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError(
+            "a cluster needs the package distributed: pip install 'gva_mi[cluster]'"
+        ) from None
+    with ExitStack() as stack:
+        there: LocalCluster | str | None = scheduler
+        if there is None:
+            free = "127.0.0.1:0"  # any port
+            local = LocalCluster(
+                workers, threads_per_worker=MOST_THREADS, dashboard_address=free, host="127.0.0.1"
+            )
+            there = stack.enter_context(local)
+        try:
+            client = Client(there, timeout=CONNECT, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"{scheduler}: no scheduler answers ({reason_of(error)}); expected an address "
+                "such as tcp://10.0.0.1:8786"
+            ) from None
+        stack.enter_context(client)
+        _require_workers(client, same)
+        yield client
+
+
+def _require_workers(client: Client, same: Callable[[], dict[str, str | None]]) -> None:
+    """Say what the workers are, and raise an InputError unless they suit."""
+    try:
+        client.wait_for_workers(1, timeout=CONNECT)
+        found, here = client.run(same), same()
+    except (TimeoutError, ImportError, AttributeError) as error:
+        raise InputError(
+            f"the cluster has no worker with this program ({reason_of(error)}); install the same "
+            "gva_mi on all machines"
+        ) from None
+    for address, theirs in found.items():
+        for name, ours in here.items():
+            if theirs.get(name) != ours:
+                raise InputError(
+                    f"{address}: has {name} {theirs.get(name)}, and this machine has {ours}; "
+                    "results would differ, so install and set the same on all machines"
+                )
+    about = client.scheduler_info(n_workers=-1)["workers"].values()
+    if any(worker["nthreads"] > MOST_THREADS for worker in about):
+        raise InputError("the cluster's workers have several threads; start them with --nthreads 1")
+    memory = min(worker["memory_limit"] or math.inf for worker in about) / 2**30
+    say(f"{len(about)} workers with {memory:.1f} GiB of memory each; {client.dashboard_link}")
+
+
+def end_with_input() -> None:
+    """End this process when its standard input ends, as it does if the parent process is killed."""
+
+    def watch() -> None:
+        while os.read(0, 1):
+            pass
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def _begin(begin: Callable[..., None], given: Sequence[Any]) -> None:
     """Prepare a worker: ignore Ctrl-C, watch the parent, call ``begin``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -192,7 +279,10 @@ def _set_drjit_threads(threads: int) -> None:
 def _result_of(future: Future[Result]) -> Result:
     try:
         return future.result()
-    except (BrokenExecutor, CancelledError) as error:
+    except Exception as error:
+        lost = type(error).__module__.split(".")[0] == "distributed"  # workers, again and again
+        if not lost and not isinstance(error, BrokenExecutor | CancelledError):
+            raise
         raise worker_died(error) from None
 
 

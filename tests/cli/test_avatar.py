@@ -20,33 +20,6 @@ from gva_mi.subject.video_file import write_video
 FRAMES = 12
 
 
-@pytest.fixture(scope="module")
-def filmed(tmp_path_factory):
-    """A folder with a short video of a synthetic subject, and its height."""
-    from gva_mi.prior.body_height import Stature
-    from gva_mi.synthetic import SynthOptions, make_subject
-
-    folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()
-    make_subject(
-        folder,
-        SynthOptions(
-            seed=150,
-            frames=FRAMES,
-            size=256,
-            samples=4,
-            novel_poses=0,
-            novel_views=0,
-            error_model="none",
-        ),  # fmt: skip
-        body,
-    )
-    video = load_video(folder)
-    images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
-    write_video(folder / "video.mp4", images, fps=10, way="playable")
-    shape = load_poses(folder / "truth/poses.npz")[1]
-    return folder / "video.mp4", round(float(Stature.of(body).height(shape)), 2)
-
-
 @pytest.mark.slow
 def test_a_video_becomes_an_avatar_once(filmed, tmp_path, cli):
     """All steps, then none of them; and the same video twice is the same folder, to the bit."""

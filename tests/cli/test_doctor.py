@@ -12,6 +12,14 @@ def test_every_component_is_listed(cli):
         assert name in out
 
 
+@pytest.mark.slow
+def test_a_missing_package_is_found_among_the_others(monkeypatch):
+    monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {"mesh": ("numpy", "no_such_module")})
+    found = {x.name: x for x in examine()}
+    assert found["torch"].fine and found["numpy"].fine and not found["no_such_module"].fine
+    assert found["no_such_module"].found.endswith("; pip install 'gva_mi[mesh]'")
+
+
 def test_a_missing_optional_package_is_fine_and_names_its_commands_and_extra(monkeypatch):
     monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {})
     monkeypatch.setattr("gva_mi.cli.doctor.OPTIONAL", {"no_such_module": ("`gva-mi x`", "video")})
@@ -28,8 +36,7 @@ def test_weights_are_optional_and_a_fit_must_be_given_them(there, tmp_path, monk
         weights.write_bytes(b"")
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr("gva_mi.cli.doctor.PACKAGES", {})
-    monkeypatch.setattr("gva_mi.cli.doctor._package", lambda *_: None)
-    found = {x.name: x.found for x in examine() if x is not None}
+    found = {x.name: x.found for x in examine()}
     assert found["drjit"] and found["libLLVM"]
     if there:
         assert str(weights) in found["VGG16"] and "--vgg16" in found["VGG16"]

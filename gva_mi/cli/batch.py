@@ -47,7 +47,6 @@ from gva_mi.subject.video_file import VideoFile
 
 MARKER, TABLE, PAGE = "batch.json", "batch.csv", "batch.html"
 COLUMNS = ("video", "PSNR, dB", "person's box, dB", "Gaussians", "minutes", "failure")
-PROGRAM = "from gva_mi.cli.batch import run_and_end_with_input as run; run()"
 SET_BY_DASK = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # to 1 in workers
 FAILED = 1  # exit code, if a video failed
 COMPLAINT = "gva-mi: "  # begins the sentence of a command that fails
@@ -150,6 +149,7 @@ def make(video: Path, out: Path, arguments: Sequence[str]) -> Made:
         arguments: further ones of the command.
     """
     begin, log = time.perf_counter(), out.with_name(out.name + ".log")
+    program = f"from {__name__} import {run_and_end_with_input.__name__} as run; run()"
     command = ["avatar", str(video), "--out", str(out), *arguments]
     if not (out.parent / MARKER).exists():
         return Made(out.name, 0, f"{out.parent}: this worker does not see the folder")
@@ -158,7 +158,7 @@ def make(video: Path, out: Path, arguments: Sequence[str]) -> Made:
         said.write(f"gva-mi {' '.join(command)}\n")
         said.flush()
         ended = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, *command],
+            [sys.executable, "-c", program, *command],
             stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, env=own,
         )  # fmt: skip
         code = ended.wait()  # its input stays open as long as this process lives

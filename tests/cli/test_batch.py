@@ -12,7 +12,7 @@ import time
 import pytest
 
 from gva_mi.app import AvatarEffort
-from gva_mi.cli.batch import MARKER, PAGE, PROGRAM, TABLE, Made, _arguments, make, write_table
+from gva_mi.cli.batch import MARKER, PAGE, TABLE, Made, _arguments, make, write_table
 from gva_mi.stage1.prepare import PrepareVideoOptions
 
 
@@ -47,9 +47,8 @@ def test_a_failure_is_a_sentence_in_the_table(tmp_path):
 
 def test_a_command_ends_with_the_process_that_started_it():
     """Its input ends then; otherwise it would go on writing where the next worker writes."""
-    program = PROGRAM.replace("run()", "end_with_input(); import time; time.sleep(60)")
-    program = program.replace("gva_mi.cli.batch", "gva_mi.core.tasks")
-    program = program.replace("run_and_end_with_input as run", "end_with_input")
+    program = "import time; from gva_mi.core.tasks import end_with_input as end; end()"
+    program += "; time.sleep(60)"
     child = subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE)
     child.stdin.close()
     assert child.wait(30) == 1

@@ -15,6 +15,7 @@ do what a lost worker left undone. All of them must see the same files.
 
 from __future__ import annotations
 
+import logging
 import math
 import multiprocessing
 import os
@@ -207,11 +208,15 @@ def cluster(
         if there is None:
             free = "127.0.0.1:0"  # any port
             local = LocalCluster(
-                workers, threads_per_worker=MOST_THREADS, dashboard_address=free, host="127.0.0.1"
+                workers,
+                threads_per_worker=MOST_THREADS,
+                dashboard_address=free,
+                host="127.0.0.1",
+                silence_logs=logging.ERROR,  # not of workers that end slowly
             )
             there = stack.enter_context(local)
         try:
-            client = Client(there, timeout=CONNECT, set_as_default=False)
+            client = Client(there, timeout=CONNECT)
         except (OSError, ValueError) as error:
             raise InputError(
                 f"{scheduler}: no scheduler answers ({reason_of(error)}); expected an address "

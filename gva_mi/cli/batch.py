@@ -196,7 +196,7 @@ def write_table(out: Path, found: Sequence[Made]) -> None:
         title=f"{len(found)} videos",
         subtitle=f"{len(found) - failed} avatars; {failed} videos failed.",
         sections=[
-            Section("The avatars", pictures, columns=6),
+            *([Section("The avatars", pictures, columns=6)] if pictures else []),
             Section("All videos", tables=[Table(COLUMNS, rows, words=True)]),
         ],
         settings={"versions": versions()},

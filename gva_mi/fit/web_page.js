@@ -1,17 +1,18 @@
 "use strict";
 // Draws the avatar that gva_mi/fit/web_page.py packed into this page, and serves its controls.
 //
-// For every picture the CPU takes the joints' transforms between two frames, adds blend shapes to the
-// means at rest, and sorts the Gaussians by depth. The GPU skins each Gaussian (gva_mi/avatar/skin_gaussians.py, eq. 1-6) and
-// projects it to an ellipse (gva_mi/splat/kernels/ellipse.py, eq. 4-7), drawn far to near.
+// For every picture the CPU takes the joints' transforms between two frames, adds blend shapes to
+// the means at rest, and sorts the Gaussians by depth. The GPU skins each Gaussian
+// (gva_mi/avatar/skin_gaussians.py, eq. 1-6) and projects it to an ellipse
+// (gva_mi/splat/kernels/ellipse.py, eq. 4-7), drawn far to near; shaders are in web_page.html.
 // Cameras have OpenCV's axes: x right, y down, z forward. Lengths are metres, angles radians.
 
 const JOINTS = 55;
 const TEXELS = 1024; // width of every texture
 const NEAR = 0.01; // metres, as gva_mi.splat.SplatOptions
 const DEPTHS = 1 << 16; // levels of depth that are told apart
+const CLAY = [0.72, 0.7, 0.68]; // of the mesh
 const find = (id) => document.getElementById(id);
-const CLAY = [0.72, 0.7, 0.68];
 
 // ---- the data of the page -----------------------------------------------------------------------
 
@@ -169,7 +170,7 @@ class Painter {
     return program;
   }
 
-  texture(number, data, [inner, format, channels]) { // or new content of one that is there
+  texture(number, data, [inner, format, channels]) { // rows of TEXELS, the last one padded
     const gl = this.gl, rows = Math.ceil(data.length / channels / TEXELS);
     const padded = new data.constructor(channels * TEXELS * rows);
     padded.set(data);

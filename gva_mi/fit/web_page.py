@@ -8,10 +8,10 @@ they need into it, compressed:
 * of the body's surface the same, and its triangles, for the button "Mesh";
 * of each motion the joints' transforms and the blend shapes' coefficients, frame by frame.
 
-So the page evaluates :mod:`gva_mi.avatar.skin_gaussians` with nothing left out but the residual,
-which avatars have as an ablation only. Most numbers take 16 bits, as whole multiples of a step that
-each array has of its own: 15 µm for places, 0.01 % for scales, 0.003/m for a weight's derivative.
-Between frames the page interpolates transforms linearly.
+So the page evaluates :mod:`gva_mi.avatar.skin_gaussians` with nothing left out but small blend
+shapes, and the residual, which avatars have as an ablation only. Most numbers take 16 bits, as
+whole multiples of a step that each array has of its own: 15 µm for places, 0.01 % for scales,
+0.003/m for a weight's derivative. Between frames the page interpolates transforms linearly.
 
 The page is of our own making because nothing else shows these Gaussians: Spark and PlayCanvas keep
 quaternions and scales, and a Gaussian that stretches with the skin is sheared.
@@ -46,6 +46,9 @@ from gva_mi.fit.renders import AVATAR_SPLATTING, FOCAL_RATIO, ROOM_AROUND, cylin
 # Both chosen: a page below 40 MB, which phones open and people send.
 MOST_GAUSSIANS = 200_000
 MOST_FRAMES = 5000  # of all motions together
+# Of a point: blend shapes at most, and metres of the smallest one. Chosen: the built-in body keeps
+# all of its, and one whose 486 shapes move every point keeps the largest.
+MOST_SHAPES, SMALLEST_SHAPE = 12, 2e-5
 _STEPS = 32767  # of 16 bits, on either side of zero
 
 
@@ -178,7 +181,9 @@ class _Arrays:
         self.exact(f"{name}PairJoints", weights.joints, "u1")
         self.fixed(f"{name}PairWeights", weights.four[:, 0])
         self.fixed(f"{name}PairSlopes", weights.four[:, 1:])
-        points, shapes = (directions != 0).any(1).nonzero().unbind(1)
+        sizes = directions.abs().amax(1)
+        largest = sizes.topk(min(MOST_SHAPES, sizes.shape[1]), dim=1).values[:, -1:]
+        points, shapes = ((sizes >= largest) & (sizes > SMALLEST_SHAPE)).nonzero().unbind(1)
         self.exact(f"{name}ShapeCounts", _counts(points, len(means)), "u2")
         self.exact(f"{name}ShapeNumbers", shapes, "u2")
         self.fixed(f"{name}ShapeMetres", directions[points, :, shapes])

@@ -1,5 +1,7 @@
 """A page holds the avatar: skinned by its own numbers, and drawn by a browser, it is the avatar."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 import torch
@@ -95,6 +97,19 @@ def test_the_pages_numbers_give_the_avatars_gaussians(lit, bends, tmp_path):
     exact = skin_points(rest, lit.rig.weights, skeleton.T_world_rest.float())
     assert np.abs(surface - exact.detach().numpy()).max() < 1e-4
     assert np.array_equal(page["faces"].reshape(-1, 3), lit.rig.faces)
+
+
+def test_of_many_blend_shapes_the_largest_are_kept(lit, tmp_path):
+    """Bodies of other makers move every point by 486 shapes; a page would be too large."""
+    directions = torch.randn(6000, 3, 68, generator=torch.Generator().manual_seed(4)).div(1000)
+    avatar = deepcopy(lit)
+    avatar.canonical.directions = directions
+    save_page(tmp_path / "a.html", avatar, [NamedMotion("rest", Pose.rest(), 25)], "A")
+    page = unpack(tmp_path / "a.html")
+    assert set(page["splatShapeCounts"]) == {12}
+    kept = np.sort(page["splatShapeNumbers"].reshape(-1, 12), axis=1)
+    largest = directions.abs().amax(1).topk(12, dim=1).indices.sort(dim=1).values
+    assert np.array_equal(kept, largest)
 
 
 def test_a_page_without_the_body_holds_neither_surface_nor_blend_shapes(lit, tmp_path):

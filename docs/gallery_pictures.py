@@ -2,8 +2,8 @@
 
     python docs/gallery_pictures.py DEMO OUT
 
-DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``check.png``, ``motions.png`` and
-``exports.png`` are written into OUT.
+DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``scenes.png``, ``check.png``,
+``motions.png`` and ``exports.png`` are written into OUT.
 
 The overview shows what an avatar is made of, and what it looks like in new poses. Above: a frame
 that training left out, its normals, the Gaussians drawn small, and the avatar from other sides.
@@ -25,6 +25,7 @@ from PIL import Image
 
 from gva_mi import app
 from gva_mi.avatar.avatar import Avatar
+from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.evaluate.measure import SplitView
 from gva_mi.evaluate.pictures import shown_views, turntable
@@ -45,9 +46,13 @@ SIDE_VIEWS = 3  # other sides of the avatar in the overview
 NEW_POSE_SCALE = 2  # size of renders in new poses, relative to the video's pictures
 VIEW_SIZE = (240, 340)  # width and height in pixels of a view of motions.png and exports.png
 VIEWS = 6  # of each of the two
+# Scenes of the package in scenes.png, with the frame of the novel poses and the exposure in stops.
+SCENES = (("room", 0, 0.7), ("studio", 5, 0), ("sky", 2, 0))
+SCENE_RAYS = 256  # per pixel
+SCENE_SIDE = 400  # pixels, of each picture
 
 
-def gva_mi(*words: str | Path) -> None:
+def gva_mi(*words: str | Path | float) -> None:
     """Run a command of gva-mi."""
     command = [sys.executable, "-m", "gva_mi", *map(str, words)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -89,6 +94,22 @@ def exports(run: Path, folder: Path) -> list[Path]:
     out = folder / "exports"
     app.render(alone, out, CameraPath("turntable", VIEWS, size=VIEW_SIZE), poses=run / "poses.npz")
     return sorted(out.glob("*.png"))
+
+
+def scenes(demo: Path, folder: Path) -> np.ndarray:
+    """Render the avatar in the light of the package's scenes, in poses that its video has not."""
+    poses, shape = load_poses(demo / "subject/truth/novel_pose/poses.npz")
+    pictures = []
+    for name, frame, exposure in SCENES:
+        pose = folder / f"{name}.npz"
+        save_poses(pose, poses[frame], shape, stage=2)
+        gva_mi(
+            "render", demo / "run", "--poses", pose, "--scene", name, "--light", "scene",
+            "--exposure", exposure, "--spp", SCENE_RAYS, "--out", folder / name,
+        )  # fmt: skip
+        image = Image.open(folder / name / "000000.png")
+        pictures.append(image.resize((SCENE_SIDE, SCENE_SIDE), Image.Resampling.LANCZOS))
+    return np.concatenate(pictures, axis=1)
 
 
 def overview(avatar: Avatar, video: Video) -> np.ndarray:
@@ -159,6 +180,7 @@ if __name__ == "__main__":
     Image.fromarray(overview(avatar, trained)).save(out / "overview.png")  # normals: all colours
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
+        Image.fromarray(scenes(demo, folder)).save(out / "scenes.png")
         app.check(demo / "subject", sheet=folder / "check.png")
         save(read_image(folder / "check.png", 3), out / "check.png")
         save(in_a_row(motions(demo / "run", folder)), out / "motions.png")

@@ -47,7 +47,7 @@ NEW_POSE_SCALE = 2  # size of renders in new poses, relative to the video's pict
 VIEW_SIZE = (240, 340)  # width and height in pixels of a view of motions.png and exports.png
 VIEWS = 6  # of each of the two
 # Scenes of the package in scenes.png, with the frame of the novel poses and the exposure in stops.
-SCENES = (("room", 0, 0.7), ("studio", 5, 0), ("sky", 2, 0))
+SCENES = (("room", 0, 0.7), ("studio", 4, 0), ("sky", 6, 0))
 SCENE_RAYS = 256  # per pixel
 SCENE_SIDE = 400  # pixels, of each picture
 

@@ -50,15 +50,15 @@ def register() -> None:
             f'{variant}; call mi.set_variant("llvm_ad_rgb") first'
         )
     from gva_mi_plugins.gaussian_splat import integrator as gaussian_splat
-    from gva_mi_plugins.gaussian_splat import lighting, sensors
+    from gva_mi_plugins.gaussian_splat import lighting
     from gva_mi_plugins.mesh_normals import integrator as mesh_normals
 
     # Mitsuba makes its base classes anew for every variant, so the modules that derive from them
     # run again. All others look Mitsuba's types up when they are called.
     if not issubclass(mesh_normals.MeshNormals, mi.ad.integrators.common.ADIntegrator):
-        for module in (sensors, lighting, gaussian_splat, mesh_normals):
+        for module in (lighting, gaussian_splat, mesh_normals):
             importlib.reload(module)
-    mi.register_sensor("behind_person", sensors.BehindPerson)
-    mi.register_sensor("onto_surface", sensors.OntoSurface)
+    mi.register_sensor("behind_person", lighting.BehindPerson)
+    mi.register_sensor("onto_surface", lighting.OntoSurface)
     mi.register_integrator("gaussian_splat", gaussian_splat.GaussianSplat)
     mi.register_integrator("mesh_normals", mesh_normals.MeshNormals)

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.avatar.proxy import Proxy
-from gva_mi.avatar.stage import Stage, StageOptions
+from gva_mi.avatar.stage import Proxy, Stage, StageOptions
 from gva_mi.body.pose import Pose, load_poses
 from gva_mi.core.console import Progress, say
 from gva_mi.core.errors import InputError

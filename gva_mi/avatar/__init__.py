@@ -12,7 +12,6 @@
 ``surface``          a closed surface around the Gaussians
 ``reinit``           Gaussians put back on this surface (Sec. 4.3)
 ``held``             Gaussians kept near the body and its clothes
-``proxy``            the outer skin as a mesh that moves with the Gaussians
 ``stage``            ``Stage``: an avatar in a Mitsuba scene, with shadows and the scene's light
 ``export``           surface and poses for other programs
 ``without_body``     an avatar's file without the licensed body model

@@ -6,16 +6,23 @@
 3. I   = C + (1 - α) sRGB(2^e L)      L: the scene with the proxy in it, as seen past the proxy
 
 S, the light on Gaussians, and the sensors that see past a proxy and onto it belong to the plugin
-``gaussian_splat`` (``plugins/gaussian_splat/lighting.py`` and ``sensors.py``). e is the exposure in
-stops. The proxy (:mod:`gva_mi.avatar.proxy`) is an ordinary mesh with diffuse vertex colours, so
-any integrator makes its shadows and reflections.
+``gaussian_splat`` (``plugins/gaussian_splat/lighting.py``). e is the exposure in
+stops.
+
+The proxy is the avatar's outer skin, an ordinary mesh with diffuse vertex colours, so any
+integrator makes its shadows and reflections. It is the surface of the last re-initialisation with
+the fingers of the rest body, smoothed once more: Gaussians do not mind a fold of it, but no light
+falls into one. It moves as a Gaussian at vertex v would, by eq. 1 and 2 of
+:mod:`gva_mi.avatar.avatar`:
+
+4. v_t = A(v) (v + D(v) c + MLP(theta))
 
 A video shows albedo times light, and cannot tell them apart. f_0 of a Gaussian, its colour without
 the light's direction (eq. 4 of :mod:`gva_mi.avatar.avatar`), still has the dark armpits and
 nostrils of the video, which the scene's light would darken again. So the video's light is taken to
 come from all sides alike, and the person's mean light to be 1:
 
-4. a_g = f_0 mean(V) / V_g            V: direct light of a white sky, mean over poses of the video
+5. a_g = f_0 mean(V) / V_g            V: direct light of a white sky, mean over poses of the video
 
 Single Gaussians are brighter than white where pictures blend them to white, so only the proxy's
 albedo is limited.
@@ -34,10 +41,11 @@ import torch
 from torch import Tensor
 
 from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
-from gva_mi.avatar.proxy import Proxy
-from gva_mi.avatar.reinit import SURFACE_OPACITY
-from gva_mi.avatar.surface import SurfaceMesh
+from gva_mi.avatar.reinit import SURFACE_OPACITY, ReinitOptions, mesh_gaussians
+from gva_mi.avatar.rig import moved_by
+from gva_mi.avatar.surface import SurfaceMesh, with_fingers
 from gva_mi.body.pose import Pose
+from gva_mi.body.skinning import skin_points
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.jit.frozen import exclusive
@@ -52,10 +60,68 @@ if TYPE_CHECKING:
     from gva_mi_plugins.gaussian_splat.lighting import ProxyLight
 
 DARKEST, BRIGHTEST = 0.01, 0.95  # albedos of the proxy; chosen: black velvet to fresh snow
-SKY_POSES = 6  # of the video, for eq. 4; chosen: a turn in steps of a sixth
-LEAST_SKY = 0.2  # V / mean(V) in eq. 4; chosen: what sees less was hardly filmed, and is noise
+SKY_POSES = 6  # of the video, for eq. 5; chosen: a turn in steps of a sixth
+LEAST_SKY = 0.2  # V / mean(V) in eq. 5; chosen: what sees less was hardly filmed, and is noise
 VARIANT = "llvm_ad_rgb"
+SMOOTHING = 10  # steps of Taubin's filter; chosen: folds of a few triangles come apart
 PERSON = "person"  # the proxy's name among the scene's parameters
+
+
+@dataclass(frozen=True)
+class Proxy:
+    """An avatar's outer skin, as a mesh that moves with the Gaussians.
+
+    Example:
+        >>> from gva_mi.avatar.avatar import AvatarOptions, SeedOptions, seed_avatar
+        >>> from gva_mi.body.pose import Shape
+        >>> from gva_mi.body.smplx import load_body
+        >>> options = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
+        >>> proxy = Proxy.of(avatar)
+        >>> torch.allclose(proxy.posed(Pose.rest()), avatar.skin.vertices, atol=1e-6)
+        True
+    """
+
+    avatar: Avatar
+    vertices: Tensor  # (V, 3) metres, at rest
+    faces: Tensor  # (F, 3) int64, counter-clockwise seen from outside
+    weights: Tensor  # (V, 55) skinning weights
+    directions: Tensor  # (V, 3, K) metres by which blend shapes move the vertices
+
+    @staticmethod
+    @torch.no_grad()
+    def of(avatar: Avatar, surface: SurfaceMesh | None = None) -> Proxy:
+        """Take the skin of an avatar.
+
+        ``surface`` is the surface of its last re-initialisation, without fingers. Without it, and
+        if the avatar was re-initialised, a surface is made from its opaque Gaussians.
+        """
+        rig, skin = avatar.rig, avatar.skin
+        if surface is None and len(skin.vertices) == len(rig.vertices):
+            vertices, faces = skin.vertices, rig.faces
+        else:
+            if surface is None:
+                G = avatar.canonical
+                solid = G.opacities > SURFACE_OPACITY
+                means, weights = (x[solid].double().numpy() for x in (G.means, G.weights))
+                surface = mesh_gaussians(means, rig, ReinitOptions(), weights)
+            whole = with_fingers(surface, rig)
+            smooth = whole.meshlab()
+            smooth.apply_coord_taubin_smoothing(stepsmoothnum=SMOOTHING)
+            vertices = torch.from_numpy(smooth.current_mesh().vertex_matrix()).to(rig.vertices)
+            faces = torch.from_numpy(np.ascontiguousarray(whole.faces))
+        bound = skin.bind(vertices)
+        return Proxy(avatar, vertices, faces, bound["weights"], bound["directions"])
+
+    @torch.no_grad()
+    def posed(self, pose: Pose) -> Tensor:
+        """Return v_t of eq. 4 in a pose of one frame, (V, 3) metres, in the avatar's world."""
+        skeleton = self.avatar.posed_skeleton(pose)
+        moved = self.vertices + moved_by(skeleton.coefficients, self.directions)
+        if self.avatar.options.residual.enabled:
+            rotations = self.avatar.applied_rotations(pose)[0]
+            moved = moved + self.avatar.residual(self.vertices, self.weights, rotations)
+        return skin_points(moved, self.weights, skeleton.T_world_rest.to(moved.dtype))
 
 
 @options_of("render")
@@ -122,7 +188,7 @@ class Stage:
             T_scene_avatar: (4, 4) rigid, from the world of the avatar's poses to the scene's; None:
                 both are the same.
             surface: of the avatar's last re-initialisation; see :meth:`Proxy.of`.
-            filmed: poses of the avatar's video, for eq. 4; None: the rest pose.
+            filmed: poses of the avatar's video, for eq. 5; None: the rest pose.
             sensor: in place of the scene's.
 
         Raises:
@@ -178,7 +244,7 @@ class Stage:
         from gva_mi_plugins.gaussian_splat.integrator import to_srgb
 
         if sensor is not None:
-            self.others = type(self.others)(self.others.scene, sensor)
+            self.others = replace(self.others, sensor=sensor)
         self.place(pose)
         color, alpha = self.person(pose, seed)
         gain = 2**self.options.exposure
@@ -195,7 +261,7 @@ class Stage:
         return self.around.mean(self.whole.light(self.integrator, self.options.bake, seed))
 
     def _sky_light(self, mesh: mi.Mesh, poses: Pose) -> np.ndarray:
-        """Return V of eq. 4, (N, 3)."""
+        """Return V of eq. 5, (N, 3)."""
         import mitsuba as mi
 
         outside = _WithPerson.of([mesh, mi.load_dict({"type": "constant"})], self.proxy)
@@ -231,7 +297,7 @@ class Stage:
 
     def surroundings(self, seed: int = 0) -> mi.TensorXf:
         """Return L of eq. 3, (H, W, 3) linear, attached, after :meth:`place`."""
-        whole = type(self.others)(self.whole.scene, self.others.sensor)
+        whole = replace(self.others, scene=self.whole.scene)
         image = whole.image(self.integrator, seed, self.options.spp, self.params, self.others)
         return image[:, :, :3]
 
@@ -243,7 +309,7 @@ def _tensor(x: Tensor) -> mi.TensorXf:
 
 
 def _albedo(avatar: Avatar, sky_light: np.ndarray) -> mi.TensorXf:
-    """Return a of eq. 4, linear, (N, 3)."""
+    """Return a of eq. 5, linear, (N, 3)."""
     import mitsuba as mi
 
     first = _tensor((avatar.canonical.sh.detach()[:, 0] * C0 + 0.5).clamp_min(0))

@@ -15,10 +15,9 @@ reads its arguments and calls the library: for a step, the function of its name 
 :mod:`gva_mi.app`. A new command is a function in a new file, and a line in :data:`VERBS`.
 
 ==============  ====================================================================
-``avatar``      ``avatar`` and ``demo``: all steps
+``avatar``      ``avatar`` and ``demo``: all steps; ``synth`` and ``body``
 ``prepare``     ``prepare`` and ``motion``
 ``steps``       ``check``, ``refine``, ``fit``, ``evaluate``, ``score``, ``track``, ``render``
-``subjects``    ``synth`` and ``body``
 ``export``      files for other programs
 ``view``        the viewer in the browser
 ``study``       studies over many subjects
@@ -64,8 +63,8 @@ MODULES = dict.fromkeys(("check", "refine", "fit", "evaluate", "score", "track",
 MODULES |= {
     "demo": "avatar",
     "bench": "gradcheck",
-    "synth": "subjects",
-    "body": "subjects",
+    "synth": "avatar",
+    "body": "avatar",
     "motion": "prepare",
 }
 

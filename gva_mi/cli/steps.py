@@ -261,3 +261,47 @@ def render(
         run, out, path, poses=poses, cameras=cameras, background=background, alpha=alpha,
         video=video, fps=fps, scene=scene, body=body, overwrite=overwrite,
     )  # fmt: skip
+
+
+def score(
+    renders: Positional[Path],
+    truth: Positional[Path],
+    *,
+    masks: Path | None = None,
+    background: str = "white",
+    out: Path | None = None,
+    overwrite: Switch = False,
+) -> None:
+    """Score renders of any method: whole picture, box, mask, hands, face.
+
+    Pictures are paired by the last number in their file names, frames of videos by their order.
+
+    Args:
+        renders: a video or a folder of pictures; pictures with alpha are put on the background.
+        truth: a video or a folder of pictures, or a subject's folder, whose masks and poses give
+            box, mask, hands and face.
+        masks: masks of the person in the pictures of truth: a video, a folder, or a .npy (T, H, W).
+        background: the colour behind the renders, on which masked pictures are put; none: pictures
+            stay as they are.
+        out: also write the table to this .json file.
+        overwrite: replace that file.
+    """
+    if out is not None:
+        require_room(out, overwrite)
+    color = None if background == "none" else read_background(background, 1, 1).reshape(-1)[:3]
+    if not (truth / CAMERAS).is_file():  # not a subject's folder
+        pairs = pairs_of_pictures(renders, truth, masks, color)
+    elif masks is None:
+        pairs = pairs_of_subject(renders, load_video(truth), load_body(body_of(truth)), color)
+    else:
+        raise InputError(f"{truth}: has its own masks; give it without --masks")
+    scorer = Scorer(find_weights())
+    with bar("score") as progress:
+        figures = score_pictures(pairs, scorer, progress)
+    found = table(pivot(figures, ("region",)))
+    for line in aligned([found.head, *found.rows]):
+        say(line)
+    if out is not None:
+        record = {"background": background, "figures": to_json(figures)}
+        write_json(out, record | {"networks": scorer.networks()})
+        say(f"figures: {out}")

@@ -8,10 +8,15 @@ pixels p of the mask, less at a grazing angle, and nothing at a contact:
     1. w_i = mean over k of  q_ki max(0, (s - n_i · d_ki) / (s + 1))² Σ_p T_kip α_kip
 
 with the normal n of the body beside it, the direction d from the camera to it, its share T α of a
-pixel (Eq. 1-3), and q of :mod:`gva_mi.fit.contacts`. Colours c, and their changes with the light,
-replace those of the fit, f, by the solution of
+pixel (Eq. 1-3). A contact is where a picture shows two places of the body side by side that lie
+apart at rest, as an arm before the trunk, or a hand on the hip. With r_ki the distance from
+Gaussian i to the nearest contact of frame k, metres,
 
-    2. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
+    2. q_ki = exp(-(r₀ / r_ki)²)
+
+Colours c, and their changes with the light, replace those of the fit, f, by the solution of
+
+    3. w_i (c_i - f_i) + λ b_i (c_i - h_i) = λ Σ_j a_ij (c_j - c_i)
 
 A Gaussian that frames show keeps its colour. Others take the colours of Gaussians j that face the
 same way
@@ -35,7 +40,7 @@ dress takes the colour of the outer side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,18 +51,22 @@ from torch.nn.functional import normalize
 from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.held import arm_weights, head_weights
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.fit.contacts import contact_free
 from gva_mi.fit.samples import FrameSampler, Sample
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat import Camera, render
+from gva_mi.splat import Camera, Gaussians, render
 from gva_mi.splat.kernels.sh import C0
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+# r₀, metres. Chosen on three rendered persons: within half of it a contact teaches nothing, and
+# poses of phone videos are off by as much.
+CONTACT_REACH = 0.05
+# Metres at rest between the places of a contact. Chosen: more than across a wrist.
+CONTACT_APART = 0.1
 # Chosen on rendered persons, by eye.
 COMPLETION_FRAMES = 32  # at most, that eq. 1 is the mean of
-COMPLETION_SMOOTHNESS = 0.005  # λ of eq. 2, as a share of the mean of w
+COMPLETION_SMOOTHNESS = 0.005  # λ of eq. 3, as a share of the mean of w
 NEAREST_NEIGHBOURS = 8  # j around i; a guess counts as all of them
 OPPOSITE_NEIGHBOURS = 3  # j at the mirrored place, and as many before or behind
 HEAD_TOP_SHARE = 0.1  # of what frames show of a head, by w, from the top down: the guess for it
@@ -77,7 +86,7 @@ _TRUNK = [
 
 @torch.no_grad()
 def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int], Pose]) -> None:
-    """Replace the colours of an avatar by the solution of eq. 2.
+    """Replace the colours of an avatar by the solution of eq. 3.
 
     Args:
         avatar: whose ``canonical.sh`` (N, K, 3) changes.
@@ -178,7 +187,7 @@ class Places:
 
 
 def guesses(places: Places, w: np.ndarray, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Guess colours h (N, K), with weights b (N,) of eq. 2, from w (N,) and f (N, K).
+    """Guess colours h (N, K), with weights b (N,) of eq. 3, from w (N,) and f (N, K).
 
     A guess counts less if frames hardly show the Gaussians that it is taken from.
     """
@@ -215,7 +224,7 @@ def weighted_median(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def neighbours(places: Places) -> csr_array:
-    """Return the weights a (N, N) of eq. 2 between Gaussians, a symmetric matrix."""
+    """Return the weights a (N, N) of eq. 3 between Gaussians, a symmetric matrix."""
     points, normals = places.points, places.normals
     front_and_back = _front_and_back(points, normals, places.limbs)
     return _around(points, normals) + _mirrored(points, normals) + front_and_back
@@ -272,3 +281,40 @@ def _symmetric(columns: np.ndarray, values: np.ndarray) -> csr_array:
     N, K = columns.shape
     a = csr_array((values.ravel(), columns.ravel(), np.arange(0, N * K + 1, K)), shape=(N, N))
     return (a + a.T) / 2
+
+
+@torch.no_grad()
+def contact_free(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
+    """Return q of N posed Gaussians in a picture, (N,); ``places`` (N, 3) are theirs at rest."""
+    return torch.exp(-((CONTACT_REACH / clearance(gaussians, places, camera)) ** 2))
+
+
+def clearance(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
+    """Return how far Gaussians are from the nearest contact in a picture, (N,) metres: r.
+
+    Args:
+        gaussians: N posed Gaussians.
+        places: (N, 3) where they are at rest, metres.
+        camera: of the picture.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    image = render(replace(gaussians, sh=None, colors=places), camera, AVATAR_SPLATTING)
+    alpha = image.alpha.numpy()
+    rest = image.color.numpy() / np.maximum(alpha, 0.5)[..., None]
+    contact = np.zeros(alpha.shape, bool)
+    for one, middle, other in (
+        (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
+        (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
+    ):  # the neighbours on both sides of a pixel, which may itself mix two places
+        solid = np.minimum(alpha[one], alpha[other]) > 0.5
+        contact[middle] |= solid & (np.linalg.norm(rest[one] - rest[other], axis=2) > CONTACT_APART)
+    if not contact.any():
+        return torch.full((len(places),), torch.inf)
+    pixels = distance_transform_edt(~contact)
+    T = torch.tensor(camera.T_camera_world, dtype=places.dtype)
+    x, y, z = (gaussians.means @ T[:3, :3].T + T[:3, 3]).T
+    z = z.clamp_min(1e-3)
+    column = (camera.fx * x / z + camera.cx).long().clamp(0, camera.width - 1)
+    row = (camera.fy * y / z + camera.cy).long().clamp(0, camera.height - 1)
+    return torch.from_numpy(pixels)[row, column].to(z) * z / camera.fx

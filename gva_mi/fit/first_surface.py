@@ -25,7 +25,7 @@ of the skin counts as skin. If the face never looks toward the camera, no limb i
 
 Where parts touch in the pictures, an arm beside the trunk looks like clothes of the trunk. Clothes
 show where the surface is the outline of the person or of a part, so a vertex v knows them from
-frames in which it is seen, grazing, and away from a contact (:mod:`gva_mi.fit.contacts`):
+frames in which it is seen, grazing, and away from a contact (:mod:`gva_mi.fit.completion`):
 
     4. e_v = Σ_k seen_kv (1 - |n_kv · d_kv|)² q_kv
 
@@ -48,7 +48,7 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.held import arm_weights
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel, Rest
-from gva_mi.fit.contacts import contact_free
+from gva_mi.fit.completion import contact_free
 from gva_mi.mesh.mesh_scene import seen_vertices
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
 from gva_mi.subject.splits import spread

@@ -16,7 +16,7 @@ Parameters:
         shapes of the scene; ``lit`` does so in the scene's light. Default: ``none``.
     nested integrator: renders the other shapes, unless ``meshes`` is ``none``. Default: ``path``.
     ``proxy`` (string): id of a mesh of the scene that stands for the ellipsoids: it casts their
-        shadow and is seen in mirrors, but not by the camera (``sensors.py``). ``lit`` needs it;
+        shadow and is seen in mirrors, but not by the camera (``lighting.py``). ``lit`` needs it;
         ``depth`` may have it.
     ``bake`` (integer): rays per vertex of the proxy that measure the light. Default: 32.
     ``background`` (colour): shown behind the ellipsoids with ``meshes`` = ``none``; otherwise

@@ -1,30 +1,216 @@
-"""The light of a scene on Gaussians, measured on their proxy by any integrator.
+"""Light Gaussians by any integrator, through a mesh that stands for them: their proxy.
 
-1. B_v, a_v = radiance and albedo that the sensor ``onto_surface`` sees at vertex v of the proxy
-2. E_v = B_v / a_v                       a diffuse surface of albedo a shows a E: E is the light
-3. S_v = E_u, u: the vertex of median brightness among v and those around it
-4. S_g = Σ_v w_gv S_v                    w: shares of the vertices around Gaussian g
+A *proxy* casts the Gaussians' shadow, is seen in mirrors and through glass, and receives the
+scene's light. Two sensors let a renderer look past it and at it.
+
+* ``behind_person`` wraps another sensor. It moves each ray to just before the first surface of the
+  scene *without* the proxy. So the camera does not see the proxy, and everything else does:
+
+  1. o' = o + (1 - NEAR) t d        t: distance of the first of the other shapes; or beyond them all
+
+* ``onto_surface`` has one pixel per point of the proxy. Pixel k looks from a little above point k
+  straight down at it, so an integrator measures the radiance that leaves the proxy there, with its
+  own sampling, indirect light and derivatives:
+
+  2. o = p_k + h n_k + r_k ξ,   d = -n_k       ξ: a point of the unit disc around n_k
+     weight = 1 if the ray meets the proxy's outside within 2 h, else 0
+
+The light on Gaussian g, :class:`ProxyLight`:
+
+3. B_v, a_v = radiance and albedo that ``onto_surface`` sees at vertex v of the proxy
+4. E_v = B_v / a_v                       a diffuse surface of albedo a shows a E: E is the light
+5. S_v = E_u, u: the vertex of median brightness among v and those around it
+6. S_g = Σ_v w_gv S_v                    w: shares of the vertices around Gaussian g
 
 The same rays see B and a. So neither another part of the proxy nor a hole of it can make E large,
 and E has a derivative by the proxy's albedo. Where nothing was hit, E is 0.
 
 A path that finds a lamp by chance, through glass or a mirror, adds a value far above the mean:
 a *firefly*. In a picture it is one pixel; here it would be a bright disc. A vertex in a fold of the
-proxy is dark. Eq. 3 removes both, and keeps the edges of shadows. Twice as bright emitters
+proxy is dark. Eq. 5 removes both, and keeps the edges of shadows. Twice as bright emitters
 give twice the light.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from gva_mi_plugins.gaussian_splat.sensors import OntoSurface
 
+NEAR = 2e-4  # of eq. 1, share of the distance; chosen: far above float32's rounding
+ABOVE = 0.1  # h of eq. 2, in distances of neighbouring points; chosen: less than from limb to limb
+SPREAD = 0.25  # r of eq. 2, in the same unit; chosen: discs of neighbours do not overlap
+ROW = 256  # pixels in a row of an ``onto_surface`` film; any number would do
+_BOX = {"rfilter": {"type": "box"}, "component_format": "float32", "pixel_format": "rgb"}
 NEIGHBOURS = 6  # vertices around a Gaussian, and around a vertex; chosen: one ring of a mesh
 LEAST_ALBEDO = 1e-3  # below it a surface has no colour that light could be divided by; chosen
+
+
+class BehindPerson(mi.Sensor):
+    """The sensor ``behind_person``: rays of the nested sensor that pass a proxy by (eq. 1).
+
+    Attributes:
+        others: the scene without the proxy; set it before rendering the scene with the proxy.
+
+    Example:
+        >>> near = {"type": "sphere", "center": [0, 0, 3]}  # black: there is no light
+        >>> wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 5])}
+        >>> wall |= {"emitter": {"type": "area", "radiance": 1.0}, "flip_normals": True}
+        >>> whole = mi.load_dict({"type": "scene", "near": near, "wall": wall})
+        >>> film = {"type": "hdrfilm", "width": 3, "height": 3, "rfilter": {"type": "box"}}
+        >>> camera = {"type": "perspective", "fov": 5, "film": film}
+        >>> past = mi.load_dict({"type": "behind_person", "camera": camera})
+        >>> past.others = mi.load_dict({"type": "scene", "wall": wall})
+        >>> integrator = mi.load_dict({"type": "direct"})
+        >>> images = [mi.render(whole, sensor=x, integrator=integrator, spp=1)
+        ...           for x in (mi.load_dict(camera), past)]
+        >>> [image[1, 1, 0].array[0] for image in images]
+        [0.0, 1.0]
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        nested = [x for _, x in props.objects() if isinstance(x, mi.Sensor)]
+        if len(nested) != 1:
+            raise ValueError(f"behind_person: expected one nested sensor, got {len(nested)}")
+        self.nested, self.others = nested[0], None
+        props["film"], props["sampler"] = self.nested.film(), self.nested.sampler()
+        super().__init__(props)
+
+    def sample_ray(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Ray3f, mi.Color3f]:  # fmt: skip
+        """Sample a ray of the nested sensor and move its origin."""
+        ray, weight = self.nested.sample_ray(time, sample1, sample2, sample3, active)
+        return self._moved(ray), weight
+
+    def sample_ray_differential(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.RayDifferential3f, mi.Color3f]:  # fmt: skip
+        """Sample a ray with differentials of the nested sensor and move its origin."""
+        ray, weight = self.nested.sample_ray_differential(time, sample1, sample2, sample3, active)
+        return self._moved(ray), weight
+
+    def _moved(self, ray: mi.Ray3f) -> mi.Ray3f:
+        if self.others is None:
+            raise ValueError("behind_person: set its attribute 'others', the scene without a proxy")
+        with dr.suspend_grad():
+            box = self.others.bbox()
+            found = self.others.ray_intersect_preliminary(ray, coherent=True)
+            reach = dr.norm(ray.o - mi.Point3f(box.center())) + dr.norm(mi.Vector3f(box.extents()))
+            t = dr.select(found.is_valid(), (1 - NEAR) * found.t, reach)
+        ray.o = ray(t)
+        return ray
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        """Offer the nested sensor's parameters."""
+        self.nested.traverse(callback)
+
+    def to_string(self) -> str:
+        """Return the text that Mitsuba prints."""
+        return f"BehindPerson[{self.nested}]"
+
+
+class OntoSurface(mi.Sensor):
+    """The sensor ``onto_surface``: pixel k looks at point k of a surface (eq. 2).
+
+    Make it by :meth:`of`. Pixels beyond the number of points repeat the last one.
+
+    Example:
+        A white ball under a white sky looks white from everywhere.
+
+        >>> white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
+        >>> ball, sky = {"type": "sphere", "bsdf": white}, {"type": "constant"}
+        >>> scene = mi.load_dict({"type": "scene", "ball": ball, "sky": sky})
+        >>> top_and_bottom = np.array([[0, 1.0, 0], [0, -1, 0]])
+        >>> sensor = OntoSurface.of(scene, top_and_bottom, top_and_bottom, np.full(2, 0.1))
+        >>> image = sensor.render(mi.load_dict({"type": "path"}), spp=64)
+        >>> image.shape, bool(dr.all(dr.abs(image - 1) < 0.05, axis=None))
+        ((2, 3), True)
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.scene: mi.Scene | None = None
+        self.points: mi.Point3f | None = None
+        self.normals: mi.Vector3f | None = None
+        self.spacing: mi.Float | None = None
+
+    @staticmethod
+    def of(
+        scene: mi.Scene, points: np.ndarray, normals: np.ndarray, spacing: np.ndarray
+    ) -> OntoSurface:
+        """Look at points (K, 3) of a scene's surface, with unit normals (K, 3) to the outside.
+
+        ``spacing`` (K,) is the distance of neighbouring points, in units of the scene.
+        """
+        film = {"type": "hdrfilm", "width": ROW, "height": -(-len(points) // ROW), **_BOX}
+        sampler = {"type": "multijitter"}
+        sensor = mi.load_dict({"type": "onto_surface", "film": film, "sampler": sampler})
+        sensor.scene, sensor.spacing = scene, mi.Float(np.asarray(spacing, np.float32))
+        sensor.look_at(points, normals)
+        return sensor
+
+    def look_at(self, points: np.ndarray, normals: np.ndarray) -> None:
+        """Follow points that have moved."""
+        columns = lambda x: np.ascontiguousarray(x.T, np.float32)
+        self.points, self.normals = mi.Point3f(columns(points)), mi.Vector3f(columns(normals))
+
+    def render(
+        self,
+        integrator: mi.Integrator,
+        spp: int,
+        seed: int = 0,
+        params: mi.SceneParameters | None = None,
+    ) -> mi.TensorXf:
+        """Render what an integrator sees at the points, (K, 3); attached to ``params``.
+
+        ``spp`` rays per point are rounded up to a grid of samples.
+        """
+        side = math.isqrt(spp)
+        grid = side * -(-spp // side)  # as the sampler would, with a warning
+        image = mi.render(self.scene, params, self, integrator, spp=grid, seed=seed)
+        count, channels = dr.width(self.points), image.shape[2]
+        k = dr.arange(mi.UInt32, 3 * count)
+        return mi.TensorXf(dr.gather(mi.Float, image.array, k // 3 * channels + k % 3), (count, 3))
+
+    def sample_ray(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Ray3f, mi.Color3f]:  # fmt: skip
+        """Sample a ray of eq. 2."""
+        size = mi.Vector2f(self.film().crop_size())
+        at = sample2 * size
+        cell = dr.minimum(dr.floor(at), size - 1)
+        k = dr.minimum(mi.UInt32(cell.y * size.x + cell.x), dr.width(self.points) - 1)
+        p, n = dr.gather(mi.Point3f, self.points, k), dr.gather(mi.Vector3f, self.normals, k)
+        spacing = dr.gather(mi.Float, self.spacing, k)
+        disc = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(dr.clip(at - cell, 0, 1)))
+        disc *= SPREAD * spacing
+        frame = mi.Frame3f(n)
+        o = p + n * (ABOVE * spacing) + frame.s * disc.x + frame.t * disc.y
+        ray = mi.Ray3f(o, -n, time, [])
+        with dr.suspend_grad():
+            probe = mi.Ray3f(o, -n, 2 * ABOVE * spacing, time, [])
+            found = self.scene.ray_intersect(probe, mi.RayFlags.Minimal, coherent=False)
+            outside = found.is_valid() & (dr.dot(found.n, n) > 0)
+        return ray, mi.Color3f(dr.select(outside, 1.0, 0.0))
+
+    def sample_ray_differential(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.RayDifferential3f, mi.Color3f]:  # fmt: skip
+        """Sample a ray of eq. 2, without differentials."""
+        ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+        return mi.RayDifferential3f(ray), weight
+
+    def to_string(self) -> str:
+        """Return the text that Mitsuba prints."""
+        return f"OntoSurface[points={0 if self.points is None else dr.width(self.points)}]"
 
 
 @dataclass(frozen=True)
@@ -109,7 +295,7 @@ class ProxyLight:
         seed: int = 0,
         params: mi.SceneParameters | None = None,
     ) -> mi.TensorXf:
-        """Return S of eq. 3, (V, 3); attached to ``params`` as far as the integrator is."""
+        """Return S of eq. 5, (V, 3); attached to ``params`` as far as the integrator is."""
         surface = mi.load_dict({"type": "aov", "aovs": "albedo:albedo"})
         shown = self.sensor.render(integrator, spp, seed, params).array
         albedo = self.sensor.render(surface, spp, seed, params).array
@@ -119,7 +305,7 @@ class ProxyLight:
         return self._without_specks(mi.TensorXf(light, (len(self.ring), 3)))
 
     def _without_specks(self, light: mi.TensorXf) -> mi.TensorXf:
-        """Evaluate eq. 3 for values (V, 3) of vertices."""
+        """Evaluate eq. 5 for values (V, 3) of vertices."""
         brightness = dr.detach(light).numpy().sum(1)[self.ring]
         middle = np.argsort(brightness, axis=1, kind="stable")[:, self.ring.shape[1] // 2]
         chosen = self.ring[np.arange(len(self.ring)), middle].astype(np.uint32)

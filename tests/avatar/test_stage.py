@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.avatar.proxy import Proxy
-from gva_mi.avatar.stage import Stage, StageOptions
+from gva_mi.avatar.stage import Proxy, Stage, StageOptions
 from gva_mi.core.errors import InputError
 from gva_mi.fit.renders import render_layer
 

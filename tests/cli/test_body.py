@@ -3,7 +3,7 @@
 import pytest
 
 from gva_mi.body.body_file import BUILT_IN_BODY
-from gva_mi.cli.subjects import body
+from gva_mi.cli.avatar import body
 from gva_mi.core.errors import InputError
 
 

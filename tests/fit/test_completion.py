@@ -12,13 +12,14 @@ from gva_mi.avatar.held import arm_weights, head_weights
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.skinning import finger_weights
 from gva_mi.fit.completion import (
+    CONTACT_REACH,
     OPPOSITE_RANGE,
     Places,
+    clearance,
     complete_colors,
     guesses,
     neighbours,
 )
-from gva_mi.fit.contacts import CONTACT_REACH, clearance
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera, render
@@ -146,7 +147,7 @@ def test_an_arm_that_hangs_on_the_trunk_does_not_keep_the_colors_of_the_contact(
         inner = arm & (clearance(avatar(pose), G.means, sharp) < 0.01)
     error = []
     for reach in (CONTACT_REACH, 1e-9):  # and without contacts
-        monkeypatch.setattr("gva_mi.fit.contacts.CONTACT_REACH", reach)
+        monkeypatch.setattr("gva_mi.fit.completion.CONTACT_REACH", reach)
         found = copy.deepcopy(avatar)
         with torch.no_grad():
             found.canonical.sh[arm] = 0.0

@@ -36,7 +36,7 @@ from gva_mi.avatar.stage import Stage, StageOptions
 from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
-from gva_mi.core.options import PythonOnly, Within, options_of
+from gva_mi.core.options import PictureSide, PythonOnly, Within, options_of
 from gva_mi.core.tasks import Task
 from gva_mi.evaluate.figures import Figure
 from gva_mi.evaluate.scores import psnr_of
@@ -66,6 +66,7 @@ class RelightStudyOptions(AvatarStudyOptions):
     """Size of the relighting study: videos and fits are drafts, because light is compared."""
 
     frames: VideoFrames = 40  # frames of each video
+    size: PictureSide = 256  # pixels, width and height of the pictures
     steps: Annotated[int, Within(1, 1_000_000)] = 800  # steps of each fit
     novel: PythonOnly[NovelPictures] = 0
     refine: PythonOnly[SequenceOptions] = SequenceOptions(passes=8, learn=4)
@@ -78,7 +79,7 @@ class RelightStudy(Study):
     """A study whose variants are lights."""
 
     options: RelightStudyOptions
-    variants: Sequence[str]
+    variants: Sequence[str] = tuple(LIGHTS)
     kind = "relight"
 
     @cached_property

@@ -91,6 +91,7 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
         RefineStudy(tmp_path, body, replace(options, refine=SequenceOptions(passes=7))),
         RefineStudy(tmp_path, fewer, options),
         AvatarStudy(tmp_path, body, AvatarStudyOptions(), [FULL]),
+        relight.RelightStudy(tmp_path, body, relight.RelightStudyOptions()),
     ):
         assert other.stamp != made
     # Avatars begin with refined poses, and masks and poses of a video are results, too.

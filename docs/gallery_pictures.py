@@ -1,9 +1,11 @@
-"""Pictures of the documentation that show the avatar of the demo.
+"""Pictures of the documentation that show the avatar of the demo, and one that shows Eq. 8.
 
     python docs/gallery_pictures.py DEMO OUT
+    python docs/gallery_pictures.py --eq8 SUBJECT OUT
 
 DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``scenes.png``, ``check.png``,
-``motions.png`` and ``exports.png`` are written into OUT.
+``motions.png`` and ``exports.png`` are written into OUT. SUBJECT is a synthetic subject;
+``eq8.png`` is written.
 
 The overview shows what an avatar is made of, and what it looks like in new poses. Above: a frame
 that training left out, its normals, the Gaussians drawn small, and the avatar from other sides.
@@ -25,15 +27,22 @@ from PIL import Image
 
 from gva_mi import app
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import load_poses, save_poses
-from gva_mi.body.smplx import load_body
+from gva_mi.body.pose import JOINTS, Pose, load_poses, save_poses
+from gva_mi.body.smplx import BodyModel, load_body
+from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.evaluate.measure import SplitView
 from gva_mi.evaluate.pictures import shown_views, turntable
+from gva_mi.evaluate.pose_errors import pose_errors
 from gva_mi.evaluate.regions import person_box
-from gva_mi.fit import run_folder
+from gva_mi.fit import paper, run_folder
 from gva_mi.fit.renders import CameraPath, cut_out, render_frame
-from gva_mi.splat import render
+from gva_mi.mesh.mesh_scene import MeshScene
+from gva_mi.mesh.overlay import overlay
+from gva_mi.refine import SequenceOptions, refine
+from gva_mi.refine.image_evidence import MaskAndNormals, common_scale
+from gva_mi.splat import look_at, render
 from gva_mi.splat.axes import with_axes
+from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.normals import normal_colors
 from gva_mi.subject.pictures import in_8_bits, read_image
 from gva_mi.subject.splits import spread
@@ -173,7 +182,87 @@ def _stacked(rows: list[np.ndarray]) -> np.ndarray:
     return picture
 
 
-if __name__ == "__main__":
+ANKLE_STEPS = np.linspace(-0.35, 0.35, 29)  # radians that the hip turns the leg; chosen by eye
+
+
+def eq8(subject: Path, out: Path) -> None:
+    """Draw the frame that Eq. 8 as printed makes worst: overlays, from the side, and its loss."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    body, video = load_body(), load_video(subject)
+    truth = load_ground_truth(video.truth, body)
+    persons = {"true": (truth.pose, truth.shape), "stage 1": (video.pose, video.shape)}
+    for name, options in (("printed", paper.REFINE), ("ours", SequenceOptions())):
+        found = refine(video, body, options)
+        persons[name] = found.pose, found.shape
+    errors = {name: pose_errors(body, person, truth) for name, person in persons.items()}
+    k = int((errors["printed"]["feet_aligned"] - errors["stage 1"]["feet_aligned"]).argmax())
+    frame, scene = video[k], MeshScene(body.faces, body.v_template)
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = [*persons, "loss"], [*(f"{name}, side" for name in persons), "loss"]
+    axes = figure.subplot_mosaic([above, below], width_ratios=[1] * len(persons) + [2.2])
+    for name, (pose, shape) in persons.items():
+        vertices = body(pose[k], shape).vertices[0].detach()
+        shown = overlay(frame.image, frame.camera, vertices, body.faces, scene)
+        centre = vertices.mean(0).numpy()
+        to_eye = np.linalg.inv(frame.camera.T_camera_world)[:3, 3] - centre
+        side = np.cross([0, 1, 0], to_eye)  # as far away, a quarter around: the camera is left
+        camera = replace(frame.camera, T_camera_world=look_at(centre + side, centre))
+        profile = overlay(np.ones_like(frame.image), camera, vertices, body.faces, scene)
+        for axis, image, inside, title in (
+            (axes[name], shown, frame.mask, name),
+            (axes[f"{name}, side"], profile, profile.min(-1) < 1, "from the side"),
+        ):
+            axis.imshow(person_box(inside).cut(image).clip(0, 1))
+            axis.set_title(title, fontsize=10)
+            axis.axis("off")
+        axes[name].set_title(f"{name}: feet {errors[name]['feet_aligned'][k]:.0f} mm", fontsize=10)
+    _draw_loss(axes["loss"], video, k, body, truth)
+    figure.savefig(out, dpi=90)
+
+
+def _draw_loss(axis, video: Video, k: int, body: BodyModel, truth: GroundTruth) -> None:  # noqa: ANN001
+    """Draw the data term of Eq. 8 as the true pose's left leg turns toward the camera."""
+    outline = next(video.outlines([k]))
+    at = lambda pose, shape=truth.shape: body(pose, shape)
+    camera = outline.camera
+    forward = torch.from_numpy(camera.T_camera_world[2, :3].copy()).float()
+    posed = at(truth.pose[k]).joints[0].detach().float()
+    hip, ankle = (JOINTS.index(f"left_{name}") for name in ("hip", "ankle"))
+    turn = torch.linalg.cross(posed[ankle] - posed[hip], forward)
+    rotations = truth.pose[k].rotations.float().clone()
+    axis_at_pelvis = to_matrix(rotations[:, 0])[0].T @ (turn / turn.norm())
+    body_at = lambda outline: at(video.pose[outline.index], video.shape).vertices[0].detach()
+    scale = common_scale(video, [k], paper.REFINE.size, body_at)
+    seen, scene = (
+        MaskAndNormals.of(outline, scale, body_at(outline)),
+        MeshScene(body.faces, body.v_template),
+    )
+    depths, losses = [], []
+    with torch.no_grad():
+        for angle in ANKLE_STEPS:
+            moved = rotations.clone()
+            step = to_matrix(float(angle) * axis_at_pelvis[None])
+            moved[:, hip] = to_rotvec(step @ to_matrix(rotations[:, hip]))
+            found = at(Pose(moved, truth.pose[k].transl.float(), truth.pose[k].expression.float()))
+            image = scene.render(found.vertices[0].float(), seen.camera)
+            losses.append(float(seen.loss(image, paper.REFINE.silhouette)))
+            depths.append(1e3 * float((found.joints[0, ankle].float() - posed[ankle]) @ forward))
+    best = int(np.argmin(losses))
+    axis.plot(depths, losses, "o-", ms=3)
+    axis.axvline(0, color="C2", label="the true pose")
+    axis.axvline(depths[best], color="C3", ls="--", label=f"least loss: {depths[best]:+.0f} mm")
+    axis.set(
+        xlabel="depth of the left ankle, mm; the rest is the true pose", ylabel="loss of Eq. 8"
+    )
+    axis.legend()
+
+
+if __name__ == "__main__" and sys.argv[1] == "--eq8":
+    eq8(Path(sys.argv[2]), Path(sys.argv[3]) / "eq8.png")
+elif __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
     trained = run_folder.under_trained_poses(load_video(demo / "subject"), demo / "run")
     avatar = run_folder.load_avatar(demo / "run")

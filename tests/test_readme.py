@@ -5,6 +5,7 @@ README's other command, ``avatar``, needs a video of a person: tests/cli/test_av
 
 import doctest
 import io
+import json
 import re
 import runpy
 import shlex
@@ -20,6 +21,15 @@ import pytest
 ROOT = Path(__file__).parents[1]
 site_pages = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/site_pages.py")))
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def _number(path):
+    """Return the number of a lesson, and the letter behind it."""
+    return int(re.match(r"\d+", path.name)[0]), path.name.partition("_")[0]
+
+
+LESSONS = sorted((ROOT / "notebooks").glob("*.ipynb"), key=_number)
+INDEX = ROOT / "docs/lessons.md"
 BLOCKS = re.compile(r"```(\w*)\n(.*?)```", re.DOTALL)
 LINE = re.compile(r"^gva-mi .*?(?=\s*(?:#[ ].*)?$)", re.MULTILINE)
 QUICK = {  # options that make the commands of docs/steps.md quick
@@ -30,16 +40,25 @@ QUICK = {  # options that make the commands of docs/steps.md quick
 }
 
 
+def text_of(page):
+    """Return a page's text, or the text cells of a lesson; commands on one line."""
+    text = page.read_text()
+    if page.suffix == ".ipynb":
+        cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "markdown"]
+        text = "\n\n".join("".join(cell["source"]) for cell in cells)
+    return text.replace("\\\n", " ")
+
+
 def in_blocks(page):
     """Return the commands in the shell blocks of a page."""
-    blocks = BLOCKS.findall(page.read_text())
+    blocks = BLOCKS.findall(text_of(page))
     return [line for kind, block in blocks if kind == "sh" for line in LINE.findall(block)]
 
 
 def commands(page):
     """Yield the commands of a page: lines of its shell blocks, and words in backquotes."""
     yield from in_blocks(page)
-    for written in re.findall(r"`([^`\n]+)`", BLOCKS.sub("", page.read_text())):
+    for written in re.findall(r"`([^`\n]+)`", BLOCKS.sub("", text_of(page))):
         if written.startswith("gva-mi "):
             # Optional options are read, too.
             yield re.sub(r"\[(--\w.*?)\]", r"\1", written)
@@ -71,7 +90,56 @@ def misunderstood(page):
 
 
 def test_every_command_is_understood():
-    assert not [failure for page in PAGES for failure in misunderstood(page)]
+    assert not [failure for page in (*PAGES, *LESSONS) for failure in misunderstood(page)]
+
+
+def test_the_index_has_every_lesson_and_the_minutes_of_its_reading():
+    index = re.findall(r"\(\.\./(notebooks/.*?)\).*\| (\d+) \|$", INDEX.read_text(), re.MULTILINE)
+    assert [name for name, _ in index] == [f"notebooks/{path.name}" for path in LESSONS]
+    for name, minutes in index:
+        code = [
+            c for c in json.loads((ROOT / name).read_text())["cells"] if c["cell_type"] == "code"
+        ]
+        lines = sum(len("".join(cell["source"]).splitlines()) for cell in code)
+        words = len(text_of(ROOT / name).split())
+        assert abs(int(minutes) - (words / 200 + lines / 30)) < 1, name
+
+
+def test_study_all_runs_the_studies_of_the_documents():
+    from gva_mi.cli.study import STUDIES
+
+    for line in (line for page in PAGES for line in in_blocks(page)):
+        words = shlex.split(line)
+        if words[:2] == ["gva-mi", "study"] and words[2] in ("refine", "avatar"):
+            at = words.index("--out")
+            if words[at + 1] != "study":  # an example's folder
+                written = shlex.split(STUDIES[words[at + 1]])
+                assert written == words[2:at] + words[at + 2 :], line
+
+
+def wrong_figures(page, figures):
+    """Yield numbers of a page's tables after `<!-- figures of STUDY -->` that the study lacks."""
+    tables = re.findall(r"<!-- figures of (\S+) -->\n\n((?:\|.*\n)+)", page.read_text())
+    for study, table in tables:
+        for line in table.splitlines()[2:]:
+            name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+            about = lambda f, n=name: f["variant"] == n or f["metric"].startswith(n + " ")
+            own = [f for f in figures if f["study"] == study and about(f)]
+            for number, percent in re.findall(r"(\d[\d,]*(?:\.\d+)?)( %)?", " ".join(cells)):
+                digits = len(number.partition(".")[2])
+                scale = 100 if percent else 1
+                written = {f"{abs(scale * f['value']):,.{digits}f}" for f in own}
+                if number not in written:
+                    yield f"{page.name}: {study}, {name}: {number}{percent}"
+
+
+def test_figures_of_the_marked_tables_are_in_the_one_long_table(tmp_path):
+    figures = json.loads((ROOT / "docs/figures.json").read_text())["figures"]
+    marked = [page for page in PAGES if "<!-- figures of" in page.read_text()]
+    assert marked and not [wrong for page in marked for wrong in wrong_figures(page, figures)]
+    page = tmp_path / "page.md"
+    page.write_text("<!-- figures of eq8 -->\n\n| | mm |\n|---|---|\n| refined | 1234.5 |\n")
+    assert list(wrong_figures(page, figures)) == ["page.md: eq8, refined: 1234.5"]
 
 
 def test_a_wrong_command_is_found(tmp_path):

@@ -57,7 +57,7 @@ from gva_mi.avatar.surface import (
     resample,
     with_fingers,
 )
-from gva_mi.body.pose import EYES
+from gva_mi.body.pose import EYES, ROOT_AND_BODY
 from gva_mi.body.skinning import finger_weights
 from gva_mi.core.options import PythonOnly, Within, options_of
 from gva_mi.mesh.surface import vertex_normals
@@ -72,9 +72,6 @@ FLOATER_NEIGHBOURS = 16  # whose mean distance makes a floater; chosen: more tha
 CURVATURE_GAIN = 2.0
 COLOR_NEIGHBOURS = 4  # K, of opacity and colour; chosen: the old Gaussians all around
 OFFSET_ALPHA = 0.015  # metres, of the offset surface; chosen: seams close, limbs stay apart
-# The values of α that are tried for an alpha shape: from the points' spacing, each so many times
-# the one before. Chosen: the last is 12 times the spacing, wider than any gap on a person.
-ALPHA_RATIO, ALPHAS = 1.1, 27
 COINCIDENT = 1e-8  # m², added to squared distances; chosen: a tenth of a millimetre counts as equal
 
 
@@ -95,7 +92,7 @@ class ReinitOptions:
     # standard deviations are floaters.
     floater_sigmas: PythonOnly[Annotated[float, Within(0, 1000)]] = 2.0
     # Gaps narrower than twice this are closed, metres; at least the points' spacing. Without it,
-    # 0.015 for the offset surface, and for an alpha shape the smallest that leaves no open edge.
+    # 0.015 for the offset surface, and for an alpha shape the smallest that closes trunk and limbs.
     alpha: Annotated[float, Within(0.004, 1, unit="metres")] | None = None
     # Depth of the inner body below its surface, metres.
     filler_depth: PythonOnly[Annotated[float, Within(0, 1)]] = 0.012
@@ -215,9 +212,9 @@ def mesh_gaussians(
     # Between points that are further apart than alpha, the surface would sink onto the filler.
     spacing = lambda x: np.percentile(mean_distance(x, 6), 95)
     if options.surface == "alpha":
+        inside = rig.joints[ROOT_AND_BODY].double().numpy() if options.alpha is None else None
         least = max(options.alpha or 0, spacing(points))
-        alphas = least * ALPHA_RATIO ** np.arange(ALPHAS if options.alpha is None else 1)
-        return alpha_shape(points, alphas, options.smoothing)
+        return alpha_shape(points, least, options.smoothing, inside)
     filler, naked = _filler(rig, options.filler_depth), rig.weights.double().numpy()
     if weights is None:
         weights = naked[cKDTree(filler.vertices).query(points)[1]]

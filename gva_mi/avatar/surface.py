@@ -39,7 +39,7 @@ the surface by dart throwing (Cline et al., "Dart throwing on surfaces", 2009).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -183,19 +183,21 @@ def _large_pieces(surface: SurfaceMesh, alpha: float) -> SurfaceMesh:
 FACETS = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite to each corner
 
 
-def alpha_shape(points: np.ndarray, alphas: Iterable[float], smoothing: int) -> SurfaceMesh:
+def alpha_shape(
+    points: np.ndarray, alpha: float, smoothing: int, inside: np.ndarray | None = None
+) -> SurfaceMesh:
     """Return the outer boundary of the alpha shape of points (N, 3), smoothed; lengths in metres.
 
     It has no triangles that are outside on both sides. Where more than two meet at an edge, some
-    are left out: it is not closed there. If α is too small, the ball rolls in between the points.
-    So the first of ``alphas`` that leaves no open edge is taken, or the one that leaves fewest.
+    are left out: it is not closed there. If α is too small, the ball rolls in between the points,
+    and shreds are left. So α is raised until the ball reaches no place ``inside`` (M, 3).
 
     Source: Edelsbrunner, Kirkpatrick and Seidel, 1983 (see the module).
 
     Example:
         >>> grid = np.stack(np.mgrid[:6, :6, :6], -1).reshape(-1, 3)
         >>> jittered = grid / 10 + np.random.default_rng(0).normal(0, 1e-3, (216, 3))
-        >>> box = alpha_shape(jittered, [0.12], smoothing=0)
+        >>> box = alpha_shape(jittered, alpha=0.12, smoothing=0)
         >>> print(f"{box.volumes().sum():.2f} m³")  # its sides are 0.5 m long
         0.13 m³
     """
@@ -205,37 +207,15 @@ def alpha_shape(points: np.ndarray, alphas: Iterable[float], smoothing: int) -> 
     corners, count = cells.simplices.astype(np.int64), len(cells.simplices)
     over = np.where(cells.neighbors < 0, count, cells.neighbors)  # number `count`: all outside
     balls = _smallest_empty_balls(points, corners, over)
-    best, fewest = None, np.inf
-    for alpha in alphas:
-        found = _outer_boundary(points, corners, over, balls <= alpha)
-        if (left := found.open_edges()) < fewest:
-            best, fewest = found, left
-        if not left:
-            break
-    if smoothing:
-        meshes = best.meshlab()
-        meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
-        best = SurfaceMesh(np.array(meshes.current_mesh().vertex_matrix()), best.faces)
-    return best
-
-
-def _outer_boundary(
-    points: np.ndarray, corners: np.ndarray, over: np.ndarray, closed: np.ndarray
-) -> SurfaceMesh:
-    """Return eq. 3 as a manifold: ``closed`` (C, 4) are the triangles with μ ≤ α.
-
-    ``corners`` and ``over`` are those of :func:`_smallest_empty_balls`.
-    """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(corners)
-    cell = np.broadcast_to(np.arange(count)[:, None], over.shape)
-    passed = cell[~closed], over[~closed]
-    graph = coo_array((np.ones(len(passed[0]), bool), passed), (count + 1, count + 1))
-    part = connected_components(graph, directed=False)[1]
-    outside = part == part[count]
-    boundary = ~outside[cell] & outside[over]
+    if inside is not None:
+        within = cells.find_simplex(inside)
+        within = within[within >= 0]
+        larger = np.unique(balls[np.isfinite(balls) & (balls > alpha)])
+        kept = lambda x: not _outside(over, balls <= x)[within].any()
+        if not kept(alpha):
+            alpha = larger[bisect_left(larger[:-1], True, key=kept)]
+    outside = _outside(over, balls <= alpha)
+    boundary = ~outside[:-1, None] & outside[over]
     a, b, c = (points[corners[:, 1:]] - points[corners[:, :1]]).transpose(1, 0, 2)
     mirrored = (a * np.cross(b, c)).sum(1) < 0
     facets = np.where(mirrored[:, None, None], FACETS[:, ::-1], FACETS)
@@ -243,9 +223,27 @@ def _outer_boundary(
     meshes = SurfaceMesh(points, faces).part(np.ones(len(faces), bool)).meshlab()
     meshes.meshing_repair_non_manifold_edges()  # curvature needs a manifold
     meshes.meshing_repair_non_manifold_vertices()
+    if smoothing:
+        meshes.apply_coord_laplacian_smoothing(stepsmoothnum=smoothing)
     mesh = meshes.current_mesh()
     found = SurfaceMesh(np.array(mesh.vertex_matrix()), mesh.face_matrix().astype(np.int64))
     return found.part(np.ones(len(found.faces), bool))  # without vertices that no face is left of
+
+
+def _outside(over: np.ndarray, closed: np.ndarray) -> np.ndarray:
+    """Return which tetrahedra (C + 1,) are reached from outside, the last one.
+
+    ``over`` is that of :func:`_smallest_empty_balls`; ``closed`` (C, 4): triangles with μ ≤ α.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(over)
+    cell = np.broadcast_to(np.arange(count)[:, None], over.shape)
+    passed = cell[~closed], over[~closed]
+    graph = coo_array((np.ones(len(passed[0]), bool), passed), (count + 1, count + 1))
+    part = connected_components(graph, directed=False)[1]
+    return part == part[count]
 
 
 def _smallest_empty_balls(points: np.ndarray, corners: np.ndarray, over: np.ndarray) -> np.ndarray:

@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg, subcommand
 
 from gva_mi.body.smplx import load_body
-from gva_mi.cli.parse import Flat, Switch
+from gva_mi.cli.parse import Flat, Switch, parse
 from gva_mi.core.atomic import folder_lock, require_writable
 from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.cpu import SETTINGS
-from gva_mi.core.errors import InputError
-from gva_mi.core.files import require_room, write_json
+from gva_mi.core.errors import InputError, expecting
+from gva_mi.core.files import read_json, require_room, write_json
 from gva_mi.core.options import PythonOnly, Within, Workers, options_of
 from gva_mi.core.stamp import versions
 from gva_mi.core.tasks import cluster, local_executor
-from gva_mi.evaluate.figures import Table, pivot, table, to_json
+from gva_mi.evaluate.figures import Table, figures_from, pivot, table, to_json
 from gva_mi.prior.body_height import PERSON_HEIGHTS
 from gva_mi.readers.up_axis import Axis, axis_of
 from gva_mi.stage1.prepare import PrepareVideoOptions
 from gva_mi.study.avatar_study import AvatarStudy, AvatarStudyOptions
 from gva_mi.study.cases import LIMITS, TUNING, StudyCase, held_out
-from gva_mi.study.engine import Outcome, Study, run_study
+from gva_mi.study.engine import EXPECTED, Outcome, Study, run_study
 from gva_mi.study.multiview import multiview
 from gva_mi.study.refine_study import (
     PRINTED,
@@ -103,6 +104,43 @@ class RelightChoice(_Choice):
     options: Flat[RelightStudyOptions] = field(default_factory=RelightStudyOptions)
 
 
+_SMALL = "--held-out-set 8 --subjects 800 802 --error-models bursts white --size 256 --steps 1500"
+# The studies of the documents, by the names of their folders: `gva-mi study all` runs them.
+STUDIES = {
+    "eq8": "refine --held-out-set 31 --subjects 3100 3102 3103 3104 3108 "
+    "--error-models bursts white slow lean --frames 16 --size 192 --printed",
+    "alphas": "avatar --held-out-set 31 --error-models white --subjects 3102 --frames 16 "
+    '--size 128 --steps 400 --novel 2 --no-fitted --rows "as printed" alphas',
+    "limits": "refine --cases limits --stage 1",
+    "videos": "refine --held-out-set 25 --error-models video",
+    "known": "refine --held-out-set 6 --error-models shape focal anything --known",
+    "simulated": "refine --held-out-set 6",
+    "ladder": f"avatar {_SMALL} --rows ladder full",
+    "small": f"avatar {_SMALL} --rows full "
+    '"without refinement" "without either" "without hand skeleton" "without re-initialisation" '
+    '"without re-initialisation, naked" "seeded on the naked body" "without stretching" '
+    '"with residual" GART-like "static 3DGS" "one held-out range"',
+    "avatars": "avatar --held-out-set 8 --subjects 800 802 805 --error-models bursts white slow "
+    '--rows full "without trained poses" "true poses"',
+    "video-avatars": "avatar --held-out-set 23 --error-models video --steps 2000 --rows full",
+    "any-lens": "avatar --held-out-set 24 --error-models video --steps 2000 --rows full --no-lens",
+}
+TABLE = "table.json"  # in the folder of `study all`: the means of all its studies, one long table
+
+
+@options_of("study all")
+class AllChoice:
+    """Run all studies of the documents, and write the means of their figures to one long table.
+
+    This takes days. Run it again to resume, or name some of the studies. The rows of table.json are
+    those of each study, with the study's name, averaged over subjects.
+    """
+
+    out: Path  # folder; each study has a folder in it
+    only: tuple[str, ...] = ()  # names of studies; without it, all
+    workers: Workers = 1  # processes on this machine; any number gives the same bits
+
+
 @options_of("study multiview")
 class MultiviewChoice:
     """Compare stage 1 of real videos with points triangulated from several calibrated cameras.
@@ -125,7 +163,8 @@ def study(
         Annotated[RefineChoice, subcommand("refine", prefix_name=False)]
         | Annotated[AvatarChoice, subcommand("avatar", prefix_name=False)]
         | Annotated[RelightChoice, subcommand("relight", prefix_name=False)]
-        | Annotated[MultiviewChoice, subcommand("multiview", prefix_name=False)],
+        | Annotated[MultiviewChoice, subcommand("multiview", prefix_name=False)]
+        | Annotated[AllChoice, subcommand("all", prefix_name=False)],
         arg(name=""),
     ],
 ) -> None:
@@ -135,8 +174,9 @@ def study(
         what: the step; its figures are written to files of its name.
     """
     if isinstance(what, MultiviewChoice):
-        _multiview(what)
-        return
+        return _multiview(what)
+    if isinstance(what, AllChoice):
+        return _all(what)
     body, cases = load_body(what.body), _chosen(what)
     if isinstance(what, RefineChoice):
         variants = (STAGE_1,) if what.stage == 1 else (REFINED,)
@@ -151,13 +191,43 @@ def study(
         _run(what, made, cases)
 
 
+def _all(what: AllChoice) -> None:
+    """Run the studies one after the other; write the table anew after each."""
+    for name in what.only:
+        if name not in STUDIES:
+            raise InputError(f"study all: --only has no '{name}'; there are: {', '.join(STUDIES)}")
+    for name in what.only or STUDIES:
+        words = [*shlex.split(STUDIES[name]), "--out", str(what.out / name)]
+        say(f"gva-mi study {shlex.join(words)}")
+        parse(study, "study", [*words, "--workers", str(what.workers)])()
+        rows = [row for name in STUDIES for row in _means(name, what.out / name)]
+        write_json(what.out / TABLE, {"figures": rows})
+    say(f"figures: {what.out / TABLE}")
+
+
+def _means(name: str, folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the figures of a study averaged over subjects, if it has been run."""
+    path = folder / f"{STUDIES[name].split()[0]}.json"
+    if not path.exists():
+        return
+    with expecting(path, EXPECTED):
+        figures = figures_from(read_json(path, EXPECTED)["figures"])
+    columns = ("variant", "split", "region", "alignment")
+    for row, cells in pivot(figures, columns).items():
+        for (metric,), values in cells.items():
+            about = dict(zip(columns, row, strict=True))
+            mean = {"metric": metric, "value": float(values.mean()), "subjects": len(values)}
+            yield {"study": name} | about | mean
+
+
 def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:
     """Resume the study, save after each outcome, then print and write the tables."""
     known, others = _kept(what, made, cases)
     if what.overwrite and isinstance(made, AvatarStudy):
         for case in cases:
             for variant in made.variants:
-                shutil.rmtree(made.run(case, variant).out, ignore_errors=True)
+                for number in range(made.options.repeats):
+                    shutil.rmtree(made.run(case, variant, number).out, ignore_errors=True)
     if known:
         say(f"{len(known)} results are in {made.path}; --overwrite computes them again")
     outcomes: list[Outcome] = []

@@ -2,21 +2,22 @@
 
 ::
 
-    subject | variant | split | region | alignment | metric | value
+    subject | variant | split | region | alignment | metric | value | spread | runs
 
 ``metrics.json`` of a run, ``refinement.json`` of a subject, the file of a study and the output of
 ``gva-mi score`` hold such rows, so that one line makes a CSV file of them::
 
     csv.DictWriter(file, rows[0]).writerows(rows)
 
-A name that does not apply is empty. :data:`METRICS` lists all metrics.
+A name that does not apply is empty. :data:`METRICS` lists all metrics. The value may be a mean of
+several runs that differ by one float32 ulp in one input (``gva-mi study --repeats``).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,33 @@ class Figure:
     alignment: str = ""  # what was aligned before measuring, or which poses or light
     metric: str
     value: float | None  # None: not known
+    spread: float | None = None  # standard deviation over runs; None: of one run
+    runs: int = 1
+
+
+def mean_of_runs(runs: Sequence[Sequence[Figure]]) -> list[Figure]:
+    """Average the figures of several runs of the same work, and keep their spread.
+
+    Example:
+        >>> runs = [[Figure(metric="PSNR, dB", value=value)] for value in (30.0, 30.2)]
+        >>> [mean] = mean_of_runs(runs)
+        >>> round(mean.value, 2), round(mean.spread, 2), mean.runs
+        (30.1, 0.14, 2)
+    """
+    if len(runs) == 1:
+        return list(runs[0])
+    found: dict[Figure, list[float | None]] = {}
+    for figure in (figure for run in runs for figure in run):
+        found.setdefault(replace(figure, value=None), []).append(figure.value)
+    means = []
+    for about, values in found.items():
+        known = [value for value in values if value is not None]
+        if len(known) < 2:
+            means.append(replace(about, value=known[0] if known else None))
+        else:
+            mean, spread = float(np.mean(known)), float(np.std(known, ddof=1))
+            means.append(replace(about, value=mean, spread=spread, runs=len(known)))
+    return means
 
 
 def farthest(values: Iterable[float]) -> float:

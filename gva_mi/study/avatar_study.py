@@ -34,7 +34,7 @@ from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import Study
 from gva_mi.study.refine_study import refine_case
 from gva_mi.study.variants import AvatarVariant
-from gva_mi.study.videos import VideoOptions, Work
+from gva_mi.study.videos import VideoOptions, Work, nudged, repeated
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.folder import POSES, REFINED_POSES
 from gva_mi.subject.ground_truth import load_ground_truth
@@ -85,16 +85,21 @@ class AvatarStudy(Study):
         refined = {row.name for row in self.rows if row.poses == "refined"}
         used = dict.fromkeys(case for case, variant in missing if variant in refined)
         prepared = [Work(partial(prepare_case, of(case), case, *given)) for case in used]
-        fitted = [Work(self.run(case, variant).solve) for case, variant in missing]
+        runs = range(self.options.repeats)
+        fitted = [
+            Work(partial(repeated, [self.run(case, variant, k).solve for k in runs]))
+            for case, variant in missing
+        ]
         return [self.videos.work(cases, self.body), prepared, fitted]
 
-    def run(self, case: StudyCase, variant: str) -> VariantRun:
-        """Return the run of a variant; the case's folder must exist before it is solved."""
+    def run(self, case: StudyCase, variant: str, number: int = 0) -> VariantRun:
+        """Return a run of a variant; the case's folder must exist before it is solved."""
         (row,) = (row for row in self.rows if row.name == variant)
-        out = self.folder / "runs" / file_name(case.name) / file_name(variant)
+        name = file_name(variant) + (f"-run-{number}" if number else "")
+        out = self.folder / "runs" / file_name(case.name) / name
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
         options = options.of_video() if case.noise == VIDEO_KIND else options
-        about = (self.body, options, self.stamp, self.options.fitted)
+        about = (self.body, options, self.stamp, self.options.fitted, number)
         return VariantRun(self.videos.subject(case), out, row, *about)
 
 
@@ -129,6 +134,7 @@ class VariantRun:
     options: FitOptions  # of the study; the variant changes them
     stamp: str  # of the study
     fitted: bool = True  # also score under fitted poses
+    number: int = 0  # changes one ulp: :func:`gva_mi.study.videos.nudged`
 
     def solve(self, progress: Progress | None = None) -> tuple[Figure, ...]:
         """Fit, or resume a fit, and return its figures."""
@@ -155,7 +161,7 @@ class VariantRun:
 
     def video(self) -> Video:
         """Open the case's video under the poses that this variant is fitted with."""
-        video = load_video(self.subject, self._poses)
+        video = nudged(load_video(self.subject, self._poses), self.number)
         if self.variant.one_range:
             splits = Splits.one_range(len(video)).without(video.absent)
             video = replace(video, splits=splits)
@@ -165,7 +171,8 @@ class VariantRun:
             return video
         truth = load_ground_truth(video.truth, self.body)
         near = closest(self.body, truth.body, truth.pose, truth.shape)
-        return replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
+        true = replace(video, pose=near.pose, shape=near.shape, cameras=truth.cameras)
+        return nudged(true, self.number)
 
     def driven(self, video: Video) -> Callable[[Pose], Pose]:
         """Return the function applied to every pose before it drives the avatar."""

@@ -24,7 +24,7 @@ from gva_mi.refine.refine import refine
 from gva_mi.refine.sequence import SequenceOptions
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.engine import Study
-from gva_mi.study.videos import VideoOptions, Work, height_of
+from gva_mi.study.videos import VideoOptions, Work, height_of, nudged, repeated
 from gva_mi.subject.fingerprint import VIDEO_KIND
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.video import Video, load_video
@@ -53,7 +53,15 @@ class RefineStudy(Study):
         """Make the videos of the cases, then refine each case."""
         of, given = self.videos.subject, (self.body, self.options)
         measured = [
-            Work(partial(refinement_figures, of(case), case, variant, *given))
+            Work(
+                partial(
+                    repeated,
+                    [
+                        partial(refinement_figures, of(case), case, variant, *given, run=run)
+                        for run in range(self.options.repeats)
+                    ],
+                )
+            )
             for case, variant in missing
         ]
         return [self.videos.work([case for case, _ in missing], self.body), measured]
@@ -66,15 +74,16 @@ def refinement_figures(
     body: BodyModel,
     options: RefineStudyOptions,
     progress: Progress | None = None,
+    run: int = 0,
 ) -> list[Figure]:
-    """Measure a case of the refinement study."""
+    """Measure a case of the refinement study; ``run`` changes one ulp (:func:`nudged`)."""
     if variant == STAGE_1:
         video = load_video(subject, normals="none")
         truth = load_ground_truth(video.truth, body)
         found = MeasuredRefinement(video, body, options.refine, None, truth)
     else:
         method = paper.REFINE if variant == PRINTED else options.refine
-        found = refine_case(subject, case, body, method, options.known, progress)
+        found = refine_case(subject, case, body, method, options.known, progress, run)
     return [*found.figures(), Figure(metric="mask IoU", value=mask_iou(found.video))]
 
 
@@ -85,9 +94,10 @@ def refine_case(
     options: RefineOptions,
     known: bool = False,
     progress: Progress | None = None,
+    run: int = 0,
 ) -> MeasuredRefinement:
     """Refine and measure a case's video; ``known``: with the true height and focal length."""
-    video = load_video(subject, normals=None if case.normals else "none")
+    video = nudged(load_video(subject, normals=None if case.normals else "none"), run)
     truth = load_ground_truth(video.truth, body)
     if isinstance(options, SequenceOptions):
         # the stage 1 of videos was given the height, too

@@ -71,6 +71,8 @@ class RelightStudyOptions(AvatarStudyOptions):
     novel: PythonOnly[NovelPictures] = 0
     refine: PythonOnly[SequenceOptions] = SequenceOptions(passes=8, learn=4)
     fit: PythonOnly[FitOptions] = FitOptions(first_steps=0)
+    fitted: PythonOnly[bool] = True
+    repeats: PythonOnly[Annotated[int, Within(1, 1)]] = 1
     rays: PythonOnly[Annotated[int, Within(1, 65536)]] = 64  # per vertex of the avatar's proxy
 
 

@@ -4,7 +4,9 @@ A subject counts once in a cell of a study's table: the figures of its cases are
 refinement study has a row for each error model (of ``LIMITS`` for each case), their mean, and the
 worst of each column. The avatar study has a row for each variant, separately for held-out and tuned
 subjects, with the mean difference to the variant "full" of the same cases, because subjects differ
-more than variants do. The relighting study has a row for each light.
+more than variants do. The relighting study has a row for each light. With
+``--repeats``, a difference has its standard error over runs that differ by one ulp, and ≈ before it
+if it is less than twice that: no more than chance.
 """
 
 from __future__ import annotations
@@ -117,40 +119,59 @@ def _refine_tables(outcomes: Iterable[Outcome]) -> list[Table]:
 
 def _avatar_tables(outcomes: Iterable[Outcome]) -> list[Table]:
     """Return tables with a row for each variant, and differences to "full" in the same cases."""
-    figures, differences, tables = [], [], []
+    figures, differences, errors, tables = [], [], [], []
     for outcome in outcomes:
         figures += [figure for figure in outcome.figures if figure.split != "train"]
-    key = lambda f: replace(f, variant=FULL.name, value=None)
-    full = {key(f): f.value for f in figures if f.variant == FULL.name}
+    key = lambda f: replace(f, variant=FULL.name, value=None, spread=None, runs=1)
+    full = {key(f): f for f in figures if f.variant == FULL.name}
     for f in figures:
-        if f.variant != FULL.name and None not in (f.value, full.get(key(f))):
-            differences.append(replace(f, value=f.value - full[key(f)]))
+        if f.variant != FULL.name and key(f) in full and None not in (f.value, full[key(f)].value):
+            one = full[key(f)]
+            differences.append(replace(f, value=f.value - one.value))
+            if None not in (f.spread, one.spread):
+                error = f.spread**2 / f.runs + one.spread**2 / one.runs
+                errors.append(replace(f, value=error))
     people = {outcome.case.name: outcome.case.take.name for outcome in outcomes}
     for metric, regions in AVATAR_SHOWN:
         about = {"metric": metric} | ({"region": regions} if regions else {})
-        cells, against = (
+        cells, against, squares = (
             pivot(
                 [replace(f, subject=people[f.subject]) for f in where(some, **about)],
                 ("variant",),
                 ("split", "alignment", "region"),
             )
-            for some in (figures, differences)
+            for some in (figures, differences, errors)
         )
-        write = lambda row, column, values, known=against: spread_text(
-            values, column[-1], known.get(row, {}).get(column)
+        write = lambda row, column, values, known=against, chance=squares: spread_text(
+            values, column[-1], known.get(row, {}).get(column), chance.get(row, {}).get(column)
         )
         if cells:
             tables.append(table(cells, metric, write))
     return tables
 
 
-def spread_text(values: np.ndarray, metric: str, against: np.ndarray | None) -> str:
-    """Write mean and spread over subjects, the worst subject, and the difference to "full"."""
+def spread_text(
+    values: np.ndarray,
+    metric: str,
+    against: np.ndarray | None,
+    squares: np.ndarray | None = None,
+) -> str:
+    """Write mean and spread over subjects, the worst subject, and the difference to "full".
+
+    ``squares`` are the squared standard errors of the differences over runs, one a subject.
+    """
     form, worst = METRICS[metric].form, METRICS[metric].worst
     text = f"{values.mean():{form}} ± {values.std():{form}}"
     if len(values) > 1:
         text += f", worst {worst(values.tolist()):{form}}"
-    return text if against is None else f"{text} ({against.mean():+{form}})"
+    if against is None:
+        return text
+    difference = against.mean()
+    if squares is None:
+        return f"{text} ({difference:+{form}})"
+    error = float(np.sqrt(squares.sum()) / len(squares))
+    chance = "≈ " if abs(difference) < 2 * error else ""
+    return f"{text} ({chance}{difference:+{form}} ± {error:{form}})"
 
 
 def write_study_report(

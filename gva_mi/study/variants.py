@@ -94,9 +94,9 @@ LADDER = tuple(
     for k, (name, _) in enumerate(CHANGES)
 )
 
-# The method as printed, by the α of its alpha shape: without one, it is the smallest that leaves no
-# open edge.
-ALPHAS_MM = (25, 40, 60, 90, 150)
+# The method as printed, by the α of its alpha shape: without one, it is the smallest at which the
+# surface closes around trunk and limbs.
+ALPHAS_MM = (25, 40, 150)
 BY_ALPHA = tuple(
     AvatarVariant(f"as printed, α {mm} mm", {"reinit.alpha": mm / 1000}, "printed", changes=0)
     for mm in ALPHAS_MM

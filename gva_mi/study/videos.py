@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -21,10 +21,11 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.core.atomic import atomic_dir
-from gva_mi.core.console import Progress
+from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.files import write_json
-from gva_mi.core.options import PictureSide, PythonOnly, options_of
+from gva_mi.core.options import PictureSide, PythonOnly, Within, options_of
 from gva_mi.core.stamp import RESULTS_VERSIONS
+from gva_mi.evaluate.figures import Figure, mean_of_runs
 from gva_mi.matting.masks import video_masks
 from gva_mi.splat import Camera
 from gva_mi.stage1.prepare import PrepareVideoOptions, motion_of_video
@@ -33,6 +34,7 @@ from gva_mi.subject.fingerprint import VIDEO_KIND, require_same_body
 from gva_mi.subject.folder import PREPARED, SPLITS, SYNTH, TRUTH, SubjectWriter
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.pictures import in_8_bits
+from gva_mi.subject.video import Video
 from gva_mi.synthetic import degrade, make_subject
 from gva_mi.synthetic.options import NovelPictures, VideoFrames
 
@@ -59,6 +61,26 @@ class VideoOptions:
     # Error model video: the focal length is given, as most phones record it.
     lens: bool = True
     novel: PythonOnly[NovelPictures] = 0  # pictures of novel poses, and as many of novel views
+    # Runs of each variant, whose inputs differ by one float32 ulp: the spread of chance alone.
+    repeats: Annotated[int, Within(1, 100)] = 1
+
+
+def nudged(video: Video, run: int) -> Video:
+    """Change the first pose's place of a training frame by one float32 ulp; not in run 0."""
+    if not run:
+        return video
+    train, transl = video.splits.train, video.pose.transl.clone()
+    x = transl[train[(run - 1) % len(train)], :1]
+    x.copy_(torch.nextafter(x, torch.full_like(x, torch.inf)))
+    return replace(video, pose=replace(video.pose, transl=transl))
+
+
+def repeated(
+    runs: Sequence[Callable[..., Sequence[Figure]]], progress: Progress | None = None
+) -> list[Figure]:
+    """Call functions that measure the same but for one ulp; return means and spreads."""
+    parts = [part_of_progress(progress, k, 1, len(runs)) for k in range(len(runs))]
+    return mean_of_runs([run(progress=part) for run, part in zip(runs, parts, strict=True)])
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def as_trimesh(surface):
 
 def test_an_empty_ball_rests_on_every_triangle_from_outside():
     points = shell(noise=0.05)
-    surface = alpha_shape(points, [ALPHA], smoothing=0)
+    surface = alpha_shape(points, ALPHA, smoothing=0)
     corners = surface.vertices[surface.faces]
     mesh = as_trimesh(surface)
     # The ball's centre is where its three corners are ALPHA away, on the side of the normal.
@@ -38,12 +38,14 @@ def test_an_empty_ball_rests_on_every_triangle_from_outside():
     assert nearest == pytest.approx(np.full(len(nearest), ALPHA), abs=1e-9)
 
 
-def test_the_smallest_alpha_that_leaves_no_open_edge_is_taken():
+def test_alpha_is_raised_until_the_ball_does_not_reach_the_inside():
     """The ball of 15 mm rolls into a shell whose points are 19 mm apart; one of 40 mm does not."""
     points, whole = shell(noise=0.005), 4 * np.pi * 0.3**2
-    torn, closed = (alpha_shape(points, [alpha], smoothing=0) for alpha in (0.015, ALPHA))
+    torn, closed = (alpha_shape(points, alpha, smoothing=0) for alpha in (0.015, ALPHA))
     assert torn.open_edges() > 100 and torn.areas().sum() < 0.8 * whole
     assert closed.open_edges() == 0 and closed.areas().sum() > whole
-    taken = alpha_shape(points, [0.015, ALPHA, 0.3], smoothing=0)
-    assert np.array_equal(taken.faces, closed.faces)
-    assert alpha_shape(points, [0.015, 0.014], smoothing=0).open_edges() <= torn.open_edges()
+    middle = np.zeros((1, 3))
+    raised = alpha_shape(points, 0.015, smoothing=0, inside=middle)
+    assert raised.volumes().sum() == pytest.approx(closed.volumes().sum(), rel=0.05)
+    enough = alpha_shape(points, ALPHA, smoothing=0, inside=middle)
+    assert np.array_equal(enough.faces, closed.faces)

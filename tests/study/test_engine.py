@@ -143,6 +143,13 @@ def test_a_small_study_runs_and_keeps_its_subjects(tmp_path, body):
     (again,) = run_study(study, two[:1])
     untimed = lambda o: [figure for figure in o.figures if figure.metric != "s a frame"]
     assert untimed(again) == untimed(first)
+    twice = replace(study, options=replace(options, repeats=2))
+    (both,) = run_study(twice, two[:1])
+    (mean,), (one,) = (
+        where(o.figures, metric="refined error, mm", region="body", alignment="absolute")
+        for o in (both, first)
+    )
+    assert mean.runs == 2 and 0 < mean.spread < 1 and mean.value == pytest.approx(one.value, abs=1)
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """A study's tables count subjects and error models once."""
 
+from dataclasses import replace
+
 from gva_mi.evaluate.figures import Figure
 from gva_mi.study import report
 from gva_mi.study.cases import HELD_OUT, TUNING, StudyCase, Take
@@ -54,6 +56,21 @@ def test_lights_have_a_row_and_each_region_a_table():
     assert list(whole.head) == ["PSNR, dB, white", "kept", "relit"]
     assert whole.rows == [["left", "20.50", "26.00"], ["sky", "30.00", "29.00"]]
     assert silhouette.rows[1] == ["sky", "29.00", "28.00"]
+
+
+def test_a_difference_within_the_spread_of_one_ulp_is_no_more_than_chance():
+    """Standard errors of 0.1 and 0.1 dB: a difference of 0.2 is chance, and one of 1 is not."""
+
+    def repeated(variant, psnr):
+        figure = outcome(EDGAR[0], variant, psnr).figures[0]
+        return Outcome(EDGAR[0], variant, (replace(figure, spread=0.2, runs=4),))
+
+    found = report.study_tables("avatar", [
+        repeated("full", 28.0), repeated("with residual", 28.2), repeated("GART-like", 27.0),
+    ])  # fmt: skip
+    rows = {row[0]: row[1] for row in found["held out subjects"][0].rows}
+    assert rows["with residual"].endswith("(≈ +0.20 ± 0.14)")
+    assert rows["GART-like"].endswith("(-1.00 ± 0.14)")
 
 
 def refined(error_model, draw, change, ankles, iou):

@@ -1,5 +1,7 @@
 """The error model "video": networks and solver see a rendered subject, in the true world."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,8 +9,9 @@ import torch
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.evaluate.pose_errors import means, pose_errors
 from gva_mi.splat.camera import Camera, look_at
-from gva_mi.study.videos import steadied, watch_take
+from gva_mi.study.videos import nudged, steadied, watch_take
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
+from gva_mi.subject.splits import Splits
 from gva_mi.subject.video import load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
@@ -24,6 +27,24 @@ def test_a_steadied_pose_is_seen_by_the_first_camera_as_each_frame_s_camera_saw_
     for k, camera in enumerate(cameras):
         seen = cameras[0].project(after[k])
         np.testing.assert_allclose(seen, camera.project(before[k]), atol=1e-2)
+
+
+@dataclass(frozen=True)
+class Posed:
+    """What a video's poses and splits are."""
+
+    pose: Pose
+    splits: Splits
+
+
+def test_a_nudge_is_one_ulp_of_one_number_of_a_training_frame():
+    video = Posed(replace(Pose.rest(9), transl=torch.rand(9, 3)), Splits.of_video(9))
+    assert nudged(video, 0) is video
+    for run in (1, 2):
+        before, after = (v.pose.transl.numpy() for v in (video, nudged(video, run)))
+        ((frame, axis),) = np.argwhere(before != after)
+        assert (frame, axis) == (video.splits.train[run - 1], 0)
+        assert after[frame, axis] == np.nextafter(before[frame, axis], np.float32(np.inf))
 
 
 @pytest.mark.slow

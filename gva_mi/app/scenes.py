@@ -46,7 +46,12 @@ Turn = Annotated[float, Within(-3600, 3600, unit="degrees")]
 
 @options_of("render")
 class SceneOptions(StageOptions):
-    """A Mitsuba scene around the person; its sensor is the camera unless another one is given."""
+    """A Mitsuba scene around the person; its sensor is the camera unless another one is given.
+
+    Example:
+        >>> SceneOptions(scene=Path("room"), place=(0.3, 0, 20)).light
+        'kept'
+    """
 
     # A file of Mitsuba's XML, or the name of a shipped scene: room, sky, studio.
     scene: Path | None = None
@@ -64,7 +69,12 @@ class SceneOptions(StageOptions):
 
 
 def scene_path(named: Path) -> Path:
-    """Return the file of a scene: as named, or a shipped one."""
+    """Return the file of a scene: as named, or a shipped one.
+
+    Example:
+        >>> scene_path(Path("studio")).name, scene_path(Path("my/room.xml")).name
+        ('studio.xml', 'room.xml')
+    """
     shipped = SHIPPED / f"{named}.xml"
     return (
         shipped if shipped.parent == SHIPPED and shipped.exists() and not named.exists() else named
@@ -102,7 +112,15 @@ def load_scene(path: Path) -> mi.Scene:
 
 @dataclass(frozen=True)
 class StagedMotion:
-    """A motion of an avatar in a scene, and who looks."""
+    """A motion of an avatar in a scene, and who looks.
+
+    Example:
+        >>> run = Path("out/demo/run")
+        >>> avatar, (motion, *_) = load_avatar(run), load_motion(run, None)  # doctest: +SKIP
+        >>> staged = StagedMotion.of(run, avatar, motion, SceneOptions(scene=Path("room")))
+        ... # doctest: +SKIP
+        >>> [layer] = staged.layers([0], None)  # doctest: +SKIP
+    """
 
     stage: Stage
     motion: Pose
@@ -124,7 +142,7 @@ class StagedMotion:
         import mitsuba as mi
         from gva_mi_plugins.gaussian_splat.scene import SensorCamera
 
-        T = stand(scene, path, Proxy.of(avatar, surface), motion, options.place)
+        T = _stand(scene, path, Proxy.of(avatar, surface), motion, options.place)
         sensors = scene.sensors()[:1]
         if shots is not None:
             sampler = sensors[0].sampler() if sensors else {"type": "multijitter"}
@@ -157,7 +175,7 @@ class StagedMotion:
                 progress(done, len(chosen))
 
 
-def stand(
+def _stand(
     scene: mi.Scene, path: Path, proxy: Proxy, motion: Pose, place: tuple[float, float, float]
 ) -> np.ndarray:
     """Return T_scene_avatar (4, 4) that stands a person on the ground at x, z, turned.

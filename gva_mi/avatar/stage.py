@@ -126,7 +126,12 @@ class Proxy:
 
 @options_of("render")
 class StageOptions:
-    """How an avatar stands in a Mitsuba scene."""
+    """How an avatar stands in a Mitsuba scene.
+
+    Example:
+        >>> StageOptions(light="scene", exposure=-1).bake
+        32
+    """
 
     # The person's light: as in the video, or the scene's; shadows and reflections are in both.
     light: Literal["kept", "scene"] = "kept"

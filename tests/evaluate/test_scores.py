@@ -26,6 +26,7 @@ from gva_mi.subject.pictures import write_image
 from gva_mi.subject.video import load_video
 
 SIDE, PSNR = 96, "PSNR, dB"
+BOXES = np.s_[:20, :30], np.s_[:24, :30], np.s_[300:, 350:]
 
 
 def test_psnr_is_its_definition():
@@ -51,6 +52,18 @@ def test_only_where_pictures_differ_is_looked_at_and_scores_are_those_of_the_who
     both = [torch.from_numpy(x.astype(np.float32) / 255) for x in (a, b)]
     expected = float(scorer.rand_vgg(*both))
     assert scorer(a, b).rand_vgg == pytest.approx(expected, rel=1e-3, abs=1e-9)
+
+
+def test_renders_of_one_target_have_the_scores_that_each_has_alone():
+    """Also where they differ from it in other places, so that its features are not shared."""
+    random = np.random.default_rng(4)
+    target, noise = random.integers(0, 256, (2, 400, 400, 3), dtype=np.uint8)
+    renders = [target.copy() for _ in range(3)]
+    for render, box in zip(renders, BOXES, strict=True):
+        render[box] = noise[box]
+    scorer = Scorer(Weights())
+    together = scorer.of_renders(renders, target)
+    assert [one[::3] for one in together] == [scorer(one, target)[::3] for one in renders]
 
 
 def test_small_pictures_are_enlarged_for_the_networks_alone():

@@ -64,15 +64,30 @@ class NormalEquations:
             by_frame: (n, N, F) ∂r / ∂(unknowns of the frame).
             by_shared: (n, N, S) ∂r / ∂(shared unknowns).
         """
+        self.add_shared(self.add_to_frames(frames, r, w, by_frame, by_shared))
+
+    def add_to_frames(
+        self, frames: slice, r: Tensor, w: Tensor, by_frame: Tensor, by_shared: Tensor
+    ) -> tuple[Tensor, Tensor] | None:
+        """Do what :meth:`add` does to the frames; return what :meth:`add_shared` adds.
+
+        Other frames may be added to in other threads.
+        """
         weighted = w[..., None] * by_frame
         self.frames[frames] += weighted.mT @ by_frame
         self.pull[frames] -= torch.einsum("nkf,nk->nf", weighted, r)
-        if by_shared.any():
-            self.mixed[frames] += weighted.mT @ by_shared
-            flat = by_shared.flatten(0, 1)
-            weighted = w.flatten()[:, None] * flat
-            self.shared += weighted.T @ flat
-            self.shared_pull -= weighted.T @ r.flatten()
+        if not by_shared.any():
+            return None
+        self.mixed[frames] += weighted.mT @ by_shared
+        flat = by_shared.flatten(0, 1)
+        weighted = w.flatten()[:, None] * flat
+        return weighted.T @ flat, weighted.T @ r.flatten()
+
+    def add_shared(self, terms: tuple[Tensor, Tensor] | None) -> None:
+        """Add to the shared unknowns; the order of calls decides the last bits."""
+        if terms is not None:
+            self.shared += terms[0]
+            self.shared_pull -= terms[1]
 
     def add_steps(self, steps: Tensor, w: float | Tensor, columns: slice = slice(None)) -> None:
         """Add weighted squares of steps (T - 1, n) from frame to frame, of n columns."""

@@ -26,6 +26,7 @@ from gva_mi.body.pose import HANDS, JOINTS, LEFT_HAND, SMPLX_EXPRESSIONS, Pose, 
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.observe.landmark_noise import (
     REFERENCE_HEIGHT,
     LandmarkNoise,
@@ -190,13 +191,21 @@ class Stage1Problem:
         """Return the normal equations around a state."""
         count, F = len(state.pelvis_position), self.unknowns.per_frame
         equations = NormalEquations.zero(count, F, self.unknowns.shared)
-        for start in range(0, count, FRAMES_AT_ONCE):
+
+        def added(start: int) -> list[tuple[Tensor, Tensor] | None]:
             some = slice(start, start + FRAMES_AT_ONCE)
             rotations, place = state.rotations[some], state.pelvis_position[some]
             part = replace(state, rotations=rotations, pelvis_position=place)
-            for row in self.evidence.of(some).rows(part, derive=True):
-                by_frame, by_shared = row.jacobian[..., :F], row.jacobian[..., F:]
-                equations.add(some, row.residuals, row.weights, by_frame, by_shared)
+            rows = self.evidence.of(some).rows(part, derive=True)
+            slopes = lambda row: (row.jacobian[..., :F], row.jacobian[..., F:])
+            return [
+                equations.add_to_frames(some, row.residuals, row.weights, *slopes(row))
+                for row in rows
+            ]
+
+        for shared in on_all_cores(added, range(0, count, FRAMES_AT_ONCE)):
+            for terms in shared:
+                equations.add_shared(terms)
         for row in self.prior.rows(state):
             slopes = (x.expand(count, *x.shape) for x in (row.by_frame, row.by_shared))
             equations.add(slice(None), row.residuals, row.weights, *slopes)

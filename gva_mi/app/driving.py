@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.nn.functional import pad
 
-from gva_mi.app.scenes import SceneOptions, StagedMotion
+from gva_mi.app.scenes import LIMITS, SceneOptions, StagedMotion
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.body.pose import Pose, Shape, is_pose_file
 from gva_mi.core.atomic import folder_lock, require_writable
@@ -139,6 +139,8 @@ def render(
             write_video(out / VIDEO, images(missing), fps, "playable")
         else:
             deque(images(missing), maxlen=0)
+    if staged is not None:
+        say(f"limits: {LIMITS}")
     say(f"{len(pictures)} pictures: {out}")
 
 

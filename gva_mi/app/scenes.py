@@ -40,6 +40,10 @@ OTHER_FORMATS = {  # what to do with files that Mitsuba does not read
                     "import it in Blender, whose add-on mitsuba-blender exports one"),
     **dict.fromkeys((".ply", ".obj"), "name this mesh in one, as a shape"),
 }  # fmt: skip
+LIMITS = (
+    "surfaces are diffuse, light is as fine as the skin's vertices (1 cm), mirrors and glass show "
+    "the skin, hair is opaque in shadows"
+)
 Metres = Annotated[float, Within(-1e4, 1e4, unit="metres")]
 Turn = Annotated[float, Within(-3600, 3600, unit="degrees")]
 

@@ -41,7 +41,8 @@ def write_scene(folder, *parts, name="scene.xml"):
 def test_a_motion_in_a_scene_is_resumed_and_follows_its_files(run, cli):
     scene, out = write_scene(run.parent, SENSOR, FLOOR, SKY), run.parent / "out"
     command = ("render", run, "--scene", scene, "--light", "scene", "--out", out, "--video")
-    assert "3 pictures" in cli.works(*command)
+    said = cli.works(*command)
+    assert "3 pictures" in said and "limits: surfaces are diffuse" in said
     images = {name: (out / name).read_bytes() for name in ("000000.png", "000002.png")}
     image = read_image(out / "000000.png", 3)
     assert image.shape == (48, 40, 3)

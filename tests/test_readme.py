@@ -110,7 +110,7 @@ def test_study_all_runs_the_studies_of_the_documents():
 
     for line in (line for page in PAGES for line in in_blocks(page)):
         words = shlex.split(line)
-        if words[:2] == ["gva-mi", "study"] and words[2] in ("refine", "avatar"):
+        if words[:2] == ["gva-mi", "study"] and words[2] in ("refine", "avatar", "relight"):
             at = words.index("--out")
             if words[at + 1] != "study":  # an example's folder
                 written = shlex.split(STUDIES[words[at + 1]])
@@ -154,7 +154,8 @@ def test_every_option_named_alone_exists():
 
     options = set()
     for verb in VERBS:
-        for words in ([], ["refine"], ["avatar"], ["multiview"]) if verb == "study" else ([],):
+        studies = ([], ["refine"], ["avatar"], ["relight"], ["multiview"])
+        for words in studies if verb == "study" else ([],):
             page = io.StringIO()
             with redirect_stdout(page), pytest.raises(SystemExit):
                 parse(load(verb), verb, [*words, "--help"])

@@ -41,6 +41,7 @@ from gva_mi.subject.folder import (
     FRAMES,
     LANDMARKS,
     MASKS,
+    OVERLAY,
     POSES,
     PREPARED,
     REFINED_POSES,
@@ -176,7 +177,7 @@ def avatar(
     # Files that each step reads and writes: a step is run again if what it reads has changed.
     body_files = [] if body is None else [body]
     inputs = [video, *body_files, *filter(None, vars(own_masks).values())]
-    parts = (FRAMES, MASKS, CAMERAS, LANDMARKS, POSES, PREPARED)
+    parts = (FRAMES, MASKS, OVERLAY, CAMERAS, LANDMARKS, POSES, PREPARED)
     prepared = [*body_files, *(subject / name for name in parts)]
     before_fit = [*prepared, subject / SPLITS, refined]
     fitted = [run / run_folder.AVATAR, run / run_folder.TRAINED_POSES]

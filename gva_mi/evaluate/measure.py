@@ -194,6 +194,9 @@ def _parts(
             boxes += first.details.boxes(k)
         renders = [render_frame(avatar, v.video.pose[k], v.video.cameras[k]) for v in views]
         target = cut_out(frame)
+        if frame.overlay is not None:  # it hides what the renders show
+            for picture in (*renders, target):
+                picture[frame.overlay] = 255
         yield [(region, [*map(box.cut, renders)], box.cut(target)) for region, box in boxes]
 
 

@@ -12,6 +12,8 @@ And the adjoint of 4, which is computed with it:
 
     5. grad_C = sign(image - target) / n,    grad_A = -Σ_c grad_C,c background_c
 
+Pixels of an overlay, such as a caption, show nothing of what is behind: their error is 0.
+
 A pixel is read as one integer of four bytes: P with S, and B with U. Nothing of eq. 1 to 3 is
 stored, because that takes longer than computing it.
 """
@@ -35,13 +37,15 @@ from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.tiles import capacity
 from gva_mi.subject.crop import Box
 
+OVERLAY = 128  # U of pixels on an overlay
+
 
 @dataclass(frozen=True)
 class Cutout:
     """A person cut out of a picture, and the colour of a new background."""
 
     person: Tensor  # (h, w, 4) uint8, P and S
-    behind: Tensor  # (h, w, 4) uint8, B and U (zero or not)
+    behind: Tensor  # (h, w, 4) uint8, B and U: zero, 255, or OVERLAY
     box: Box  # their place in the whole picture
     color: Tensor  # (3,) in [0, 1], b
 
@@ -52,18 +56,20 @@ class CompositeTarget(NamedTuple):
     target: Tensor  # (H, W, 3)
     background: Tensor  # (H, W, 3)
     mask: Tensor  # (H, W)
+    shown: Tensor  # (H, W) 0 on an overlay, else 1
 
 
 @exclusive
 def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
     """Composite a person on a background (eq. 1 and 2) in a part of a picture."""
     count = part.width * part.height
-    target, background, S = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
-    found = [store_columns(target, count, Float), store_columns(background, count, Float), S]
+    target, background, S, shown = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
+    columns = [store_columns(x, count, Float) for x in (target, background)]
+    found = [*columns, S, dr.select(shown, Float(1), 0)]
     dr.eval(found)
     shape = part.height, part.width, -1
-    target, background, mask = (x.view(shape) for x in to_tensors(found, count))
-    return CompositeTarget(target, background, mask[..., 0])
+    target, background, *single = (x.view(shape) for x in to_tensors(found, count))
+    return CompositeTarget(target, background, *(x[..., 0] for x in single))
 
 
 def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
@@ -126,9 +132,10 @@ def _compare(
 ) -> list[Array]:
     """Evaluate eq. 4 of each pixel, and eq. 5 in memory for ``size`` pixels."""
     F, lane = type(A), dr.arange(UInt32, dr.width(A))
-    wanted, background, _ = _composite(pixels, color, place, lane)
+    wanted, background, _, shown = _composite(pixels, color, place, lane)
     through, C = 1 - A, load_columns(C, 3, lane)
     off = [dr.fma(through, F(b), c) - F(t) for c, b, t in zip(C, background, wanted, strict=True)]
+    off = [dr.select(shown, x, 0) for x in off]
     grad = [dr.select(x > 0, unit, dr.select(x < 0, -unit, 0)) for x in off]
     error, by_color = unit * sum(dr.abs(x) for x in off), dr.empty(F, 3 * size)
     by_alpha = -sum(g * F(b) for g, b in zip(grad, background, strict=True))
@@ -140,14 +147,14 @@ def _compare(
 
 def _composite(
     pixels: list[UInt32], color: list[Float], place: list[Array], lane: UInt32
-) -> tuple[Lane, Lane, Float]:
-    """Evaluate eq. 1 and 2 at pixels of a part: target, background and mask."""
+) -> tuple[Lane, Lane, Float, Array]:
+    """Evaluate eq. 1 and 2 at pixels of a part: target, background, mask, and whether it counts."""
     pixel, inside = _in_box(place, lane)
     *P, S = _bytes(dr.gather(UInt32, pixels[0], pixel, inside))
     *B, U = _bytes(dr.gather(UInt32, pixels[1], pixel, inside))
     on_color = [dr.lerp(b_c, P_c, S) for b_c, P_c in zip(color, P, strict=True)]
     here = lambda unsure, sure: [dr.select(U > 0, u, s) for u, s in zip(unsure, sure, strict=True)]
-    return here(P, on_color), here(B, color), S
+    return here(P, on_color), here(B, color), S, (U < 0.25) | (U > 0.75)
 
 
 def _arrays(cutout: Cutout, part: Box) -> tuple[list[UInt32], list[Float], list[Array]]:

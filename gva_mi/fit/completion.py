@@ -133,7 +133,8 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
         gaussians = avatar.animate(pose, sh).gaussians
         target = sample.target(gaussians)
         image = render(gaussians, target.camera, AVATAR_SPLATTING)
-        total = (image.color * target.composite().mask[..., None]).sum()
+        wanted = target.composite()
+        total = (image.color * (wanted.mask * wanted.shown)[..., None]).sum()
         (by_sh,) = torch.autograd.grad(total, sh)
     T_world_rest = avatar.posed_skeleton(pose).T_world_rest
     A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5

@@ -99,7 +99,8 @@ def _frame_colors(frame: Frame, vertices: Tensor, normals: Tensor) -> tuple[Tens
     column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
     toward = torch.nn.functional.normalize(x, dim=1)
     facing = -(normals @ T[:3, :3].T * toward).sum(1)
-    mask = torch.from_numpy(frame.mask)[row, column]
+    mask = torch.from_numpy(frame.mask if frame.overlay is None else frame.mask * ~frame.overlay)
+    mask = mask[row, column]
     return image[row, column], (mask * inside * facing.clamp_min(0).square())[:, None]
 
 

@@ -91,7 +91,8 @@ def render_losses(
         perceptual = distance(*seen) if options.perceptual else zero
         similarity = 1 - ssim(*seen) if options.ssim else zero
     if options.alpha:
-        alpha = (image.alpha - target.composite().mask).abs().sum() / target.area
+        wanted = target.composite()
+        alpha = ((image.alpha - wanted.mask) * wanted.shown).abs().sum() / target.area
     shift = residual.abs().mean() if options.residual and residual.numel() else zero
     return Losses(target.error(image), perceptual, shift, alpha, similarity)
 

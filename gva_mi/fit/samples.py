@@ -45,6 +45,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.fit.backgrounds import (
+    OVERLAY,
     CompositeTarget,
     Cutout,
     absolute_error,
@@ -73,6 +74,7 @@ class Person:
     kept: Box  # their place in the whole picture
     box: Box  # around the inside of the mask, in the whole picture
     error: float  # pixels by which the mask's outline may be off
+    overlay: np.ndarray | None  # (h, w) bool
 
     @staticmethod
     def of(frame: Frame, mask_error: float) -> Person:
@@ -80,7 +82,9 @@ class Person:
         box = _box_of(frame.mask > 0.5)
         error = mask_error * (box.width * box.height) ** 0.5
         kept = _box_of(frame.mask > 0, math.ceil(error) + 1)
-        return Person(_to_8bit(kept.cut(frame.image), kept.cut(frame.mask)), kept, box, error)
+        overlay = None if frame.overlay is None else kept.cut(frame.overlay)
+        pixels = _to_8bit(kept.cut(frame.image), kept.cut(frame.mask))
+        return Person(pixels, kept, box, error, overlay)
 
     @property
     def picture(self) -> np.ndarray:
@@ -108,12 +112,16 @@ class Person:
         ``plate`` is what :func:`background_of` found in the part ``place`` of the picture. Without
         it, or where it disagrees with this frame, the nearest background of this frame is taken.
         """
-        image, unsure = self.picture, self.unsure
-        bare = (self.mask == 0) & ~unsure
+        image, unsure, bare = self.picture, self.unsure, self.bare
         if plate is None or not bare.any():
-            return _to_8bit(backdrop.behind(image, np.maximum(self.mask, unsure)), unsure)
-        part = plate.part(within(self.kept, place)).agreeing(image, bare)
-        return _to_8bit(np.where(bare[..., None], image, part.beside(image, bare)), unsure)
+            found = backdrop.behind(image, np.maximum(self.mask, unsure))
+        else:
+            part = plate.part(within(self.kept, place)).agreeing(image, bare)
+            found = np.where(bare[..., None], image, part.beside(image, bare))
+        packed = _to_8bit(found, unsure)
+        if self.overlay is not None:
+            packed[torch.from_numpy(self.overlay), 3] = OVERLAY
+        return packed
 
 
 def background_of(frames: Iterable[tuple[Frame, Person]], place: Box) -> Plate:
@@ -209,9 +217,10 @@ class SampleTarget:
 
     def in_window(self, image: Image) -> tuple[Tensor, Tensor]:
         """Return a render of this part on its background, and the target, inside the window."""
-        target, background, _ = composite_target(self.cutout, self.window)
+        target, background, _, shown = composite_target(self.cutout, self.window)
         inside = within(self.window, self.part)
-        return composite_render(image.color[inside], image.alpha[inside], background), target
+        seen = composite_render(image.color[inside], image.alpha[inside], background)
+        return torch.where(shown[..., None] > 0, seen, target), target
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ A network knows roughly where the person is. The pictures show exactly where the
 ==========  ========================================================================
 ``masks``   all masks of a video, by the smoothest outline and its soft pixels: start here
 ``camera``  the working grid around the person, and the camera's motion
-``plate``   the background without the person, gathered over the whole video
+``plate``   the background behind the person, and captions before, over the whole video
 ``odds``    log odds of each pixel, person against background, by colours and shadows
 ==========  ========================================================================
 """

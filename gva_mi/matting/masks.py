@@ -49,12 +49,13 @@ from gva_mi.matting.camera import (
     moved_pixels,
 )
 from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
-from gva_mi.matting.plate import MEAN_SQUARE, Plate, mean_around
+from gva_mi.matting.plate import MEAN_SQUARE, Plate, filled_in, mean_around, overlay_of
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.splits import spread
 
 # All chosen. Pixels are those of the working grid, unless the picture's are named.
+OVERLAY_PICTURES = 24  # that show captions over the person; chosen, as for the scene
 SCENE_PICTURES = 48  # pictures from which the scene is gathered: more cost time and show the same
 MOTION_PICTURES = 6  # pictures that show whether the camera moves at all
 STILL_PIXELS = 0.5  # the camera stands still if the picture's corners move by less
@@ -98,6 +99,13 @@ def video_masks(
         on_grid = _VideoOnGrid(pictures, probabilities, extents, shown)
         scene = VideoScene.gather([on_grid.view(k) for k in spread(shown, SCENE_PICTURES)])
         notes = on_grid.notes()
+        if on_grid.overlay is not None:
+            overlay = on_grid.grid.paste(on_grid.overlay.astype(np.float32)) > 0
+            writer.overlay(overlay)
+            notes.append(
+                f"{overlay.mean():.1%} of the picture stays the same while the person moves behind "
+                "it, such as a caption; these pixels are not used"
+            )
         spreads = scene.plate.spread[scene.plate.seen]
         if len(spreads) and np.median(spreads) > CHANGING_SPREAD:
             notes.append("the background changes, so masks rely on the network and on colours")
@@ -143,17 +151,26 @@ class _VideoOnGrid:
         first = int(self.shown[0])
         self.grid = WorkGrid.around(self.extents[self.shown], self.pictures[first].shape[:2])
         self._motions: dict[int, np.ndarray | None] | None = None  # None: the camera stands
+        tall = float(np.median(self.extents[self.shown] @ [0, -1, 0, 1])) * self.grid.scale
+        read = (self._read(k) for k in spread(self.shown, OVERLAY_PICTURES))
+        self.overlay = overlay_of(read, tall)
         some = self._found(spread(self.shown, MOTION_PICTURES)).values()
         if any(A is None or self._pixels(A) * self.grid.scale > STILL_PIXELS for A in some):
             self._motions = self._found(self.shown.tolist())
 
     def view(self, k: int) -> GridPicture:
         """Return a picture on the grid."""
-        image, P = (self.grid.cut(x[k]) for x in (self.pictures, self.probabilities))
+        image, P = self._read(k)
+        if self.overlay is not None:
+            image, P = (filled_in(x, self.overlay) for x in (image, P))
         A = np.eye(3) if self._motions is None else self._motions[k]
         motion = None if A is None else self.grid.in_shares(A)
-        P = P.astype(np.float32) / 255
         return GridPicture(image, P, self.grid.heights(self.extents[k]), motion)
+
+    def _read(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return a picture on the grid (h, w, 3) 8-bit, and the person's probability (h, w)."""
+        image, P = (self.grid.cut(x[k]) for x in (self.pictures, self.probabilities))
+        return image, P.astype(np.float32) / 255
 
     def notes(self) -> list[str]:
         """Return sentences: that the camera moves, and in which pictures its motion is unknown."""

@@ -1,11 +1,24 @@
-"""The background without the person: the median of each pixel over the pictures that show it.
+"""What stays in its place while the person moves: the background behind, overlays before.
 
-A pixel that the person nearly always hides has no median. There the plate has the colour of the
+The plate is the background without the person: the median of each pixel over the pictures that show
+it. A pixel that the person nearly always hides has no median. There the plate has the colour of the
 nearest pixel that has one, with a larger spread: it is a guess.
+
+An overlay is a caption or a logo. An edge of the background is in the picture unless the person
+hides it; an edge of a caption is there in any case. With the gradients g_k of pictures, summed over
+the n that have the person at a pixel, and again over those that do not, the edge there is steady by
+
+1. ``S = |Σ g_k|² / (n Σ |g_k|²)``     1 if all are equal
+
+A pixel is on an overlay if S is nearly 1 over both kinds of pictures, and over all of them. Where
+the person always is, or never, nothing tells an overlay from the person's clothes, or from the
+wall: there it continues along steady edges, for a little way. Furniture before the person is
+found, too: it hides the person as captions do.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,3 +170,78 @@ def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
         nearest = distance_transform_edt(~near, return_distances=False, return_indices=True)
         mean, variance = mean[tuple(nearest)], variance[tuple(nearest)]
     return mean, variance
+
+
+# All chosen, by a caption over a rendered person's feet. Lengths are shares of the person's height.
+STEADY = 0.8  # least S
+LEAST_CONTRAST = 0.04  # root mean square of g, grey in [0, 1] per pixel: sharper than shading
+LEAST_PICTURES = 3  # of each kind
+STROKE = 0.01  # half a letter's stroke: a network may leave letters out of the person
+REACH = 0.05  # along steady edges, from pixels that are surely on an overlay
+FILLED = 0.015  # gaps between edges, such as the inside of a letter
+EDGE_MARGIN = 2  # pixels around the edges: codecs blur them
+SMALLEST_OVERLAY = 0.001  # share of the person's area that is surely on an overlay
+LARGEST_OVERLAY = 0.15  # share of the picture: what covers more is no caption
+
+
+def overlay_of(
+    pictures: Iterable[tuple[np.ndarray, np.ndarray]], height: float
+) -> np.ndarray | None:
+    """Return where an overlay is, (h, w) bool; None without one.
+
+    Args:
+        pictures: each (h, w, 3) 8-bit, with the person's probability (h, w) in [0, 1].
+        height: of the person, pixels.
+    """
+    from scipy.ndimage import binary_dilation, binary_fill_holes, distance_transform_edt
+
+    stroke, areas = max(1, round(STROKE * height)), []
+    sums: dict[bool, np.ndarray] = {}  # of g along both axes, |g|² and 1, with and without person
+    for image, P in pictures:
+        areas.append((P > 0.5).sum())
+        g = np.stack(np.gradient(image.mean(-1) / 255))
+        terms = np.stack([*g, np.square(g).sum(0), np.ones(P.shape)])
+        person = _closed(P > 0.5, 2 * stroke)
+        away = ~binary_dilation(person, iterations=stroke)
+        for kind, there in ((True, _eroded(person, stroke)), (False, away)):
+            sums[kind] = sums.get(kind, 0) + there * terms
+    total = sums[True] + sums[False]
+    contrast = np.sqrt(total[2] / total[3].clip(1)) > LEAST_CONTRAST
+    steady = contrast & (_steadiness(total) > STEADY)
+    for part in sums.values():
+        contrast &= (_steadiness(part) > STEADY) & (part[3] >= LEAST_PICTURES)
+    sure = steady & contrast
+    if sure.sum() < SMALLEST_OVERLAY * np.median(areas):
+        return None
+    near = steady & (distance_transform_edt(~sure) <= REACH * height)
+    edges = _closed(near, max(1, round(FILLED * height)))
+    found = binary_dilation(binary_fill_holes(edges), iterations=EDGE_MARGIN)
+    return found if found.mean() < LARGEST_OVERLAY else None
+
+
+def filled_in(values: np.ndarray, overlay: np.ndarray) -> np.ndarray:
+    """Return values (h, w, ...) with those on the overlay taken from the nearest pixel beside."""
+    from scipy.ndimage import distance_transform_edt
+
+    return values[
+        tuple(distance_transform_edt(overlay, return_distances=False, return_indices=True))
+    ]
+
+
+def _steadiness(sums: np.ndarray) -> np.ndarray:
+    """Return S of eq. 1 (h, w) of sums (4, h, w): of g, |g|² and 1."""
+    return np.square(sums[:2]).sum(0) / np.maximum(sums[2] * sums[3], 1e-9)
+
+
+def _closed(inside: np.ndarray, pixels: int) -> np.ndarray:
+    """Fill gaps of up to twice so many pixels."""
+    from scipy.ndimage import binary_closing
+
+    wide = np.pad(inside, 2 * pixels)  # else the picture's border counts as empty
+    return binary_closing(wide, iterations=pixels)[tuple([slice(2 * pixels, -2 * pixels)] * 2)]
+
+
+def _eroded(inside: np.ndarray, pixels: int) -> np.ndarray:
+    from scipy.ndimage import binary_erosion
+
+    return binary_erosion(inside, iterations=pixels, border_value=1)

@@ -76,6 +76,7 @@ def check_video(
         *_sides(video, body, there),
         *_outlines(video, landmarks, there),
         *_hands(landmarks),
+        *_overlay(video),
         *_pictures(video, spread(there, SAMPLED_PICTURES), progress),
         *_people_and_length(video, crowded, fps),
     ]
@@ -226,6 +227,19 @@ def _hands(landmarks: Landmarks) -> Iterator[Problem]:
                 "it was hidden, a fist, blurred or too small",
                 "show both hands to the camera from all sides, with fingers apart",
             )
+
+
+def _overlay(video: Video) -> Iterator[Problem]:
+    """Find captions and the like over the person."""
+    if video.overlay is not None:
+        rows, columns = (np.flatnonzero(video.overlay.any(axis)) for axis in (1, 0))
+        yield doubt(
+            "writing before the person",
+            f"{video.overlay.mean():.1%} of the picture, in columns {columns[0]} to {columns[-1]}, "
+            f"rows {rows[0]} to {rows[-1]}",
+            "a caption or a logo was laid over the video, or furniture stands before the person",
+            "use the video without captions, and clear the room; what they hide stays unseen",
+        )
 
 
 def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) -> Iterator[Problem]:

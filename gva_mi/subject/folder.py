@@ -12,6 +12,7 @@ file in ``subject/``    content                                                 
 ``normals/000000.png``  optional: normals of the person; or ``.npy``            ``normals``
 ``normals.json``        optional: how the normals were made                     ``normals``
 ``landmarks.npz``       optional: named points of the person                    ``landmarks``
+``overlay.png``         optional: where captions lie over the person            ``video``
 ``splits.json``         optional: train and test frames                         ``splits``
 ``prepare.json``        optional: what the folder was prepared from             ``fingerprint``
 ``synth.json``          optional: how a synthetic subject was made              ``fingerprint``
@@ -49,12 +50,13 @@ FRAMES, VIDEO, MASKS, NORMALS = "frames", "video.mp4", "masks", "normals"
 NORMALS_RECORD = "normals.json"
 CAMERAS, LANDMARKS, SPLITS = "cameras.npz", "landmarks.npz", "splits.json"
 POSES, REFINED_POSES = "poses.npz", "poses_refined.npz"
+OVERLAY = "overlay.png"
 PREPARED, SYNTH = "prepare.json", "synth.json"
 TRUTH, VIEWS = "truth", "views"
 VIEWS_RECORD = "views.json"  # in views/
 # Files that a subject need not have. Once it had them, results without them would differ silently.
 LISTED_PARTS = (
-    LANDMARKS, SPLITS, NORMALS_RECORD, VIEWS, TRUTH,
+    LANDMARKS, SPLITS, NORMALS_RECORD, OVERLAY, VIEWS, TRUTH,
     *(f"{TRUTH}/{x}" for x in (MASKS, CAMERAS, POSES, "body.npz", "novel_pose", "novel_view")),
 )  # fmt: skip
 
@@ -98,6 +100,10 @@ class SubjectWriter:
     def mask(self, index: int, mask: np.ndarray) -> None:
         """Write a frame's mask (H, W), 8-bit or in [0, 1]."""
         write_image(self.folder / MASKS / frame_name(index), mask)
+
+    def overlay(self, overlay: np.ndarray) -> None:
+        """Write where captions and the like lie over the person in all frames, (H, W) bool."""
+        write_image(self.folder / OVERLAY, np.where(overlay, 255, 0).astype(np.uint8))
 
     def remove_mask(self, index: int) -> None:
         """Delete a frame's mask, which makes the frame absent."""

@@ -32,6 +32,7 @@ from gva_mi.subject.folder import (
     FRAMES,
     LANDMARKS,
     MASKS,
+    OVERLAY,
     POSES,
     TRUTH,
     VIDEO,
@@ -40,7 +41,7 @@ from gva_mi.subject.folder import (
     is_frame_name,
 )
 from gva_mi.subject.landmarks import Landmarks
-from gva_mi.subject.masks import read_mask
+from gva_mi.subject.masks import INSIDE_ABOVE, read_mask
 from gva_mi.subject.normals import Convention, NormalMaps, Part
 from gva_mi.subject.pictures import read_image, require_sides, size_of_whole
 from gva_mi.subject.splits import Splits, load_splits
@@ -57,6 +58,7 @@ class Frame:
     normals: np.ndarray | None  # (H, W, 3) float32, unit, camera space; zero outside the mask
     camera: Camera
     pose: Pose  # of one frame
+    overlay: np.ndarray | None = None  # (H, W) bool: pixels that do not show what is behind them
 
     def on_background(self, color: float | np.ndarray = 1.0) -> np.ndarray:
         """Return the person on a plain background, (H, W, 3); ``color`` is a grey or (3,)."""
@@ -95,6 +97,8 @@ class Video:
     stage: int = 1  # source of the poses, as in gva_mi.body.pose.PoseFile
     offsets: Tensor | None = None  # (V, 3) metres, displacements of the rest surface
     landmarks: Landmarks | None = None  # of all frames
+    # (H, W) bool: where captions, logos or furniture lie over the person in all frames.
+    overlay: np.ndarray | None = None
     kind: str | None = None  # source of poses.npz, as in prepare.json; None: unknown
     fps: float | None = None  # frames a second, as in prepare.json; None: unknown
     shrink: int = 1  # downscaling factor: a pixel is the mean of shrink × shrink file pixels
@@ -107,13 +111,14 @@ class Video:
         camera, pose = self.cameras[index], self.pose[index]
         if index in self.absent:
             size = (camera.height, camera.width)
-            return Frame(index, np.ones((*size, 3), "f4"), np.zeros(size, "f4"), None, camera, pose)
+            white, nobody = np.ones((*size, 3), "f4"), np.zeros(size, "f4")
+            return Frame(index, white, nobody, None, camera, pose, self.overlay)
         path = self.folder / FRAMES / frame_name(index)
         image = self._images[index] if self._images else read_image(path, 3)
         image = block_means(image.astype(np.float32) / 255, self.shrink)
         mask = self._mask(index)
         normals = self._normals_of(index, mask)((slice(None), slice(None)))
-        return Frame(index, image, mask, normals, camera, pose)
+        return Frame(index, image, mask, normals, camera, pose, self.overlay)
 
     def frames(self, indices: Iterable[int] | None = None) -> Iterator[Frame]:
         """Yield the frames of the given indices, or all frames; files are read ahead."""
@@ -150,7 +155,11 @@ class Video:
             return self
         small = lambda c: c.cropped(0, 0, c.width // factor * factor, c.height // factor * factor)
         cameras = [small(c).resized(c.width // factor, c.height // factor) for c in self.cameras]
-        return replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
+        smaller = replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
+        if self.overlay is None:
+            return smaller
+        overlay = block_means(self.overlay.astype(np.float32), factor) > 0
+        return replace(smaller, overlay=overlay)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -258,12 +267,13 @@ def read_video(
     if poses == folder / POSES:
         kind, fps = attempt("prepare.json", None, prepared_from, folder) or (None, None)
     landmarks = attempt("landmarks", None, _open_landmarks, folder, count)
+    overlay = attempt("overlay", None, _open_overlay, folder, sizes)
     if cameras is None or found is None:
         return None
     absent = dict(sorted(absent.items()))
     return Video(
         folder, cameras, found.pose, found.shape, splits.without(absent), images, maps, absent,
-        found.stage, found.offsets, landmarks, kind, fps,
+        found.stage, found.offsets, landmarks, overlay, kind, fps,
     )  # fmt: skip
 
 
@@ -327,3 +337,13 @@ def _open_landmarks(folder: Path, count: int) -> Landmarks | None:
     if len(landmarks) != count:
         raise InputError(f"{path}: holds {len(landmarks)} frames, but the video has {count}")
     return landmarks
+
+
+def _open_overlay(folder: Path, sizes: Mapping[int, tuple[int, int]]) -> np.ndarray | None:
+    """Read where captions lie over the person (H, W) bool; None if the subject has no such file."""
+    path = folder / OVERLAY
+    if not path.is_file():
+        return None
+    overlay = read_image(path, 1) > INSIDE_ABOVE
+    require_sides(f"{path}:", overlay, *next(iter(sizes.values()), overlay.shape[::-1]))
+    return overlay

@@ -45,7 +45,7 @@ def test_away_from_the_outline_the_person_is_cut_out_onto_the_background(video):
     sure = ~unsure(frame.mask, 0.03 * sample.area**0.5)
     inside, outside = sure & (frame.mask == 1), sure & (frame.mask == 0)
     assert min(x.sum() for x in (inside, outside, ~sure)) > 100
-    color, background, mask = (x.numpy() for x in target.composite())
+    color, background, mask, _ = (x.numpy() for x in target.composite())
     np.testing.assert_allclose(color[inside], frame.image[inside], atol=1e-6)
     for x in (color[outside], background[sure]):
         np.testing.assert_allclose(x, np.broadcast_to(sample.cutout.color, x.shape), atol=1e-6)
@@ -73,6 +73,32 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
     assert costs[0] < 0.002 < 0.01 < costs[1]
 
 
+def test_a_caption_teaches_nothing(video, monkeypatch):
+    overlay = np.zeros((48, 48), bool)
+    overlay[30:36, 10:40] = True
+    captioned = [
+        dataclasses.replace(
+            frame, overlay=overlay, image=np.where(overlay[..., None], np.float32(1), frame.image)
+        )
+        for frame in video.frames()
+    ]
+    monkeypatch.setattr(type(video), "frames", lambda self, ks: iter([captioned[k] for k in ks]))
+    sample = samples(video, window=48)[0]
+    target, cut_out = sample.target(everywhere(video.cameras[0])), np.zeros((48, 48), bool)
+    sample.cutout.box.cut(cut_out)[:] = True
+    overlay &= cut_out
+    assert overlay.sum() > 30
+    color, alpha = torch.rand(48, 48, 3), torch.rand(48, 48)
+    image = Image(color.requires_grad_(), alpha.requires_grad_())
+    seen, wanted = target.in_window(image)
+    assert torch.equal(seen[overlay], wanted[overlay])
+    options = LossOptions(perceptual=0, ssim=1, alpha=1)
+    losses = render_losses(image, target, torch.zeros(0, 3), options, None)
+    sum((losses.recon, losses.ssim, losses.alpha)).backward()
+    for x in (color.grad, alpha.grad):
+        assert not x[overlay].any() and x[~overlay].any()
+
+
 @pytest.mark.parametrize("still", [True, False])
 def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, monkeypatch):
     """A dark stripe of the wall, seen only where the person of other frames is not.
@@ -95,7 +121,8 @@ def test_a_gap_in_the_person_shows_what_other_frames_show_there(still, video, mo
     )
     sample = samples(video, mask_error=0.06, still_camera=True)[0]
     k = sample.frame
-    _, background, _ = (x.numpy() for x in sample.target(everywhere(frames[k].camera)).composite())
+    found = sample.target(everywhere(frames[k].camera)).composite()
+    background = found.background.numpy()
     row = slice(25, 27) if still else slice(8 * k % 32 + 1, 8 * k % 32 + 3)
     gap = background[row, 14 + 5 * k : 16 + 5 * k]
     stripe_is_known = np.abs(gap - stripe).max() < 0.02
@@ -152,7 +179,7 @@ def test_the_error_and_its_gradient_are_those_of_its_equations(shape, video):
     color, alpha = (
         torch.rand(*shape, *rest, generator=generator).requires_grad_() for rest in ((3,), ())
     )
-    wanted, background, _ = target.composite()
+    wanted, background, *_ = target.composite()
     by_hand = (color + (1 - alpha)[..., None] * background - wanted).abs().sum() / (3 * target.area)
     error = target.error(Image(color, alpha))
     torch.testing.assert_close(error, by_hand)

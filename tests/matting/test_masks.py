@@ -66,6 +66,32 @@ def test_masks_hold_at_the_outline_and_leave_the_shadow_out(recording, tmp_path)
     assert np.minimum(masks, truth).sum() / np.maximum(masks, truth).sum() > 0.96
 
 
+def test_a_caption_over_the_feet_is_found_and_masks_continue_beneath(
+    recording, tmp_path, monkeypatch
+):
+    """Letters over the person's way, and a logo in a corner, which hides nothing."""
+    pictures, truth, rough = recording
+    letters, logo = np.zeros((H, W), bool), np.zeros((H, W), bool)
+    for column in range(8, 72, 7):
+        letters[72:80, column : column + 3] = letters[75:77, column : column + 6] = True
+    logo[4:9, 68:76:2] = True
+    pictures = [np.where((letters | logo)[..., None], 255, x).astype(np.uint8) for x in pictures]
+    rough = [np.where(letters, 20, x).astype(np.uint8) for x in rough]
+    (note,) = video_masks(pictures, rough, SubjectWriter(tmp_path / "found"))
+    assert "caption" in note
+    overlay = read_image(tmp_path / "found/overlay.png", 1) > 127
+    beneath = letters & (truth.mean(0) > 0.3)
+    assert overlay[beneath].mean() > 0.95 and not overlay[:60].any()
+    monkeypatch.setattr("gva_mi.matting.masks.overlay_of", lambda *given: None)
+    assert video_masks(pictures, rough, SubjectWriter(tmp_path / "ignored")) == []
+    assert not (tmp_path / "ignored/overlay.png").exists()
+    off = {
+        name: np.abs(found(tmp_path / name) - truth)[:, letters].mean()
+        for name in ("found", "ignored")
+    }
+    assert off["found"] < 0.1 < 0.2 < off["ignored"], off
+
+
 def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_background():
     grey = np.full((4, 4, 3), 0.5, np.float32)
     plate = Plate(grey, np.full((4, 4), 0.02, np.float32), np.ones((4, 4), bool))

@@ -323,7 +323,7 @@ class Rig:
         rest, count = body.rest(shape), len(body.v_template)
         vertices = rest.vertices if offsets is None else rest.vertices + offsets
         directions = body.frame_directions[:, : 3 * count].view(-1, 3, count).permute(2, 1, 0)
-        expressions = body.expression_joints.view(body.num_expressions, -1, 3)
+        expressions = body.expression_joints.view(-1, len(body.parents), 3)
         return Rig(
             joints=rest.joints,
             parents=tuple(body.parents),

@@ -98,12 +98,12 @@ class LandmarkRig:
         at = torch.tensor([vertex or 0 for vertex in vertices])
         of_surface = torch.tensor([vertex is not None for vertex in vertices])[:, None]
         joints = torch.tensor(joints)
-        count, betas = len(body.v_template), body.num_betas
+        count = len(body.v_template)
         moves = columns_of(body.shape_directions, at, count)[:, : 3 * len(known)]
-        moves = moves.view(betas, 3, -1).mT
+        moves = moves.view(-1, 3, len(known)).mT
         marked = [(0.0, 0.0, 0.0) if name in at_joints else _marked(name) for name in known]
         marked = body.v_template.new_tensor(marked).view(-1, 3)
-        joint_moves = body.shape_joints.view(betas, -1, 3)[:, joints]
+        joint_moves = body.shape_joints.view(-1, len(JOINTS), 3)[:, joints]
         return LandmarkRig(
             known,
             joints,

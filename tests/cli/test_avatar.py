@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from samples.web_pages import unpack
 
-from gva_mi.body.pose import JOINTS, load_poses
+from gva_mi.body.body_file import BUILT_IN_BODY, SMPL, read_body
+from gva_mi.body.pose import JOINTS, PARENTS, load_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.networks.segment_anything import MaskGuess, SegmentAnything
 from gva_mi.readers.keypoints import LAYOUTS
@@ -59,6 +60,35 @@ def test_a_video_becomes_an_avatar_once(filmed, tmp_path, cli):
         if path.name != "splits.json":  # without test frames by now
             there = me / "subject" / path.relative_to(again)
             assert path.read_bytes() == there.read_bytes(), path
+
+
+@pytest.mark.slow
+def test_any_body_becomes_an_avatar(filmed, tmp_path, cli):
+    """A body in SMPL's format: no jaw, no eyes, no fingers, no expression, and no correctives."""
+    recording, height = filmed
+    whole, kept = read_body(BUILT_IN_BODY), list(SMPL.joints)
+    weights = np.zeros((len(whole["v_template"]), len(kept)))
+    for joint, moved in enumerate(whole["weights"].T):
+        while joint not in kept:
+            joint = PARENTS[joint]
+        weights[:, kept.index(joint)] += moved
+    arrays = {name: whole[name] for name in ("v_template", "f")} | {
+        "shapedirs": whole["shapedirs"][..., : int(whole["num_betas"])],
+        "posedirs": np.zeros((len(weights), 3, 9 * 23)),
+        "J_regressor": whole["J_regressor"][kept],
+        "weights": weights,
+        "kintree_table": np.array([SMPL.parents, range(24)]) % 2**32,
+    }
+    np.savez(tmp_path / "smpl.npz", **arrays)
+    command = ("avatar", recording, "--height", height, "--quality", "draft", "--steps", 10)
+    cli.works(*command, "--body", tmp_path / "smpl.npz", "--out", tmp_path / "me")
+    for name in ("poses", "poses_refined"):
+        pose, shape = load_poses(tmp_path / f"me/subject/{name}.npz")
+        for values in (pose.rotations, pose.transl, pose.expression, shape.betas):
+            assert values.isfinite().all(), name
+    for name, values in np.load(tmp_path / "me/run/avatar.npz").items():
+        assert values.dtype.kind != "f" or np.isfinite(values).all(), name
+    assert (tmp_path / "me/walk.mp4").stat().st_size > 1000
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ class Details:
     pose: Pose
     shape: Shape
     cameras: list[Camera]
-    _found: dict[int, list[tuple[Detail, Box]]] = field(default_factory=dict)
+    _found: dict[int, list[tuple[Detail, Box]]] = field(default_factory=dict, init=False)
 
     @staticmethod
     def of(video: Video, body: BodyModel) -> Details:

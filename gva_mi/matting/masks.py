@@ -69,7 +69,10 @@ POSSIBLE_MARGINS = 4, 3
 INNER_MARGIN = 1  # pixels inside the outline, which mix two colours: they are not counted
 LOOK_MARGIN = 0.12  # of the person's longer side: a picture is searched so far around the person
 OUTLINE_PRICE, FLAT_OUTLINE_PRICE = 1.5, 4.0  # g of eq. 1: everywhere, and added on flat colours
-EDGE_CONTRAST = 0.1  # difference of colours in [0, 1] that leaves 1 / e of what is added
+# Difference of colours that leaves 1 / e of what is added, in mean differences of neighbours in the
+# picture, as in GrabCut (Rother et al. 2004). Chosen on two rendered persons, by the face's masks.
+EDGE_CONTRAST = 2.0
+LEAST_DIFFERENCE = 1 / 255  # of neighbours: a picture of one colour has none
 CUT_STEPS = 50  # iterations of eq. 2 and 3; later ones change few pixels
 SMALLEST_PIECE = 0.002  # share of the largest piece's area: smaller pieces are dropped
 LEAST_PIECE_PROBABILITY = 0.3  # mean probability of a piece; with less the network denies it
@@ -313,12 +316,14 @@ def _looked_at(view: GridPicture) -> tuple[slice, slice]:
 
 def _prices(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return g of eq. 1 between each pixel (h, w, 3) and its right and lower neighbour."""
-    found = []
-    for axis in (1, 0):
+
+    def price(axis: int) -> np.ndarray:
         R, G, B = np.moveaxis(np.abs(np.diff(image, axis=axis)), -1, 0)
-        differs = np.maximum(np.maximum(R, G), B) / EDGE_CONTRAST
-        found.append(OUTLINE_PRICE + FLAT_OUTLINE_PRICE * np.exp(-(differs**2)))
-    return found[0], found[1]
+        differs = np.maximum(np.maximum(R, G), B)
+        differs /= EDGE_CONTRAST * max(differs.mean(), LEAST_DIFFERENCE)
+        return OUTLINE_PRICE + FLAT_OUTLINE_PRICE * np.exp(-(differs**2))
+
+    return price(axis=1), price(axis=0)
 
 
 def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:

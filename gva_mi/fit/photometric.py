@@ -157,7 +157,6 @@ class PictureEvidence:
     distance_shown: bool = True  # the avatar's size shows it
     surface_known: bool = True  # the avatar is the surface
     unseen: Sequence[int] = ()
-    rest_joints: Tensor | None = None  # training has moved the poses that it starts from
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
 """Prior of poses: how stage 1 errs, how people move, what bodies and the ground allow.
 
 ====================  ================================================================
-``stage1_poses``      stage-1 poses, the axes in which they are corrected, joints in the picture
+``stage1_poses``      stage-1 poses, and the axes in which they are corrected
 ``error_model``       sizes and correlations of stage 1's errors
 ``process``           Gaussian process of errors and motion
 ``inference``         infers both models from one video

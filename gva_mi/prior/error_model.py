@@ -53,7 +53,7 @@ GROUPS: Mapping[str, tuple[int, ...]] = MappingProxyType(
 
 # Median of χ² with d degrees of freedom: the median square length of a vector whose d coordinates
 # have variance 1.
-_CHI_SQUARE_MEDIAN = {1: 0.4549, 2: 1.3863, 3: 2.3660}
+_CHI_SQUARE_MEDIAN = {1: 0.4549, 3: 2.3660}
 # ν of Student's t distribution. Chosen: two or three frames in a hundred are outliers.
 STUDENT_DOF = 3.0
 STUDENT_PEAK = 0.3676  # density of Student's t at 0 with that ν

@@ -20,7 +20,7 @@ from gva_mi.prior.camera_tilt import TiltPrior
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.ground import Ground
 from gva_mi.prior.process import ProcessPrior, mean_square_speed
-from gva_mi.prior.stage1_poses import SeenJoints, Stage1Poses
+from gva_mi.prior.stage1_poses import Stage1Poses
 
 # Error models before images have shown slow errors; videos too short to infer anything keep them.
 # Chosen small, because a motion of a few degrees must not be taken for an error.
@@ -63,7 +63,6 @@ class PosePrior:
         place: process of the person's position in the camera's axes, which may change steadily.
         tilt: camera-locked tilt, a mean over the frames; None: the estimator's errors are known.
         ground: ground contact, a sum over the clip; None before it is fitted.
-        seen_joints: joints in the picture, a sum over the clip; None: landmarks show them.
     """
 
     error_models: Mapping[str, Stage1ErrorModel]
@@ -72,12 +71,6 @@ class PosePrior:
     place: ProcessPrior
     tilt: TiltPrior | None
     ground: Ground | None = None
-    seen_joints: SeenJoints | None = None
-
-    @property
-    def holds_joints(self) -> bool:
-        """Whether joints are held where stage 1 has them in the picture."""
-        return self.seen_joints is not None and self.seen_joints.sigma is not None
 
 
 def prior_from_stage1(
@@ -138,7 +131,6 @@ def prior_from_corrections(
         ),
         updated_process(before.place, _of_axes(models), moves[..., None], shifts[..., None]),
         None if before.tilt is None else TiltPrior.of(stage1, pose.rotations),
-        seen_joints=before.seen_joints and before.seen_joints.inferred(pose),
     )
 
 

@@ -10,9 +10,9 @@ coordinates that images show weakly would hardly move.
 
 The preconditioner ``M`` and the energy of the corrections come from the prior of this video
 (:mod:`gva_mi.prior.inference`, :mod:`gva_mi.prior.process`). The energy has further terms
-of the corrected pose: anatomy, the ground, camera-locked tilt, and the joints in the picture.
-``δ⁰`` is where the optimisation starts: first the MAP estimate without any image, later the
-corrections found before the prior was updated.
+of the corrected pose: anatomy, the ground and camera-locked tilt. ``δ⁰`` is where the optimisation
+starts: first the MAP estimate without any image, later the corrections found before the prior was
+updated.
 """
 
 from __future__ import annotations
@@ -92,10 +92,7 @@ class Corrections:
 
     def zeroed(self) -> Corrections:
         """Return zero corrections under the same prior: the unchanged stage 1."""
-        return self.starting_at(*(torch.zeros_like(x) for x in self.start))
-
-    def starting_at(self, turns0: Tensor, moves0: Tensor) -> Corrections:
-        """Return other corrections ``δ⁰`` (n, J, 3) and ``τ⁰`` (n, 3) under the same prior."""
+        turns0, moves0 = (torch.zeros_like(x) for x in self.start)
         return Corrections(self._stage1, self._anatomy, self.prior, turns0, moves0)
 
     @torch.no_grad()
@@ -149,8 +146,8 @@ class Corrections:
         nats = nats + prior.place.energy(of_place, places, places)
         rotations = compose(stage1.pose.rotations, joint_turns)
         motion = rotations, stage1.pose.transl + moves @ stage1.R_camera_world, stage1.times
-        terms: list[PriorTerm | None] = [self._anatomy, prior.ground, prior.seen_joints]
-        for term in filter(None, terms):
+        terms: list[PriorTerm] = [self._anatomy]
+        for term in terms if prior.ground is None else [*terms, prior.ground]:
             nats = nats + term.energy(*motion)
         away = None if distance_shown else moves.mean(0)
         whole = self._whole_person_energy(turns[:, PELVIS].mean((0, 1)), away)

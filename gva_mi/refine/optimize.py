@@ -13,9 +13,8 @@ with :class:`gva_mi.refine.vector_adam.VectorAdam`, whose learning rates fall fr
 ``E(δ, τ)`` is the prior. It is first estimated from stage 1 alone, and has a low weight: otherwise
 small motions would be taken for errors, and the corrections would show no more than the guess.
 After ``learn`` passes the error model and the speed of the motion are inferred from the corrections
-that the images made, the prior gets its full weight, and details such as hands are compared. If it
-then holds joints where stage 1 has them in the picture, the corrections begin anew, because hidden
-joints were carried away. After half as many further passes the prior is inferred once more.
+that the images made, the prior gets its full weight, and details such as hands are compared. After
+half as many further passes the prior is inferred once more.
 
 If the clothes are unknown, turns that are the same in all frames are penalised during the first
 half of the ``learn`` passes. Otherwise the clothes' surface would adapt to these turns, and keep
@@ -26,7 +25,7 @@ throughout.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Protocol
 
 import torch
@@ -40,7 +39,7 @@ from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel
 from gva_mi.prior.ground import Soles
 from gva_mi.prior.inference import PosePrior
-from gva_mi.prior.stage1_poses import SeenJoints, Stage1Poses
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.corrections import Corrections
 from gva_mi.refine.vector_adam import VectorAdam, turn_rates
 from gva_mi.splat import Camera
@@ -71,8 +70,6 @@ class Evidence(Protocol):
         distance_shown: whether it shows how far away the person is.
         surface_known: whether the person's clothes are known.
         unseen: joints that it does not show yet, whose rotations stay at the MAP estimate.
-        rest_joints: (J, 3) at rest, metres, if stage 1 may have fitted them to these pictures and
-            nothing else shows where they are; else None.
     """
 
     frames: Sequence[int]
@@ -83,7 +80,6 @@ class Evidence(Protocol):
     distance_shown: bool
     surface_known: bool
     unseen: Sequence[int]
-    rest_joints: Tensor | None
 
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the mean of ``L_k`` over some frames; differentiable in poses and ``s``."""
@@ -168,12 +164,8 @@ def descend(
     frames = sorted({*evidence.frames, *filled_in})
     stage1 = Stage1Poses.of(start, frames, evidence.camera)
     corrections = Corrections.map_estimate(stage1, evidence.anatomy, known_errors)
-    if known_errors is None and evidence.rest_joints is not None:
-        seen = SeenJoints.of(stage1, evidence.rest_joints, evidence.camera)
-        corrections.prior = replace(corrections.prior, seen_joints=seen)
     if try_uncorrected:
         corrections = _lowest_loss(evidence, frames, corrections, corrections.zeroed())
-    begin = corrections.start
     adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
     seen = [i for i, k in enumerate(frames) if k not in set(filled_in)]
     batches = [[seen[i] for i in batch] for batch in _batches(len(seen), options)]
@@ -184,8 +176,6 @@ def descend(
             if step == first_inference:
                 evidence.enable_details()
             corrections = corrections.with_updated_prior(*corrections.found())
-            if step == first_inference and corrections.prior.holds_joints:
-                corrections = corrections.starting_at(*begin)
             weight = options.prior_weight
             adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
         if (

@@ -233,7 +233,6 @@ class ClothedPerson:
             self.landmark_offsets, self._cloth.raw = known.landmark_offsets, known.offsets
             self._betas, self.shared = known.shape.betas[:, None], []
         self.anatomy = Anatomy.of(rest.joints)
-        self.rest_joints = rest.joints if clip.landmarks is None else None
         self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
         self.frames = sorted(clip.evidence)
         self.camera = clip.evidence[self.frames[0]].camera

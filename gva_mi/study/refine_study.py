@@ -38,8 +38,6 @@ class RefineStudyOptions(VideoOptions):
     """Size of the refinement study."""
 
     known: bool = False  # the subject's height and the focal length are given
-    # Error model video: stage 1 with its landmarks. Without them it counts as another estimator's.
-    landmarks: bool = True
     refine: PythonOnly[SequenceOptions] = field(default_factory=SequenceOptions)
 
 
@@ -85,8 +83,7 @@ def refinement_figures(
         found = MeasuredRefinement(video, body, options.refine, None, truth)
     else:
         method = paper.REFINE if variant == PRINTED else options.refine
-        given = options.known, options.landmarks
-        found = refine_case(subject, case, body, method, *given, progress, run)
+        found = refine_case(subject, case, body, method, options.known, progress, run)
     return [*found.figures(), Figure(metric="mask IoU", value=mask_iou(found.video))]
 
 
@@ -96,21 +93,15 @@ def refine_case(
     body: BodyModel,
     options: RefineOptions,
     known: bool = False,
-    landmarks: bool = True,
     progress: Progress | None = None,
     run: int = 0,
 ) -> MeasuredRefinement:
-    """Refine and measure a case's video.
-
-    ``known``: with the true height and focal length; ``landmarks``: with those of stage 1, if any.
-    """
+    """Refine and measure a case's video; ``known``: with the true height and focal length."""
     video = nudged(load_video(subject, normals=None if case.normals else "none"), run)
-    if not landmarks:
-        video = replace(video, landmarks=None, kind=None)
     truth = load_ground_truth(video.truth, body)
     if isinstance(options, SequenceOptions):
-        # The stage 1 of videos was given the height, too; another estimator was not.
-        known_height = known or (case.noise == VIDEO_KIND and landmarks)
+        # the stage 1 of videos was given the height, too
+        known_height = case.noise == VIDEO_KIND or known
         height = height_of(truth) if known_height else options.height
         options = replace(options, seed=case.draw, height=height)
     if not known:

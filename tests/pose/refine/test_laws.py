@@ -30,7 +30,6 @@ class Sight:
     """Evidence of where the joints are in the image, and not how deep."""
 
     shared, unseen, distance_shown, surface_known = (), (), False, False
-    rest_joints = None
 
     def __init__(self, person, true, camera, soles=None):
         self.frames, self.camera, self.anatomy = range(len(true)), camera, person.anatomy

@@ -5,14 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from gva_mi.body.kinematics import joint_places
-from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.refine import SequenceOptions
 from gva_mi.refine.optimize import descend, worse_frames
 
 ARMS = torch.full((55,), 0.3)
-ELBOW, WRIST, SPINE = (JOINTS.index(name) for name in ("left_elbow", "left_wrist", "spine3"))
+ELBOW = JOINTS.index("left_elbow")
 FREE = SequenceOptions(
     prior_weight=1e-9, learn=0, passes=200, batch=2, step=0.01, translation_lr=0.01
 )  # nothing but the evidence counts
@@ -25,7 +24,6 @@ class Places:
 
     anatomy = Anatomy.of(torch.zeros(55, 3))  # all joints in one point: none is held
     soles, unseen, distance_shown, surface_known = None, (), False, False
-    rest_joints = None
 
     def __init__(self, camera, frames=(0, 1, 3), share=False):
         self.frames, self.camera, self.visited = frames, camera, []
@@ -129,24 +127,3 @@ def test_start_poses_that_agree_better_than_the_map_estimate_are_kept(camera):
     smooth = right * 0  # the jumps are errors
     assert torch.equal(first(smooth, try_uncorrected=True), first(smooth))
     assert away(first(smooth), smooth) < away(start.transl, smooth)
-
-
-class TurnedTrunk(Places):
-    """Evidence of the trunk alone, by which a part of stage 1's lean aside is wrong."""
-
-    def loss(self, frames, pose):
-        return 1e3 * (pose.rotations[:, SPINE, 2] - 0.04).square().mean()
-
-
-def test_a_hand_that_nothing_shows_keeps_its_place_in_the_picture(camera, built_in_body):
-    """Unless landmarks or the estimator's known errors say otherwise: ``rest_joints``."""
-    joints = built_in_body.rest(Shape(torch.zeros(1))).joints
-    options = replace(FREE, prior_weight=0.015, learn=8, passes=24)
-    evidence, carried = TurnedTrunk(camera, range(12)), {}
-    for name, rest_joints in (("free", None), ("held", joints)):
-        evidence.rest_joints = rest_joints
-        found = descend(evidence, Pose.rest(12), ARMS, options).pose
-        assert (found.rotations[:, SPINE, 2] > 0.03).all()
-        places = joint_places(built_in_body(found, Shape(torch.zeros(1))).T_world_rest, joints)
-        carried[name] = float((places - joints)[:, WRIST, :2].norm(dim=1).mean())
-    assert carried["held"] < 0.5 * carried["free"], carried

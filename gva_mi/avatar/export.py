@@ -241,6 +241,17 @@ def load_gltf_avatar(path: Path) -> Avatar:
 
     Raises:
         InputError: not such a file.
+
+    Example:
+        >>> import tempfile
+        >>> from gva_mi.avatar.avatar import seed_avatar
+        >>> from gva_mi.body.smplx import load_body
+        >>> seeds = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=seeds)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_gltf(Path(folder) / "avatar.glb", avatar, splats=True)
+        ...     len(load_gltf_avatar(Path(folder) / "avatar.glb").canonical)
+        500
     """
     file = OpenedGlb.read(path, _OURS)
     with expecting(path, _OURS):
@@ -267,6 +278,18 @@ def load_gltf_motion(path: Path) -> tuple[Pose, Shape]:
 
     Raises:
         InputError: not such a file.
+
+    Example:
+        >>> import tempfile
+        >>> from gva_mi.avatar.avatar import seed_avatar
+        >>> from gva_mi.body.smplx import load_body
+        >>> seeds = AvatarOptions(SeedOptions(count=500))
+        >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=seeds)
+        >>> still = NamedMotion("still", Pose.rest(frames=3), fps=30)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_gltf(Path(folder) / "avatar.glb", avatar, [still])
+        ...     len(load_gltf_motion(Path(folder) / "avatar.glb")[0])
+        3
     """
     file = OpenedGlb.read(path, _OURS)
     with expecting(path, _OURS):

@@ -99,6 +99,19 @@ def causes(fn: Renderer, scene: Scene, weights: Tensors, wrong: Mapping[str, str
         scene: float64, of numbers that float32 holds.
         weights: of the loss, by image; 0 at pixels that are left out.
         wrong: images and inputs that failed, and the methods by which.
+
+    Example:
+        A renderer whose gradient by colours is twice too large.
+
+        >>> from gva_mi.splat.scene import random_scene
+        >>> small = random_scene(torch.Generator().manual_seed(0), gaussians=5, width=8, height=6)
+        >>> def twice(g, camera, options, background):
+        ...     colors = 2 * g.colors - g.colors.detach()
+        ...     return reference.render(replace(g, colors=colors), camera, options, background)
+        >>> exact = reference.render(small.gaussians, small.camera, small.options)
+        >>> weights = {name: torch.ones_like(getattr(exact, name)) for name in images_of(small)}
+        >>> print(*causes(twice, small, weights, {"colors": "adjoint f32"}), sep="; ")
+        colors: 1e+00 wrong: ...
     """
     known = images_of(scene)
     nearest, like = scene, ""

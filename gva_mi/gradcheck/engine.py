@@ -180,9 +180,9 @@ class Report:
         if not failed:
             return f"all {len(self.rows)} comparisons pass ({self.subject})"
         wrong = [row for row in failed if not row.coarse]
-        methods: dict[str, list[str]] = {}  # of each input
+        methods: dict[str, dict[str, None]] = {}  # of each input, each once
         for row in wrong or failed:
-            methods.setdefault(row.name, []).append(row.method)
+            methods.setdefault(row.name, {})[row.method] = None
         inputs: dict[str, list[str]] = {}  # by methods that fail together
         for name, by in methods.items():
             inputs.setdefault(", ".join(by), []).append(name)

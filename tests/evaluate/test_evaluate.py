@@ -154,7 +154,8 @@ def test_metrics_survive_a_round_trip(tmp_path):
     record = json.loads((tmp_path / METRICS).read_text())
     assert list(record) == ["figures", "size", "protocol", "options", "versions"]
     assert list(record["figures"][0]) == [
-        "subject", "variant", "split", "region", "alignment", "metric", "value",
+        "subject", "variant", "split", "region", "alignment", "metric", "value", "spread",
+        "runs",
     ]  # fmt: skip
 
 

@@ -24,7 +24,7 @@ def test_rows_come_back_from_json_and_are_rows_of_csv():
     assert figures_from(rows) == tuple(FIGURES)
     text = io.StringIO()
     csv.DictWriter(text, rows[0]).writerows(rows)
-    assert text.getvalue().splitlines()[0] == 'ann,full,test,,,"PSNR, dB",30.0'
+    assert text.getvalue().splitlines()[0] == 'ann,full,test,,,"PSNR, dB",30.0,,1'
 
 
 @pytest.mark.parametrize("row", [[], {"metric": PSNR}, {"metric": "best", "value": 1.0},

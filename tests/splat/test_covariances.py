@@ -103,10 +103,14 @@ def test_gaussians_have_one_form_or_the_other(scene):
     infinite.covars[7, 1] = torch.inf
     with pytest.raises(ValueError, match=r"covars\[7, 1\] is inf, must be finite"):
         render(infinite, scene.camera)
+
+
+def test_drjit_takes_covariances(scene):
     from drjit.llvm import TensorXf64
 
-    with pytest.raises(ValueError, match="covars are taken as torch tensors"):
-        drjit_render.render(in_drjit(by_covars(g), TensorXf64), scene.camera)
+    g = by_covars(scene.gaussians)
+    image = drjit_render.render(in_drjit(g, TensorXf64), scene.camera)
+    assert (image.color.numpy() == render(g, scene.camera).color.numpy()).all()
 
 
 def test_rasterization_reads_only_the_upper_triangle(scene):

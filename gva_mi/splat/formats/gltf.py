@@ -131,7 +131,12 @@ class Glb:
 
 
 def as_light(colors: np.ndarray) -> np.ndarray:
-    """Convert colours in [0, 1] from sRGB to linear light, which glTF expects at vertices."""
+    """Convert colours in [0, 1] from sRGB to linear light, which glTF expects at vertices.
+
+    Example:
+        >>> as_light(np.array([0.0, 0.5, 1.0])).round(3)
+        array([0.   , 0.214, 1.   ])
+    """
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 

@@ -198,6 +198,8 @@ class OntoSurface(mi.Sensor):
             probe = mi.Ray3f(o, -n, 2 * ABOVE * spacing, time, [])
             found = self.scene.ray_intersect(probe, mi.RayFlags.Minimal, coherent=False)
             outside = found.is_valid() & (dr.dot(found.n, n) > 0)
+        # Weights do not reach the channels of ``aov``: a ray without weight must see nothing there.
+        ray.maxt = dr.select(outside, probe.maxt, 0)
         return ray, mi.Color3f(dr.select(outside, 1.0, 0.0))
 
     def sample_ray_differential(
@@ -261,13 +263,21 @@ class ProxyLight:
     """The light on a proxy of V vertices in a scene.
 
     Example:
-        A ball in front of a white sky, seen by two Gaussians: one on it and one a little above it.
+        An octahedron under a white sky: the light on it is 1 everywhere.
 
-        >>> ball = mi.load_dict({"type": "ply", "filename": "ball.ply"})  # doctest: +SKIP
-        >>> scene = mi.load_dict({"type": "scene", "ball": ball, "sky": {"type": "constant"}})
-        ... # doctest: +SKIP
-        >>> light = ProxyLight.of_mesh(scene, ball)  # doctest: +SKIP
-        >>> light.on_vertices(mi.load_dict({"type": "path"}), spp=64)  # doctest: +SKIP
+        >>> axes = np.eye(3)
+        >>> corners = np.stack([axes, -axes], axis=1).reshape(6, 3)  # x, -x, y, -y, z, -z
+        >>> front, back = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4]], [[2, 0, 5], [1, 2, 5]]
+        >>> faces = np.array([*front, *back, [3, 1, 5], [0, 3, 5]])
+        >>> proxy = mi.Mesh("proxy", vertex_count=6, face_count=8)
+        >>> params = mi.traverse(proxy)
+        >>> params["vertex_positions"], params["faces"] = corners.ravel(), faces.ravel()
+        >>> changed = params.update()
+        >>> scene = mi.load_dict({"type": "scene", "proxy": proxy, "sky": {"type": "constant"}})
+        >>> light = ProxyLight.of(scene, corners, faces)
+        >>> found = light.on_vertices(mi.load_dict({"type": "path"}), spp=64)
+        >>> found.shape, bool(dr.all(dr.abs(found - 1) < 0.1, axis=None))
+        ((6, 3), True)
     """
 
     sensor: OntoSurface

@@ -42,6 +42,7 @@ from gva_mi.refine import SequenceOptions, refine
 from gva_mi.refine.image_evidence import MaskAndNormals, common_scale
 from gva_mi.splat import look_at, render
 from gva_mi.splat.axes import with_axes
+from gva_mi.subject.folder import REFINED_POSES
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.normals import normal_colors
 from gva_mi.subject.pictures import in_8_bits, read_image
@@ -264,7 +265,9 @@ if __name__ == "__main__" and sys.argv[1] == "--eq8":
     eq8(Path(sys.argv[2]), Path(sys.argv[3]) / "eq8.png")
 elif __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
-    trained = run_folder.under_trained_poses(load_video(demo / "subject"), demo / "run")
+    video = load_video(demo / "subject", demo / "subject" / REFINED_POSES)
+    trained = run_folder.under_trained_poses(video, demo / "run")
+    out.mkdir(parents=True, exist_ok=True)
     avatar = run_folder.load_avatar(demo / "run")
     Image.fromarray(overview(avatar, trained)).save(out / "overview.png")  # normals: all colours
     with tempfile.TemporaryDirectory() as name:

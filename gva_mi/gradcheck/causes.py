@@ -26,9 +26,8 @@ from gva_mi.splat.scene import Scene
 # Relative residual below which a guess explains a difference. Chosen: ten times what float32 leaves
 # of a picture or a gradient that is right.
 EXPLAINED = 1e-4
-GAIN = (
-    0.8  # a way counts if it leaves less than this share of the difference; chosen: not by chance
-)
+# A way counts if it leaves less than this share of the difference. Chosen: rounding leaves more.
+GAIN = 0.8
 MOST_WAYS = 5  # taken together; chosen: more are a guess no longer
 FEW_ROWS = 0.2  # share of the Gaussians; chosen: others are then told by name
 NAMED_ROWS = 5

@@ -25,7 +25,7 @@ The light on Gaussian g, :class:`ProxyLight`:
 The same rays see B and a. So neither another part of the proxy nor a hole of it can make E large,
 and E has a derivative by the proxy's albedo. Where nothing was hit, E is 0.
 
-A path that finds a lamp by chance, through glass or a mirror, adds a value far above the mean:
+A path that happens to reach a lamp through glass or a mirror adds a value far above the mean:
 a *firefly*. In a picture it is one pixel; here it would be a bright disc. A vertex in a fold of the
 proxy is dark. Eq. 5 removes both, and keeps the edges of shadows. Twice as bright emitters
 give twice the light.

@@ -192,7 +192,7 @@ PER_ROW = WIDTH // PART
 
 Memory = list[dr.Local]  # a tile's numbers, ``width`` pixels at a time, field by field
 Place = tuple[Array, list[Array]]  # of a part's pixels: their row in the tile, places in the row
-Rows = list[list[Array]]  # the fields of some pixels, or the columns of some records
+Rows = list[list[Array]]  # fields, one list a pixel; or columns, one list a record
 
 
 def store_pixels(pixels: Rows, width: int = PART) -> Memory:

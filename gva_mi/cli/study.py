@@ -123,7 +123,7 @@ STUDIES = {
     "avatars": "avatar --held-out-set 8 --subjects 800 802 805 --error-models bursts white slow "
     '--rows full "without trained poses" "true poses"',
     "video-avatars": "avatar --held-out-set 23 --error-models video --steps 2000 --rows full",
-    "relit": "relight --held-out-set 68 --error-models white bursts --lights left right sky usual",
+    "relit": "relight --held-out-set 69 --error-models white bursts --lights left right usual",
     "any-lens": "avatar --held-out-set 24 --error-models video --steps 2000 --rows full --no-lens",
 }
 TABLE = "table.json"  # in the folder of `study all`: the means of all its studies, one long table

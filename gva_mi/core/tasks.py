@@ -178,6 +178,58 @@ def worker_processes(
     pool.shutdown(cancel_futures=True)
 
 
+class Helpers:
+    """Processes that take shares of the items that this process works on."""
+
+    def __init__(self, pools: Sequence[Executor]) -> None:
+        """Use executors of one process each."""
+        self._pools = pools
+
+    def share(
+        self,
+        here: Callable[[Sequence[Item]], list[Result]],
+        make: Callable[..., Callable[[Sequence[Item]], list[Result]]],
+        *given: Any,  # noqa: ANN401
+    ) -> Callable[[Sequence[Item]], list[Result]]:
+        """Return ``here``, shared with each process from when it is ready.
+
+        Args:
+            here: returns the result of each item, which depends on the item alone.
+            make: makes the same function in a process, from ``given``. All that processes exchange
+                must be possible to pickle.
+        """
+        starting = {pool: pool.submit(_make_work, make, given) for pool in self._pools}
+
+        def shared(items: Sequence[Item]) -> list[Result]:
+            try:
+                return divided(items)
+            except BrokenExecutor as error:
+                raise worker_died(error) from None
+
+        def divided(items: Sequence[Item]) -> list[Result]:
+            ready = [pool for pool, made in starting.items() if made.done() and made.result()]
+            count, found = len(ready) + 1, list(items)
+            futures = [
+                pool.submit(_do_work, share)
+                for k, pool in enumerate(ready, 1)
+                if (share := items[k::count])
+            ]
+            found[::count] = here(items[::count])
+            for k, future in enumerate(futures, 1):
+                found[k::count] = future.result()
+            return found
+
+        return shared
+
+
+@contextmanager
+def helper_processes(count: int) -> Iterator[Helpers]:
+    """Yield ``count`` helpers, of one thread each, which end with this context."""
+    with ExitStack() as stack:
+        pools = [worker_processes(1, _on_one_thread) for _ in range(count)]
+        yield Helpers([stack.enter_context(pool) for pool in pools])
+
+
 MOST_THREADS = 1  # of a cluster's worker: torch and Dr.Jit expect to be alone in a process
 CONNECT = 10  # seconds; chosen: a scheduler that answers later is none
 
@@ -279,6 +331,27 @@ def _set_drjit_threads(threads: int) -> None:
     import drjit as dr
 
     dr.set_thread_count(threads)
+
+
+_work: Callable[[Sequence[Any]], list[Any]] | None = None  # of a helper process
+
+
+def _on_one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+    _set_drjit_threads(1)
+
+
+def _make_work(make: Callable[..., Any], given: Sequence[Any]) -> bool:
+    """Prepare this process for :func:`_do_work`; return True once it is ready."""
+    global _work
+    _work = make(*given)
+    return True
+
+
+def _do_work(items: Sequence[Any]) -> list[Any]:
+    return _work(items)
 
 
 def _result_of(future: Future[Result]) -> Result:

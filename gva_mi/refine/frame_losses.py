@@ -1,15 +1,14 @@
-"""The data term of a step's frames, with its gradient, shared among processes.
+"""The data term of a step's frames, with its gradient.
 
 The loss of a frame and its gradient are many small kernels, which gain little from a second thread
-(:func:`gva_mi.core.cpu.one_thread`). So each process has one thread and takes whole frames. Every
-frame is computed by itself, so any number of processes finds the same bits.
+(:func:`gva_mi.core.cpu.one_thread`). So processes share the frames of a step
+(:class:`gva_mi.core.tasks.Helpers`), each on one thread. Every frame is computed by itself, so any
+number of processes finds the same bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Executor
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,26 +17,31 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.tasks import worker_died, worker_processes
+from gva_mi.core.tasks import Helpers
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.refine.close_ups import FinePicture, WeightedView, close_ups, parts_of
 from gva_mi.refine.image_evidence import MaskAndNormals
-
-# Losses of a clip from which helper processes pay; they take 4 s to start. Chosen by eye.
-SHARED_LOSSES = 1000
 
 
 class FrameLoss(NamedTuple):
     """Loss of a frame, and its gradient with respect to the body (V, 3), None if not needed."""
 
     loss: float
-    gradient: Tensor | None
+    gradient: np.ndarray | None
 
 
-def mean_of_losses(vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]) -> Tensor:
+class FrameBody(NamedTuple):
+    """The body in a frame."""
+
+    frame: int
+    vertices: np.ndarray  # (V, 3) world, metres
+    close: bool  # whether close-ups count, if there are any
+
+
+def mean_of_losses(vertices: Tensor, losses: Callable[[np.ndarray], list[FrameLoss]]) -> Tensor:
     """Return the mean of frames' losses, differentiable in the vertices (B, V, 3).
 
-    ``losses`` computes them from detached vertices, with gradients if these are needed.
+    ``losses`` computes them from plain vertices, with gradients.
     """
     return _MeanLoss.apply(vertices, losses)
 
@@ -73,17 +77,17 @@ def frame_loss(
             for (weight, seen), image in zip(views, images, strict=True)
         )
         gradient = torch.autograd.grad(loss, body)[0] if differentiated else None
-    return FrameLoss(float(loss.detach()), gradient)
+    return FrameLoss(float(loss.detach()), None if gradient is None else gradient.numpy())
 
 
 class _MeanLoss(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: FunctionCtx, vertices: Tensor, losses: Callable[[Tensor], list[FrameLoss]]
+        ctx: FunctionCtx, vertices: Tensor, losses: Callable[[np.ndarray], list[FrameLoss]]
     ) -> Tensor:
-        found, gradients = zip(*losses(vertices.detach()), strict=True)
+        found, gradients = zip(*losses(vertices.detach().numpy()), strict=True)
         if ctx.needs_input_grad[0]:
-            ctx.save_for_backward(torch.stack(gradients) / len(found))
+            ctx.save_for_backward(torch.from_numpy(np.stack(gradients)) / len(found))
         return vertices.new_tensor(sum(found) / len(found))
 
     @staticmethod
@@ -112,90 +116,21 @@ class FrameLosses:
             silhouette: λ1.
             weights: λc of the close-ups, by the name of the part.
         """
-        self.given = body, evidence, fine, silhouette, weights  # for helper processes
+        self._given = body, evidence, fine, silhouette, weights  # for helper processes
         self._evidence, self._fine, self._silhouette = evidence, fine, silhouette
         self._scene = MeshScene(body.faces, body.v_template)
         self._parts = {part: w for part in parts_of(body) if (w := weights[part.name]) > 0}
 
-    def __call__(self, frames: Sequence[int], bodies: Tensor, close: bool) -> list[FrameLoss]:
-        """Return the losses of B frames, with gradients with respect to bodies (B, V, 3), world, m.
-
-        ``close`` says whether close-ups count, if there are any.
-        """
+    def __call__(self, bodies: Sequence[FrameBody]) -> list[FrameLoss]:
+        """Return the losses of some frames, with gradients."""
         losses, fine, silhouette = [], self._fine, self._silhouette
-        for k, body in zip(frames, bodies.unbind(), strict=True):
-            seen = self._evidence[k]
+        for k, vertices, close in bodies:
+            body, seen = torch.from_numpy(vertices), self._evidence[k]
             closer = close_ups(fine[k], self._parts, body, seen) if close and fine else []
             views = [WeightedView(1.0, seen), *closer]
             losses.append(frame_loss(self._scene, body, views, silhouette, differentiated=True))
         return losses
 
-
-class SharedFrameLosses:
-    """Losses of frames, shared by this process and, once they have started, helper processes."""
-
-    def __init__(self, here: FrameLosses, pool: Executor, helpers: int) -> None:
-        self._here, self._pool, self._processes = here, pool, helpers + 1
-        self._starting = [pool.submit(_started) for _ in range(helpers)]
-
-    def __call__(self, frames: Sequence[int], bodies: Tensor, close: bool) -> list[FrameLoss]:
-        """Return what :class:`FrameLosses` returns."""
-        if self._starting and all(future.done() for future in self._starting):
-            self._starting = []
-        if self._starting or len(frames) == 1:
-            return self._here(frames, bodies, close)
-        here, *others = (slice(k, None, self._processes) for k in range(self._processes))
-        found: list[FrameLoss | None] = [None] * len(frames)
-        try:
-            futures = [
-                self._pool.submit(_in_helper, frames[share], bodies[share].numpy(), close)
-                for share in others
-                if frames[share]
-            ]
-            found[here] = self._here(frames[here], bodies[here], close)
-            for share, future in zip(others, futures, strict=False):
-                found[share] = [FrameLoss(x, torch.from_numpy(grad)) for x, grad in future.result()]
-        except BrokenExecutor as error:
-            raise worker_died(error) from None
-        return found
-
-
-@contextmanager
-def shared_losses(
-    here: FrameLosses, processes: int, count: int
-) -> Iterator[FrameLosses | SharedFrameLosses]:
-    """Yield losses that processes share, this one included; if a clip needs few, ``here`` alone.
-
-    Args:
-        here: the losses in this process.
-        processes: largest number of them.
-        count: number of losses that the clip needs.
-    """
-    if processes == 1 or count < SHARED_LOSSES:
-        yield here
-        return
-    with worker_processes(processes - 1, _start_helper, *here.given) as pool:
-        yield SharedFrameLosses(here, pool, processes - 1)
-
-
-_losses: FrameLosses | None = None  # of a helper process
-
-
-def _start_helper(*given: object) -> None:
-    import drjit as dr
-
-    global _losses
-    torch.set_num_threads(1)
-    dr.set_thread_count(1)
-    _losses = FrameLosses(*given)
-
-
-def _started() -> None:
-    """Return once the helper has started."""
-
-
-def _in_helper(
-    frames: Sequence[int], bodies: np.ndarray, close: bool
-) -> list[tuple[float, np.ndarray]]:
-    found = _losses(frames, torch.from_numpy(bodies), close)
-    return [(loss, grad.numpy()) for loss, grad in found]
+    def shared(self, helpers: Helpers) -> Callable[[Sequence[FrameBody]], list[FrameLoss]]:
+        """Return the same function, shared with helper processes."""
+        return helpers.share(self, FrameLosses, *self._given)

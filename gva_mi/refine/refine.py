@@ -14,7 +14,8 @@ with the normals ``N`` and the silhouette ``S`` of the posed body, rendered by
 Frames of all splits are refined in the same way, from their own masks and normals; frames without
 normals from their silhouettes alone. A job refines one clip of a video
 (:mod:`gva_mi.refine.clips`). Jobs run one after the other, and processes share the frames of each
-step (:mod:`gva_mi.refine.frame_losses`): any number finds the same poses.
+step (:mod:`gva_mi.refine.frame_losses`): any number finds the same poses. The processes start while
+the evidence is gathered, and stay for all jobs.
 
 Some estimators assume another lens in each frame. Their poses jump by metres from frame to frame
 while the person stands still (:mod:`gva_mi.readers.track`), and the prior would take that for
@@ -39,11 +40,18 @@ from gva_mi.body.rotations import composed, shortest
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_thread
-from gva_mi.core.tasks import Done, run
+from gva_mi.core.tasks import Done, Helpers, helper_processes, run
 from gva_mi.refine.clips import cut, join, skim
 from gva_mi.refine.observed_video import ObservedVideo, RefineOptions, simplified_body
 from gva_mi.refine.optimize import worse_frames
-from gva_mi.refine.sequence import ObservedClip, SequenceOptions, Solution, refine_sequence, repeats
+from gva_mi.refine.sequence import (
+    STEPS_A_PASS,
+    ObservedClip,
+    SequenceOptions,
+    Solution,
+    refine_sequence,
+    repeats,
+)
 from gva_mi.refine.single_frame import FRAMES_A_JOB, refine_single_frames
 from gva_mi.splat import Camera
 from gva_mi.subject.lens import is_one_lens, seen_alike
@@ -53,6 +61,8 @@ from gva_mi.subject.video import Video
 # stage 1 are known. Chosen above 0: our stage 1 was solved from the same landmarks, so it agrees
 # with them better than the true pose does.
 KEPT_LOSS_MARGIN = 4.0
+# Losses of frames from which helper processes pay; they take 4 s to start. Chosen by eye.
+SHARED_LOSSES = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +120,20 @@ def refine_all(
     Returns:
         The results in the order of the videos, each as soon as it is done.
     """
+    losses = sum(options.passes * max(len(video), STEPS_A_PASS) for video in videos)
+    pays = isinstance(options, SequenceOptions) and losses >= SHARED_LOSSES
+    with helper_processes(min(workers, options.batch) - 1 if pays else 0) as helpers:
+        yield from _refined_all(videos, body, options, progress, helpers)
+
+
+def _refined_all(
+    videos: Sequence[Video],
+    body: BodyModel,
+    options: RefineOptions,
+    progress: Progress | None,
+    helpers: Helpers,
+) -> Iterator[Refined]:
+    """Yield what :func:`refine_all` yields."""
     simplified = cache(partial(simplified_body, body))  # shared by the videos
     placed = [before_one_lens(video, body) for video in videos]
     observed = [ObservedVideo.of(video, simplified, options) for video in placed]
@@ -117,10 +141,10 @@ def refine_all(
     steps = sum(job.steps for job in skims.values())
     total = steps + sum(_steps(x, len(x.evidence.part(c))) for x in observed for c in _clips(x))
     report = part_of_progress(progress, 0, steps, total)
-    skimmed = dict(zip(skims, _solved(list(skims.values()), workers, report), strict=True))
+    skimmed = dict(zip(skims, _solved(list(skims.values()), helpers, report), strict=True))
     jobs = [_clip_jobs(video, skimmed.get(k)) for k, video in enumerate(observed)]
     report = part_of_progress(progress, steps, total - steps, total)
-    found = _solved([job for clips in jobs for job in clips], workers, report)
+    found = _solved([job for clips in jobs for job in clips], helpers, report)
     for k, (video, before, clips) in enumerate(zip(videos, placed, jobs, strict=True)):
         refined = _joined(observed[k], skimmed.get(k), [next(found) for _ in clips])
         if before is not video:
@@ -132,12 +156,12 @@ def refine_all(
 
 @dataclass(frozen=True)
 class _ClipJob:
-    """A clip and the options of its refinement: a :class:`gva_mi.core.tasks.Task`."""
+    """A clip and how it is refined in this process: a :class:`gva_mi.core.tasks.Task`."""
 
     clip: ObservedClip
     options: RefineOptions
     steps: int
-    processes: int = 1  # that share the frames of a step, this one included
+    helpers: Helpers | None = None  # that share the frames of a step
 
     def solve(self, progress: Progress | None = None) -> Solution:
         """Refine the clip; without evidence it stays as it is."""
@@ -148,17 +172,17 @@ class _ClipJob:
         clip = replace(clip, evidence=dict(clip.evidence), fine=dict(clip.fine))  # into memory
         with one_thread():
             if isinstance(options, SequenceOptions):
-                return refine_sequence(clip, options, progress, self.processes)
+                return refine_sequence(clip, options, progress, self.helpers)
             person = clip.body, clip.pose, clip.shape
             pose = refine_single_frames(clip.evidence, *person, options, progress)
             return replace(unchanged, pose=pose)
 
 
 def _solved(
-    jobs: Sequence[_ClipJob], workers: int, progress: Progress | None
+    jobs: Sequence[_ClipJob], helpers: Helpers, progress: Progress | None
 ) -> Iterator[Done[Solution]]:
-    """Solve jobs one after the other; ``workers`` processes share the frames of a step."""
-    return run([replace(job, processes=workers) for job in jobs], None, progress)
+    """Solve jobs one after the other; helpers share the frames of a step."""
+    return run([replace(job, helpers=helpers) for job in jobs], None, progress)
 
 
 def _clips(video: ObservedVideo) -> list[range]:

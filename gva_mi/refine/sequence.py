@@ -41,13 +41,14 @@ from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.options import Metres, PythonOnly, Rate, Seed, Weight, Within, options_of
+from gva_mi.core.tasks import Helpers
 from gva_mi.mesh.surface import uniform_laplacian, vertex_normals
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.body_height import PERSON_HEIGHTS, Stature
 from gva_mi.prior.error_model import GROUPS, Stage1ErrorModel
 from gva_mi.prior.ground import ContactStats, Soles
 from gva_mi.refine.close_ups import FinePicture, hand_vertices
-from gva_mi.refine.frame_losses import FrameLosses, mean_of_losses, shared_losses
+from gva_mi.refine.frame_losses import FrameBody, FrameLosses, mean_of_losses
 from gva_mi.refine.image_evidence import MaskAndNormals
 from gva_mi.refine.landmark_evidence import SeenLandmarks
 from gva_mi.refine.optimize import (
@@ -154,7 +155,7 @@ def refine_sequence(
     clip: ObservedClip,
     options: SequenceOptions,
     progress: Progress | None = None,
-    processes: int = 1,
+    helpers: Helpers | None = None,
 ) -> Solution:
     """Refine the frames of a clip that have evidence; others keep their pose, and affect no frame.
 
@@ -162,9 +163,9 @@ def refine_sequence(
         clip: the frames and what was observed of them.
         options: weights, passes, learning rates and the seed.
         progress: called after every step.
-        processes: that share the frames of a step, this one included; the bits do not depend on it.
+        helpers: processes that share the frames of a step; the bits do not depend on them.
     """
-    person = ClothedPerson(clip, options)
+    person = ClothedPerson(clip, options, helpers)
     # With few frames a step takes fewer of them, and with very few they are visited more often:
     # otherwise there would be too few steps to converge.
     frames = len(clip.evidence)
@@ -174,17 +175,15 @@ def refine_sequence(
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
-    processes, count = min(processes, options.batch), frames * options.passes
-    with shared_losses(person.frame_losses, processes, count) as person.frame_losses:
-        descent = descend(
-            person,
-            clip.pose,
-            person.arms,
-            options,
-            progress,
-            filled_in=clip.filled_in,
-            known_errors=clip.known_errors,
-        )
+    descent = descend(
+        person,
+        clip.pose,
+        person.arms,
+        options,
+        progress,
+        filled_in=clip.filled_in,
+        known_errors=clip.known_errors,
+    )
     shape, offsets = Shape(person.shape.betas.detach()), person.offsets.detach()
     ground = descent.prior.ground
     return Solution(
@@ -213,12 +212,15 @@ class ClothedPerson:
     # bias the silhouette; without one, depth and size are ambiguous.
     distance_shown = False
 
-    def __init__(self, clip: ObservedClip, options: SequenceOptions) -> None:
+    def __init__(
+        self, clip: ObservedClip, options: SequenceOptions, helpers: Helpers | None = None
+    ) -> None:
         rest = clip.body.rest(clip.shape)
         self._clip, self._options = clip, options
         weights = {"hand": options.close_hands, "foot": FOOT_WEIGHT}
         seen = clip.evidence, clip.fine
-        self.frame_losses = FrameLosses(clip.body, *seen, options.silhouette, weights)
+        losses = FrameLosses(clip.body, *seen, options.silhouette, weights)
+        self._losses = losses if helpers is None else losses.shared(helpers)
         self._close = False
         self._stature = Stature.of(clip.body)
         self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
@@ -266,7 +268,9 @@ class ClothedPerson:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the data term and the landmarks' loss, a mean over the frames."""
         posed = self._clip.body(pose, self.shape, self.offsets)
-        losses = lambda bodies: self.frame_losses(frames, bodies, self._close)
+        losses = lambda bodies: self._losses(
+            [FrameBody(k, body, self._close) for k, body in zip(frames, bodies, strict=True)]
+        )
         loss = mean_of_losses(posed.vertices, losses)
         if (landmarks := self._clip.landmarks) is None:
             return loss

@@ -6,13 +6,13 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from gva_mi import InputError
-from gva_mi.core.tasks import in_order, local_executor, run
+from gva_mi.core.tasks import Helpers, helper_processes, in_order, local_executor, run
 
 HOLDS = """
 import os, time
@@ -153,3 +153,63 @@ def test_results_come_in_order_and_few_items_are_taken_ahead():
     with pytest.raises(ValueError, match="thirty"):
         next(found)
     pool.shutdown()
+
+
+class Inline:
+    """An executor that works at once, in this process, once it has started."""
+
+    def __init__(self, started=True):
+        self.started, self.given = started, []
+
+    def submit(self, function, *given):
+        self.given.append(given)
+        future = Future()
+        if self.started:
+            future.set_result(function(*given))
+        return future
+
+
+def make_squares():
+    return lambda items: [k * k for k in items]
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_shared_items_keep_their_order(count):
+    """With fewer items than processes, as many, and more; not with one that has not started."""
+    pools, late = [Inline() for _ in range(count)], Inline(started=False)
+    shared = Helpers([late, *pools]).share(make_squares(), make_squares)
+    for length in (1, 2, count + 1, 7):
+        for pool in pools:
+            pool.given = []
+        items = list(range(5, 5 + length))
+        assert shared(items) == [k * k for k in items]
+        shares = [pool.given[0][0] for pool in pools if pool.given]
+        assert len(shares) == min(count, length - 1) and all(shares)
+    assert len(late.given) == 1
+
+
+def test_a_helper_that_died_is_one_sentence():
+    """No result is made up for the lost item."""
+    pool = Inline()
+    shared = Helpers([pool]).share(make_squares(), make_squares)
+    lost = Future()
+    lost.set_exception(BrokenExecutor("a process ended"))
+    pool.submit = lambda *given: lost
+    with pytest.raises(InputError, match="a worker process died"):
+        shared([0, 1])
+
+
+def make_pairs_with(name):
+    return lambda items: [(name, os.getpid(), k) for k in items]
+
+
+@pytest.mark.slow
+def test_a_helper_process_makes_the_function_and_takes_its_share():
+    with helper_processes(1) as helpers:
+        shared = helpers.share(make_pairs_with("a"), make_pairs_with, "a")
+        until, found = time.monotonic() + 120, shared(range(4))
+        while len({process for _, process, _ in found}) == 1 and time.monotonic() < until:
+            time.sleep(0.1)
+            found = shared(range(4))
+    assert [(name, k) for name, _, k in found] == [("a", k) for k in range(4)]
+    assert [process == os.getpid() for _, process, _ in found] == [True, False] * 2

@@ -1,14 +1,13 @@
-"""Any number of workers gives the same bits, and a lost helper one sentence."""
+"""Any number of workers gives the same bits."""
 
-from concurrent.futures import BrokenExecutor, Future
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
 import torch
 
-from gva_mi import InputError
-from gva_mi.refine import SequenceOptions, SingleFrameOptions, frame_losses, refine
+from gva_mi.refine import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.refine.refine import refine_all
 
 # Three frames in two clips of two, skimmed first.
@@ -60,55 +59,10 @@ def test_single_frames_are_independent(clip, coarse):
 @pytest.mark.slow
 def test_processes_that_share_frames_find_the_same_bits(clip, coarse, monkeypatch):
     """However soon the helper is ready; with close-ups, from the first inference on."""
-    monkeypatch.setattr(frame_losses, "SHARED_LOSSES", 1)
+    monkeypatch.setattr(import_module("gva_mi.refine.refine"), "SHARED_LOSSES", 1)
     monkeypatch.setattr("gva_mi.refine.sequence.STEPS_A_PASS", 1)
     options, calls = replace(CLIPS, part=120, passes=40, batch=3), []
     (one,) = refine_all([clip], coarse, options)
     (two,) = refine_all([clip], coarse, options, lambda *a, **figures: calls.append(a), workers=2)
     assert_same([one], [two])
     assert calls == sorted(calls) and calls[-1][0] == calls[-1][1]
-
-
-class Inline:
-    """An executor that works at once, in this process."""
-
-    def __init__(self):
-        self.given = []
-
-    def submit(self, function, *given):
-        self.given.append(given)
-        future = Future()
-        future.set_result(function(*given))
-        return future
-
-
-@pytest.mark.parametrize("helpers", [1, 3])
-def test_shared_frames_keep_their_order(helpers, monkeypatch):
-    """With fewer frames than processes, as many, and more."""
-
-    def alone(frames, bodies, close):
-        assert close and bodies[:, 0, 0].tolist() == list(frames)
-        return [(float(k), k + body) for k, body in zip(frames, bodies, strict=True)]
-
-    monkeypatch.setattr(frame_losses, "_losses", alone)
-    pool = Inline()
-    shared = frame_losses.SharedFrameLosses(alone, pool, helpers)
-    for count in (1, 2, helpers + 1, 7):
-        frames, pool.given = list(range(5, 5 + count)), []
-        bodies = torch.tensor(frames, dtype=torch.float32)[:, None, None].expand(-1, 4, 3)
-        found, wanted = shared(frames, bodies, True), alone(frames, bodies, True)
-        assert len(pool.given) == min(helpers, count - 1)
-        for (loss, grad), (own, own_grad) in zip(found, wanted, strict=True):
-            assert loss == own and torch.equal(grad, own_grad)
-
-
-def test_a_helper_that_died_is_one_sentence():
-    """The pool is broken, and no loss is made up for the lost frame."""
-    pool = Inline()
-    alone = lambda frames, bodies, close: [(0.0, body) for body in bodies]
-    shared = frame_losses.SharedFrameLosses(alone, pool, 1)
-    lost = Future()
-    lost.set_exception(BrokenExecutor("a process ended"))
-    pool.submit = lambda *given: lost
-    with pytest.raises(InputError, match="a worker process died"):
-        shared([0, 1], torch.zeros(2, 4, 3), True)

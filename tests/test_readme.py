@@ -16,7 +16,9 @@ from contextlib import redirect_stdout
 from pathlib import Path
 from types import SimpleNamespace
 
+import cells
 import pytest
+import tables
 
 ROOT = Path(__file__).parents[1]
 site_pages = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/site_pages.py")))
@@ -117,29 +119,53 @@ def test_study_all_runs_the_studies_of_the_documents():
                 assert written == words[2:at] + words[at + 2 :], line
 
 
-def wrong_figures(page, figures):
-    """Yield numbers of a page's tables after `<!-- figures of STUDY -->` that the study lacks."""
-    tables = re.findall(r"<!-- figures of (\S+) -->\n\n((?:\|.*\n)+)", page.read_text())
-    for study, table in tables:
-        for line in table.splitlines()[2:]:
-            name, *cells = (cell.strip() for cell in line.strip("|").split("|"))
-            about = lambda f, n=name: f["variant"] == n or f["metric"].startswith(n + " ")
-            own = [f for f in figures if f["study"] == study and about(f)]
-            for number, percent in re.findall(r"(\d[\d,]*(?:\.\d+)?)( %)?", " ".join(cells)):
-                digits = len(number.partition(".")[2])
-                scale = 100 if percent else 1
-                written = {f"{abs(scale * f['value']):,.{digits}f}" for f in own}
-                if number not in written:
-                    yield f"{page.name}: {study}, {name}: {number}{percent}"
+def unmarked(text):
+    """Yield the first lines of tables that show figures and are not written by docs/tables.py."""
+    for found in re.finditer(r"(.*)\n\n((?:^\|.*\n)+)", BLOCKS.sub("", text), re.MULTILINE):
+        above, lines = found[1], found[2].splitlines()
+        written = [cell.strip() for line in lines[2:] for cell in line.strip("|").split("|")]
+        if not above.startswith(("<!-- figures of ", "<!-- quoted")):
+            if any(re.fullmatch(r"[+−~]?\d[\d.,]*( (%|dB|mm))?", cell) for cell in written):
+                yield lines[0]
 
 
-def test_figures_of_the_marked_tables_are_in_the_one_long_table(tmp_path):
-    figures = json.loads((ROOT / "docs/figures.json").read_text())["figures"]
-    marked = [page for page in PAGES if "<!-- figures of" in page.read_text()]
-    assert marked and not [wrong for page in marked for wrong in wrong_figures(page, figures)]
-    page = tmp_path / "page.md"
-    page.write_text("<!-- figures of eq8 -->\n\n| | mm |\n|---|---|\n| refined | 1234.5 |\n")
-    assert list(wrong_figures(page, figures)) == ["page.md: eq8, refined: 1234.5"]
+def test_the_tables_of_figures_are_written_from_the_figures_of_the_studies():
+    writer = cells.Writer(tables.load())
+    wrong = [
+        page.name for page in PAGES if tables.written(page.read_text(), writer) != page.read_text()
+    ]
+    assert not wrong, f"run `python docs/tables.py`: {wrong}"
+    named = [match[1] for page in PAGES for match in tables.MARKED.findall(page.read_text())]
+    assert sorted(named) == sorted(tables.TABLES)
+    assert writer.used == set(range(len(writer.figures)))  # none that no table shows
+    for page in (ROOT / "README.md", ROOT / "docs/studies.md", ROOT / "docs/paper.md"):
+        assert not list(unmarked(page.read_text())), page.name
+
+
+def test_a_wrong_figure_and_an_unmarked_table_are_found():
+    page = "<!-- figures of eq8 -->\n\n| | mm |\n|---|---|\n| refined | 1234.5 |\n"
+    assert "1234.5" not in tables.written(page, cells.Writer(tables.load()))
+    assert list(unmarked("text\n\n| a | b |\n|---|---|\n| refined | 1234.5 |\n")) == ["| a | b |"]
+    assert not list(unmarked(page))
+
+
+def test_cells_are_means_over_subjects_differences_and_ranges():
+    values = {("1", "kept"): 30.0, ("1", "relit"): 33.0, ("2", "kept"): 20.0, ("2", "relit"): 21.0}
+    named = {"study": "s", "row": "", "variant": "v", "split": "test", "region": "white"}
+    writer = cells.Writer([
+        named | {"subject": s, "alignment": way, "metric": "PSNR, dB", "value": str(value)}
+        for (s, way), value in values.items()
+    ])  # fmt: skip
+    column = cells.part("relit", tables.psnr("test", "relit"), study="s")
+    shown = tables.psnr("test", "relit", form="+.1f", join=" … ", of=cells.extremes,
+                        minus={"alignment": "kept"})  # fmt: skip
+    gain = cells.part("gain", shown, study="s")
+    found = cells.Table(
+        "", [cells.part("v", variant="v"), cells.part("w", variant="w")], [column, gain]
+    )
+    assert writer.table(found).splitlines()[2:] == ["| v | 27.0 | +1.0 … +3.0 |", "| w | – | – |"]
+    assert cells.number(-0.02, cells.Shown("", form="+.1f")) == "0.0"
+    assert cells.number(-0.26, cells.Shown("", form="+.0f", scale=100)) == "−26"
 
 
 def test_a_wrong_command_is_found(tmp_path):

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,7 +21,7 @@ from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.cpu import SETTINGS
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, require_room, write_json
-from gva_mi.core.options import PythonOnly, Within, Workers, options_of
+from gva_mi.core.options import PythonOnly, Within, Workers, from_json, options_of
 from gva_mi.core.stamp import versions
 from gva_mi.core.tasks import cluster, local_executor
 from gva_mi.evaluate.figures import Table, figures_from, pivot, table, to_json
@@ -104,7 +104,9 @@ class RelightChoice(_Choice):
     options: Flat[RelightStudyOptions] = field(default_factory=RelightStudyOptions)
 
 
-_SMALL = "--held-out-set 8 --subjects 800 802 --error-models bursts white --size 256 --steps 1500"
+# Subjects of held-out set 72, each under another error model.
+_TWO = "--held-out-set 72 --subjects 7200 7202 --error-models bursts white"
+_FOUR = "--held-out-set 72 --subjects 7200 7202 7204 7208 --error-models bursts white slow lean"
 # The studies of the documents, by the names of their folders: `gva-mi study all` runs them.
 STUDIES = {
     "eq8": "refine --held-out-set 31 --subjects 3100 3102 3103 3104 3108 "
@@ -112,29 +114,29 @@ STUDIES = {
     "alphas": "avatar --held-out-set 31 --error-models white --subjects 3102 --frames 16 "
     '--size 128 --steps 400 --novel 2 --no-fitted --rows "as printed" alphas',
     "limits": "refine --cases limits --stage 1",
-    "videos": "refine --held-out-set 25 --error-models video",
-    "known": "refine --held-out-set 6 --error-models shape focal anything --known",
-    "simulated": "refine --held-out-set 6",
-    "ladder": f"avatar {_SMALL} --rows ladder full",
-    "small": f"avatar {_SMALL} --rows full "
-    '"without refinement" "without either" "without hand skeleton" "without re-initialisation" '
-    '"without re-initialisation, naked" "seeded on the naked body" "without stretching" '
-    '"with residual" GART-like "static 3DGS" "one held-out range"',
-    "avatars": "avatar --held-out-set 8 --subjects 800 802 805 --error-models bursts white slow "
-    '--rows full "without trained poses" "true poses"',
-    "video-avatars": "avatar --held-out-set 23 --error-models video --steps 2000 --rows full",
+    "simulated": "refine --held-out-set 72",
+    "known": "refine --held-out-set 72 --error-models shape focal anything --known",
+    "variants": f"avatar {_TWO} --size 256 --steps 1500 --no-fitted --rows full "
+    '"without refinement" "without trained poses" "without either" "true poses" '
+    '"without hand skeleton" "without re-initialisation" "without re-initialisation, naked" '
+    '"seeded on the naked body" "without stretching" "with residual" GART-like "static 3DGS" '
+    '"one held-out range"',
+    "ladder": f"avatar {_FOUR} --size 256 --no-fitted --rows ladder full",
+    "videos": "avatar --held-out-set 72 --error-models video touch --steps 2000 --no-fitted "
+    "--rows full",
+    "any-lens": "refine --held-out-set 72 --error-models video --no-lens",
     "relit": "relight --held-out-set 69 --error-models white bursts --lights left right usual",
-    "any-lens": "avatar --held-out-set 24 --error-models video --steps 2000 --rows full --no-lens",
 }
-TABLE = "table.json"  # in the folder of `study all`: the means of all its studies, one long table
+TABLE = "table.json"  # in the folder of `study all`: the figures of all its studies, one long table
 
 
 @options_of("study all")
 class AllChoice:
-    """Run all studies of the documents, and write the means of their figures to one long table.
+    """Run all studies of the documents, and write their figures to one long table.
 
     This takes days. Run it again to resume, or name some of the studies. The rows of table.json are
-    those of each study, with the study's name, averaged over subjects.
+    those of each study, with the study's name and the error model ("row"). `python docs/tables.py`
+    writes the tables of the documents from it.
     """
 
     out: Path  # folder; each study has a folder in it
@@ -201,24 +203,22 @@ def _all(what: AllChoice) -> None:
         words = [*shlex.split(STUDIES[name]), "--out", str(what.out / name)]
         say(f"gva-mi study {shlex.join(words)}")
         parse(study, "study", [*words, "--workers", str(what.workers)])()
-        rows = [row for name in STUDIES for row in _means(name, what.out / name)]
+        rows = [row for name in STUDIES for row in _figures(name, what.out / name)]
         write_json(what.out / TABLE, {"figures": rows})
     say(f"figures: {what.out / TABLE}")
 
 
-def _means(name: str, folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the figures of a study averaged over subjects, if it has been run."""
+def _figures(name: str, folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the figures of a study with its name and the row of their case, if it has been run."""
     path = folder / f"{STUDIES[name].split()[0]}.json"
     if not path.exists():
         return
     with expecting(path, EXPECTED):
-        figures = figures_from(read_json(path, EXPECTED)["figures"])
-    columns = ("variant", "split", "region", "alignment")
-    for row, cells in pivot(figures, columns).items():
-        for (metric,), values in cells.items():
-            about = dict(zip(columns, row, strict=True))
-            mean = {"metric": metric, "value": float(values.mean()), "subjects": len(values)}
-            yield {"study": name} | about | mean
+        record = read_json(path, EXPECTED)
+        cases = {case: from_json(StudyCase, found) for case, found in record["cases"].items()}
+        for figure in figures_from(record["figures"]):
+            case = cases[figure.subject]
+            yield {"study": name, "row": case.row} | asdict(figure) | {"subject": case.take.name}
 
 
 def _run(what: _Choice, made: Study, cases: Sequence[StudyCase]) -> None:

@@ -114,8 +114,9 @@ STUDIES = {
     "alphas": "avatar --held-out-set 31 --error-models white --subjects 3102 --frames 16 "
     '--size 128 --steps 400 --novel 2 --no-fitted --rows "as printed" alphas',
     "limits": "refine --cases limits --stage 1",
-    "simulated": "refine --held-out-set 72",
-    "known": "refine --held-out-set 72 --error-models shape focal anything --known",
+    "simulated": "refine --held-out-set 72 --frames 40 --size 320",
+    "known": "refine --held-out-set 72 --error-models shape focal anything "
+    "--frames 40 --size 320 --known",
     "variants": f"avatar {_TWO} --size 256 --steps 1500 --no-fitted --rows full "
     '"without refinement" "without trained poses" "without either" "true poses" '
     '"without hand skeleton" "without re-initialisation" "without re-initialisation, naked" '

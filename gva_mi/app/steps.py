@@ -26,6 +26,7 @@ from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
 from gva_mi.core.console import Progress, aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_replaceable, require_room
+from gva_mi.core.tasks import helper_processes
 from gva_mi.evaluate.measure import Metrics, measure_run
 from gva_mi.evaluate.refinement import (
     MeasuredRefinement,
@@ -38,7 +39,13 @@ from gva_mi.evaluate.scores import Scorer
 from gva_mi.fit import run_folder
 from gva_mi.fit.options import FitOptions
 from gva_mi.fit.perceptual import find_weights
-from gva_mi.fit.photometric import TRACKED_POSES, PhotometricOptions, fit_poses, write_tracking
+from gva_mi.fit.photometric import (
+    SHARED_LOSSES,
+    TRACKED_POSES,
+    PhotometricOptions,
+    fit_poses,
+    write_tracking,
+)
 from gva_mi.fit.train import fit as fit_avatar
 from gva_mi.readers.own_masks import MaskOptions
 from gva_mi.refine import RefineOptions
@@ -263,6 +270,7 @@ def evaluate(
     fit_poses: bool = False,
     few: int | None = None,
     page: bool = True,
+    workers: int = 1,
 ) -> Metrics:
     """Measure an avatar on the splits of a subject; write metrics.json and report.html.
 
@@ -278,6 +286,7 @@ def evaluate(
         few: measure at most so many test frames, or training frames if there are none of these;
             without it, all splits.
         page: write report.html.
+        workers: processes that fit poses; any number gives the same bits.
 
     Example:
         >>> metrics = evaluate("me/run", "me/subject")  # doctest: +SKIP
@@ -292,7 +301,7 @@ def evaluate(
         require_room(run / run_folder.METRICS, overwrite=True)
         scorer = Scorer(find_weights())
         trained = run_folder.under_trained_poses(video, run)
-        about = {"scorer": scorer, "fit_to_pictures": fit_poses, "few": few}
+        about = {"scorer": scorer, "fit_to_pictures": fit_poses, "few": few, "workers": workers}
         with bar("evaluate") as progress:
             metrics = measure_run(
                 run, avatar, video, "full", model, opened.poses, progress, **about
@@ -316,6 +325,7 @@ def track(
     poses: Path | str | None = None,
     body: Path | str | None = None,
     overwrite: bool = False,
+    workers: int = 1,
 ) -> Pose:
     """Fit the poses of a video to its pictures, seen through an avatar of the person.
 
@@ -331,6 +341,7 @@ def track(
             was fitted to this video; else the refined poses, else the stage-1 poses.
         body: a body file; without it, the run's, else the built-in body.
         overwrite: replace existing poses.
+        workers: processes on this machine; any number gives the same bits.
 
     Example:
         >>> poses = track("me/run", "me/subject")  # doctest: +SKIP
@@ -352,8 +363,9 @@ def track(
             start, video = trained, load_video(subject, trained)
     with folder_lock(subject, "gva-mi track"):
         require_room(out, overwrite)
-        with bar("track") as progress:
-            found = fit_poses(avatar, video, options, progress=progress)
+        pays = len(video) * options.passes >= SHARED_LOSSES
+        with bar("track") as progress, helper_processes(workers, pays) as helpers:
+            found = fit_poses(avatar, video, options, None, progress, helpers)
         write_tracking(video, found, options, offsets, {"start": start, "avatar": run})
     for line in kept_poses(video, found.kept, "pose"):
         say(line)

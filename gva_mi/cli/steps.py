@@ -17,6 +17,7 @@ from gva_mi.core.console import aligned, bar, say
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import require_room, write_json
 from gva_mi.core.options import Within, Workers
+from gva_mi.core.tasks import usual_workers
 from gva_mi.evaluate.figures import pivot, table, to_json
 from gva_mi.evaluate.scores import Scorer, pairs_of_pictures, pairs_of_subject, score_pictures
 from gva_mi.fit import paper
@@ -148,7 +149,8 @@ def evaluate(
         fit_poses: also measure test frames, and novel poses of the ground truth, after fitting
             poses to these same frames; reported in separate rows.
     """
-    app.evaluate(run, subject, poses=poses, body=body, fit_poses=fit_poses)
+    workers = usual_workers()
+    app.evaluate(run, subject, poses=poses, body=body, fit_poses=fit_poses, workers=workers)
 
 
 def score(
@@ -220,7 +222,8 @@ def track(
             subject, else the built-in body.
         overwrite: replace existing poses.
     """
-    app.track(run, subject, options, poses=poses, body=body, overwrite=overwrite)
+    about = {"poses": poses, "body": body, "overwrite": overwrite, "workers": usual_workers()}
+    app.track(run, subject, options, **about)
 
 
 def render(

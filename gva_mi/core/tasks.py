@@ -19,6 +19,7 @@ import logging
 import math
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 import time
@@ -181,24 +182,28 @@ def worker_processes(
 class Helpers:
     """Processes that take shares of the items that this process works on."""
 
-    def __init__(self, pools: Sequence[Executor]) -> None:
+    def __init__(self, pools: Sequence[Executor] = ()) -> None:
         """Use executors of one process each."""
         self._pools = pools
 
+    def __len__(self) -> int:
+        return len(self._pools)
+
     def share(
         self,
-        here: Callable[[Sequence[Item]], list[Result]],
         make: Callable[..., Callable[[Sequence[Item]], list[Result]]],
         *given: Any,  # noqa: ANN401
     ) -> Callable[[Sequence[Item]], list[Result]]:
-        """Return ``here``, shared with each process from when it is ready.
+        """Return a function of items that each process shares from when it is ready.
 
         Args:
-            here: returns the result of each item, which depends on the item alone.
-            make: makes the same function in a process, from ``given``. All that processes exchange
-                must be possible to pickle.
+            make: makes the function in a process, from ``given``. The result of an item depends on
+                the item alone. All that processes exchange must be possible to pickle.
         """
-        starting = {pool: pool.submit(_make_work, make, given) for pool in self._pools}
+        here = make(*given)
+        # By value: queues would pass each tensor of torch as an open file.
+        recipe = pickle.dumps((make, given), pickle.HIGHEST_PROTOCOL) if self._pools else b""
+        starting = {pool: pool.submit(_make_work, recipe) for pool in self._pools}
 
         def shared(items: Sequence[Item]) -> list[Result]:
             try:
@@ -223,10 +228,13 @@ class Helpers:
 
 
 @contextmanager
-def helper_processes(count: int) -> Iterator[Helpers]:
-    """Yield ``count`` helpers, of one thread each, which end with this context."""
+def helper_processes(workers: int, pays: bool) -> Iterator[Helpers]:
+    """Yield the helpers of one of ``workers`` processes, which end with this context.
+
+    Each has one thread. A process takes 4 s to start; there are none unless that ``pays``.
+    """
     with ExitStack() as stack:
-        pools = [worker_processes(1, _on_one_thread) for _ in range(count)]
+        pools = [worker_processes(1, _on_one_thread) for _ in range(workers - 1 if pays else 0)]
         yield Helpers([stack.enter_context(pool) for pool in pools])
 
 
@@ -343,9 +351,10 @@ def _on_one_thread() -> None:
     _set_drjit_threads(1)
 
 
-def _make_work(make: Callable[..., Any], given: Sequence[Any]) -> bool:
+def _make_work(recipe: bytes) -> bool:
     """Prepare this process for :func:`_do_work`; return True once it is ready."""
     global _work
+    make, given = pickle.loads(recipe)
     _work = make(*given)
     return True
 

@@ -59,6 +59,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
+from gva_mi.core.tasks import helper_processes
 from gva_mi.evaluate.figures import Figure, Table, figures_from, pivot, table, to_json, where
 from gva_mi.evaluate.foreign import foreign_figures
 from gva_mi.evaluate.refinement import error_figures, load_refinement, pose_tables
@@ -68,7 +69,13 @@ from gva_mi.evaluate.similarity import Similarity, in_avatars_world, similarity_
 from gva_mi.evaluate.surface import surface_figures
 from gva_mi.fit import run_folder
 from gva_mi.fit.perceptual import Weights
-from gva_mi.fit.photometric import FITTED, TRACKED_POSES, PhotometricOptions, fit_poses
+from gva_mi.fit.photometric import (
+    FITTED,
+    SHARED_LOSSES,
+    TRACKED_POSES,
+    PhotometricOptions,
+    fit_poses,
+)
 from gva_mi.fit.renders import cut_out, render_frame
 from gva_mi.subject.crop import Box
 from gva_mi.subject.folder import REFINED_POSES
@@ -273,6 +280,7 @@ def measure_run(
     scorer: Scorer | None = None,
     fit_to_pictures: bool = False,
     few: int | None = None,
+    workers: int = 1,
 ) -> Metrics:
     """Measure the avatar of a run on all splits of its video, and save its metrics.
 
@@ -288,6 +296,7 @@ def measure_run(
         scorer: without it, one with the networks that are found.
         fit_to_pictures: also add the rows of :func:`_under_fitted_poses`.
         few: measure at most so many test frames, or training frames without these; None: all.
+        workers: processes that fit poses to pictures, this one included.
     """
     made_with, history = run_folder.load_options(run), run_folder.load_history(run)
     trained, scorer = run_folder.under_trained_poses(video, run), scorer or Scorer()
@@ -313,7 +322,7 @@ def measure_run(
     measured = [*views, *as_refined, *aligned]
     if fit_to_pictures:
         own = [view for view in views if view.split in OF_VIDEO[1:]]
-        measured += _under_fitted_poses(avatar, own, aligned, protocol, progress)
+        measured += _under_fitted_poses(avatar, own, aligned, protocol, progress, workers)
     figures = evaluate_views(avatar, measured, scorer, progress)
     refinement, _ = load_refinement(video.folder)
     figures += where(refinement, split="")
@@ -384,6 +393,7 @@ def _under_fitted_poses(
     novel: Sequence[SplitView],
     protocol: dict[str, Any],
     progress: Progress | None,
+    workers: int,
 ) -> list[SplitView]:
     """Return frames under poses that are fitted to these very frames, as GART reports.
 
@@ -395,21 +405,25 @@ def _under_fitted_poses(
         novel: novel poses and views, under the true ones in the avatar's world.
         protocol: to which the options of the fit are added, and what has been seen.
         progress: called after each step of a fit.
+        workers: processes that share the frames of a step.
     """
     found_views, about = [], {"options": {}, "kept": {}, "seconds_per_frame": {}}
-    for group in filter(None, (own, *([view] for view in novel))):
-        name, frames = group[0].split, sorted(k for view in group for k in view.frames)
-        options = _pose_fit_options(len(frames))
-        found = fit_poses(avatar, group[0].video, options, frames, progress)
-        posed = lambda source, pose=found.pose: replace(source, pose=pose)
-        found_views += [view.through(posed, FITTED) for view in group]
-        about["kept"] |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
-        about["options"][name] = asdict(options)
-        about["seconds_per_frame"][name] = found.seconds_per_frame
-        kind = "test" if name in OF_VIDEO else "novel"
-        for what in (f"{kind} pictures", f"{kind} masks"):
-            if FITTED not in protocol["seen"].setdefault(what, []):
-                protocol["seen"][what].append(FITTED)
+    numbers = lambda group: sorted(k for view in group for k in view.frames)
+    fits = [(group, numbers(group)) for group in (own, *([view] for view in novel)) if group]
+    losses = sum(len(frames) * _pose_fit_options(len(frames)).passes for _, frames in fits)
+    with helper_processes(workers, losses >= SHARED_LOSSES) as helpers:
+        for group, frames in fits:
+            name, options = group[0].split, _pose_fit_options(len(frames))
+            found = fit_poses(avatar, group[0].video, options, frames, progress, helpers)
+            posed = lambda source, pose=found.pose: replace(source, pose=pose)
+            found_views += [view.through(posed, FITTED) for view in group]
+            about["kept"] |= {f"{name} {frame}": reason for frame, reason in found.kept.items()}
+            about["options"][name] = asdict(options)
+            about["seconds_per_frame"][name] = found.seconds_per_frame
+            kind = "test" if name in OF_VIDEO else "novel"
+            for what in (f"{kind} pictures", f"{kind} masks"):
+                if FITTED not in protocol["seen"].setdefault(what, []):
+                    protocol["seen"][what].append(FITTED)
     protocol["pose_fit"] = about
     return found_views
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d
+from torch.autograd.function import FunctionCtx
 
 from gva_mi.core.options import PythonOnly, Weight, options_of
 from gva_mi.splat import Image
@@ -110,11 +110,49 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     if min(image.shape[:2]) < SSIM_SIDE:
         raise ValueError(f"ssim(): images must be at least 11 x 11, got {tuple(image.shape[:2])}")
     off = torch.arange(SSIM_SIDE, dtype=image.dtype) - SSIM_SIDE // 2
-    window = torch.exp(-0.5 * (off / SSIM_SIGMA) ** 2)[None, None, None]
-    window = window / window.sum()
+    window = torch.exp(-0.5 * (off / SSIM_SIGMA) ** 2)
+    weights = (window / window.sum()).tolist()
+    along = lambda axis, x: _WindowMeans.apply(x, weights, axis)
+    means = lambda *maps: along(-2, along(-1, torch.stack(maps)))
     x, y = image.movedim(2, 0), target.detach().movedim(2, 0)
-    products = torch.stack([x, y, x * x, y * y, x * y]).flatten(0, 1)[:, None]
-    a, b, u, v, w = conv2d(conv2d(products, window), window.mT).unflatten(0, (5, -1))
+    (a, u, w), (b, v) = means(x, x * x, x * y), means(y, y * y)
     L = (2 * a * b + SSIM_C1) / (a * a + b * b + SSIM_C1)
     K = (2 * (w - a * b) + SSIM_C2) / (u - a * a + v - b * b + SSIM_C2)
     return (L * K).mean()
+
+
+class _WindowMeans(torch.autograd.Function):
+    """Weighted means over a sliding window along one axis, ``y_i = Σ_k w_k x_(i+k)``.
+
+    They have the bits of torch's ``conv2d``, whose code for a single channel takes five times as
+    long or more. So do gradients, whose products are rounded before they are added along rows, and
+    not along columns.
+    """
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, x: Tensor, weights: list[float], axis: int) -> Tensor:
+        ctx.weights, ctx.axis = weights, axis
+        return _window_means(x, weights, axis)
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, x: Tensor, *_: None) -> Tensor:
+        return _window_means(x, ctx.weights, ctx.axis)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor, None, None]:
+        axis, shape = ctx.axis, list(grad.shape)
+        count, shape[axis] = shape[axis], shape[axis] + len(ctx.weights) - 1
+        total = grad.new_zeros(shape)
+        for k, weight in enumerate(ctx.weights):
+            part = total.narrow(axis, k, count)
+            part.add_(grad * weight) if axis == -1 else part.add_(grad, alpha=weight)
+        return total, None, None
+
+
+def _window_means(x: Tensor, weights: list[float], axis: int) -> Tensor:
+    count = x.shape[axis] - len(weights) + 1
+    total = x.narrow(axis, 0, count) * weights[0]
+    for k, weight in enumerate(weights[1:], 1):
+        total.add_(x.narrow(axis, k, count), alpha=weight)  # rounded once
+    return total

@@ -43,10 +43,10 @@ Tracking writes two files into the subject's folder::
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -56,15 +56,17 @@ from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.body.pose import Pose, save_poses
 from gva_mi.body.smplx import Rest
 from gva_mi.core.console import Progress, part_of_progress
-from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.cpu import one_thread, one_torch_thread
 from gva_mi.core.options import Metres, PythonOnly, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
+from gva_mi.core.tasks import Helpers
 from gva_mi.fit.losses import ssim
 from gva_mi.fit.poses import Face
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut, join
+from gva_mi.refine.frame_losses import with_gradient
 from gva_mi.refine.optimize import (
     DescentOptions,
     Learn,
@@ -144,6 +146,44 @@ class PictureAndMask:
         return loss * mask.numel() / mask.sum()
 
 
+class FramePose(NamedTuple):
+    """The pose of one frame."""
+
+    frame: int
+    arrays: list[np.ndarray]  # rotations (1, 55, 3), transl (1, 3), expression (1, E)
+    share: float | None  # of the frame in the loss of a step; None: no gradient is needed
+
+
+class PictureLosses:
+    """Losses of frames (eq. 3), computed in this process."""
+
+    def __init__(
+        self,
+        record: dict[str, Any],
+        seen: Mapping[int, PictureAndMask],
+        options: PhotometricOptions,
+    ) -> None:
+        """Compare the avatar of a record with frames, by number."""
+        self._avatar = Avatar.from_record(record).requires_grad_(False)
+        self._seen, self._options = seen, options
+
+    def __call__(self, poses: Sequence[FramePose]) -> list[tuple[float, list[np.ndarray]]]:
+        """Return the loss of each pose, and the gradient of its share with respect to arrays."""
+        return [self._loss(*pose) for pose in poses]
+
+    def _loss(
+        self, frame: int, arrays: list[np.ndarray], share: float | None
+    ) -> tuple[float, list[np.ndarray]]:
+        with torch.set_grad_enabled(share is not None):
+            leaves = [torch.from_numpy(x).requires_grad_(share is not None) for x in arrays]
+            loss = self._seen[frame].loss(self._avatar, Pose(*leaves), self._options)
+            if share is None:
+                return float(loss), []
+            of_share = loss.new_tensor(share)
+            gradient = torch.autograd.grad(loss, leaves, of_share, materialize_grads=True)
+        return float(loss.detach()), [x.numpy() for x in gradient]
+
+
 class PictureEvidence:
     """Evidence on the poses of a clip from its pictures, :class:`gva_mi.refine.optimize.Evidence`.
 
@@ -162,15 +202,17 @@ class PictureEvidence:
         self,
         avatar: Avatar,
         seen: Mapping[int, PictureAndMask],
+        losses: Callable[[Sequence[FramePose]], list[tuple[float, list[np.ndarray]]]],
         options: PhotometricOptions,
         face: Face,
         arms: Tensor,
     ) -> None:
         """Compare poses with some frames, at least one, by number; ``face`` is of the same frames.
 
-        ``arms`` (J,) are lever arms of the person's joints, metres.
+        ``losses`` are :class:`PictureLosses`; ``arms`` (J,) are lever arms of the person's joints,
+        metres.
         """
-        self._avatar, self._seen, self._options = avatar, seen, options
+        self._losses, self._options = losses, options
         self.face, self._arms = face, arms
         self.frames = sorted(seen)
         self.camera = seen[self.frames[0]].camera
@@ -179,8 +221,19 @@ class PictureEvidence:
     def loss(self, frames: Sequence[int], pose: Pose) -> Tensor:
         """Return the mean of eq. 3 over some frames in these poses, with their faces."""
         pose = self.face.corrected(pose, [self.frames.index(k) for k in frames])
-        loss = lambda k, pose: self._seen[k].loss(self._avatar, pose, self._options)
-        return torch.stack([loss(k, pose[i]) for i, k in enumerate(frames)]).mean()
+        arrays = pose.rotations, pose.transl, pose.expression
+
+        def mean(differentiated: bool) -> tuple[Tensor, list[Tensor]]:
+            share = 1 / len(frames) if differentiated else None
+            of_frame = lambda i: [x.detach()[i : i + 1].numpy() for x in arrays]
+            found = self._losses([FramePose(k, of_frame(i), share) for i, k in enumerate(frames)])
+            losses, gradients = zip(*found, strict=True)
+            whole = lambda parts: torch.from_numpy(np.concatenate(parts))
+            return pose.transl.new_tensor(losses).mean(), [
+                whole(parts) for parts in zip(*gradients, strict=True)
+            ]
+
+        return with_gradient(mean, *arrays)
 
     @property
     def shared(self) -> Sequence[tuple[Tensor, float]]:
@@ -196,6 +249,7 @@ class PictureEvidence:
         return self._options.prior_weight * self.face.energy()
 
 
+SHARED_LOSSES = 300  # of frames, from which helper processes pay; chosen by eye
 HEIGHT_FRAMES = 16  # masks whose median says how tall the person is; chosen: enough for one
 PERSON_PIXELS = 300  # height; chosen: poses that are fitted to a taller person are hardly better
 FITTED = "poses fitted to the pictures"  # row of scores under such poses
@@ -218,6 +272,7 @@ def fit_poses(
     options: PhotometricOptions = PhotometricOptions(),  # noqa: B008 (frozen)
     frames: Sequence[int] | None = None,
     progress: Progress | None = None,
+    helpers: Helpers | None = None,
 ) -> FittedPoses:
     """Fit the poses of the given frames to their pictures, seen through a fixed avatar.
 
@@ -229,6 +284,7 @@ def fit_poses(
         options: of the tracking.
         frames: numbers of the frames to fit; None: all. The others are not read.
         progress: called as ``progress(done, total, loss=...)`` after every step.
+        helpers: processes that share the frames of a step; the bits do not depend on them.
 
     Returns:
         Poses of all frames. Frames that cannot be fitted keep their pose and are in ``kept``:
@@ -248,10 +304,10 @@ def fit_poses(
     def look(frame: Frame) -> PictureAndMask:
         return PictureAndMask.of(frame, resting(frame.pose).means.double().numpy())
 
-    with one_torch_thread():
+    with one_thread() if helpers else one_torch_thread():
         seen = SpillCache(video.folder)
         kept = gather(wanted, video.absent, shrunk_to_tall(video).frames, look, seen)
-        pose = _fit_clips(resting, video.pose, seen, options, progress)
+        pose = _fit_clips(resting, video.pose, seen, options, progress, helpers)
         before, after = (_losses(resting, p, seen, options) for p in (video.pose, pose))
     worse = worse_frames(seen, before, after, digits=4)
     after = torch.where(after <= before, after, before)
@@ -282,6 +338,7 @@ def _fit_clips(
     seen: SpillCache[PictureAndMask],
     options: PhotometricOptions,
     progress: Progress | None,
+    helpers: Helpers | None,
 ) -> Pose:
     """Fit the poses of all frames, clip by clip."""
     rig = avatar.rig
@@ -293,7 +350,9 @@ def _fit_clips(
     for number, (clip, frames) in enumerate(zip(clips, seen_in, strict=True)):
         part = pose[clip.start : clip.stop]
         if frames:
-            evidence = _evidence(avatar, part, dict(frames), arms, options)
+            given = avatar.record(), dict(frames), options
+            losses = (helpers or Helpers()).share(PictureLosses, *given)
+            evidence = _evidence(avatar, part, frames, losses, arms, options)
             report = part_of_progress(progress, sum(steps[:number]), steps[number], sum(steps))
             part = descend(evidence, part, arms, options, report, try_uncorrected=True).pose
             with torch.no_grad():
@@ -309,6 +368,7 @@ def _evidence(
     avatar: Avatar,
     pose: Pose,
     seen: Mapping[int, PictureAndMask],
+    losses: Callable[[Sequence[FramePose]], list[tuple[float, list[np.ndarray]]]],
     arms: Tensor,
     options: PhotometricOptions,
 ) -> PictureEvidence:
@@ -320,7 +380,7 @@ def _evidence(
     stage1 = Stage1Poses.of(pose, frames, seen[frames[0]].camera)
     map_estimate = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
     faces = map_estimate, map_estimate.zeroed()
-    starts = [PictureEvidence(avatar, seen, options, face, arms) for face in faces]
+    starts = [PictureEvidence(avatar, seen, losses, options, face, arms) for face in faces]
     return min(starts, key=lambda start: float(start.loss(frames, pose[frames])))
 
 

@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.tasks import Helpers
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.refine.close_ups import FinePicture, WeightedView, close_ups, parts_of
 from gva_mi.refine.image_evidence import MaskAndNormals
@@ -38,12 +37,46 @@ class FrameBody(NamedTuple):
     close: bool  # whether close-ups count, if there are any
 
 
+def with_gradient(
+    compute: Callable[[bool], tuple[Tensor, list[Tensor]]], *inputs: Tensor
+) -> Tensor:
+    """Return a scalar that is computed together with its gradients, for autograd.
+
+    Args:
+        compute: returns the scalar, and gradients with respect to the inputs if it is called with
+            True.
+        inputs: that the scalar depends on.
+    """
+    return _WithGradient.apply(compute, *inputs)
+
+
+class _WithGradient(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: FunctionCtx, compute: Callable[[bool], tuple[Tensor, list[Tensor]]], *inputs: Tensor
+    ) -> Tensor:
+        value, gradients = compute(any(ctx.needs_input_grad))
+        ctx.save_for_backward(*gradients)
+        return value
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *(grad * gradient for gradient in ctx.saved_tensors)
+
+
 def mean_of_losses(vertices: Tensor, losses: Callable[[np.ndarray], list[FrameLoss]]) -> Tensor:
     """Return the mean of frames' losses, differentiable in the vertices (B, V, 3).
 
     ``losses`` computes them from plain vertices, with gradients.
     """
-    return _MeanLoss.apply(vertices, losses)
+
+    def mean(differentiated: bool) -> tuple[Tensor, list[Tensor]]:
+        found, gradients = zip(*losses(vertices.detach().numpy()), strict=True)
+        gradient = torch.from_numpy(np.stack(gradients)) / len(found)
+        return vertices.new_tensor(sum(found) / len(found)), [gradient]
+
+    return with_gradient(mean, vertices)
 
 
 def frame_loss(
@@ -80,22 +113,6 @@ def frame_loss(
     return FrameLoss(float(loss.detach()), None if gradient is None else gradient.numpy())
 
 
-class _MeanLoss(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: FunctionCtx, vertices: Tensor, losses: Callable[[np.ndarray], list[FrameLoss]]
-    ) -> Tensor:
-        found, gradients = zip(*losses(vertices.detach().numpy()), strict=True)
-        if ctx.needs_input_grad[0]:
-            ctx.save_for_backward(torch.from_numpy(np.stack(gradients)) / len(found))
-        return vertices.new_tensor(sum(found) / len(found))
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, grad_loss: Tensor) -> tuple[Tensor, None]:
-        (gradient,) = ctx.saved_tensors
-        return grad_loss * gradient, None
-
-
 class FrameLosses:
     """Losses of frames, computed in this process."""
 
@@ -116,7 +133,6 @@ class FrameLosses:
             silhouette: λ1.
             weights: λc of the close-ups, by the name of the part.
         """
-        self._given = body, evidence, fine, silhouette, weights  # for helper processes
         self._evidence, self._fine, self._silhouette = evidence, fine, silhouette
         self._scene = MeshScene(body.faces, body.v_template)
         self._parts = {part: w for part in parts_of(body) if (w := weights[part.name]) > 0}
@@ -130,7 +146,3 @@ class FrameLosses:
             views = [WeightedView(1.0, seen), *closer]
             losses.append(frame_loss(self._scene, body, views, silhouette, differentiated=True))
         return losses
-
-    def shared(self, helpers: Helpers) -> Callable[[Sequence[FrameBody]], list[FrameLoss]]:
-        """Return the same function, shared with helper processes."""
-        return helpers.share(self, FrameLosses, *self._given)

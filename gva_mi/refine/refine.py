@@ -61,7 +61,7 @@ from gva_mi.subject.video import Video
 # stage 1 are known. Chosen above 0: our stage 1 was solved from the same landmarks, so it agrees
 # with them better than the true pose does.
 KEPT_LOSS_MARGIN = 4.0
-# Losses of frames from which helper processes pay; they take 4 s to start. Chosen by eye.
+# Losses of frames from which helper processes pay. Chosen by eye.
 SHARED_LOSSES = 1000
 
 
@@ -122,7 +122,7 @@ def refine_all(
     """
     losses = sum(options.passes * max(len(video), STEPS_A_PASS) for video in videos)
     pays = isinstance(options, SequenceOptions) and losses >= SHARED_LOSSES
-    with helper_processes(min(workers, options.batch) - 1 if pays else 0) as helpers:
+    with helper_processes(min(workers, options.batch) if pays else 1, pays) as helpers:
         yield from _refined_all(videos, body, options, progress, helpers)
 
 

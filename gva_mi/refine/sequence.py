@@ -218,9 +218,8 @@ class ClothedPerson:
         rest = clip.body.rest(clip.shape)
         self._clip, self._options = clip, options
         weights = {"hand": options.close_hands, "foot": FOOT_WEIGHT}
-        seen = clip.evidence, clip.fine
-        losses = FrameLosses(clip.body, *seen, options.silhouette, weights)
-        self._losses = losses if helpers is None else losses.shared(helpers)
+        given = clip.body, clip.evidence, clip.fine, options.silhouette, weights
+        self._losses = (helpers or Helpers()).share(FrameLosses, *given)
         self._close = False
         self._stature = Stature.of(clip.body)
         self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)

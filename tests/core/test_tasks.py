@@ -177,7 +177,7 @@ def make_squares():
 def test_shared_items_keep_their_order(count):
     """With fewer items than processes, as many, and more; not with one that has not started."""
     pools, late = [Inline() for _ in range(count)], Inline(started=False)
-    shared = Helpers([late, *pools]).share(make_squares(), make_squares)
+    shared = Helpers([late, *pools]).share(make_squares)
     for length in (1, 2, count + 1, 7):
         for pool in pools:
             pool.given = []
@@ -191,7 +191,7 @@ def test_shared_items_keep_their_order(count):
 def test_a_helper_that_died_is_one_sentence():
     """No result is made up for the lost item."""
     pool = Inline()
-    shared = Helpers([pool]).share(make_squares(), make_squares)
+    shared = Helpers([pool]).share(make_squares)
     lost = Future()
     lost.set_exception(BrokenExecutor("a process ended"))
     pool.submit = lambda *given: lost
@@ -205,8 +205,8 @@ def make_pairs_with(name):
 
 @pytest.mark.slow
 def test_a_helper_process_makes_the_function_and_takes_its_share():
-    with helper_processes(1) as helpers:
-        shared = helpers.share(make_pairs_with("a"), make_pairs_with, "a")
+    with helper_processes(2, pays=True) as helpers:
+        shared = helpers.share(make_pairs_with, "a")
         until, found = time.monotonic() + 120, shared(range(4))
         while len({process for _, process, _ in found}) == 1 and time.monotonic() < until:
             time.sleep(0.1)

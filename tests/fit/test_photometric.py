@@ -1,5 +1,6 @@
 """Photometric tracking recovers known poses from pictures of a known avatar."""
 
+from concurrent.futures import Future
 from dataclasses import replace
 
 import drjit as dr
@@ -7,6 +8,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose
+from gva_mi.core.tasks import Helpers
 from gva_mi.fit.photometric import PhotometricOptions, fit_poses
 
 ELBOW, JAW = JOINTS.index("left_elbow"), JOINTS.index("jaw")
@@ -60,6 +62,23 @@ def test_the_same_options_give_the_same_bits_on_any_number_of_threads(known, wro
     finally:
         torch.set_num_threads(of_torch)
         dr.set_thread_count(of_drjit)
+
+
+class Inline:
+    """An executor that works at once, in this process."""
+
+    def submit(self, function, *given):
+        future = Future()
+        future.set_result(function(*given))
+        return future
+
+
+def test_helpers_that_share_frames_find_the_same_bits(known, wrong):
+    """In steps of three frames, whose gradients are thirds."""
+    options = replace(SHORT, batch=3)
+    alone = fit_poses(known, wrong, options)
+    shared = fit_poses(known, wrong, options, helpers=Helpers([Inline()]))
+    assert same(alone.pose, shared.pose) and torch.equal(alone.losses, shared.losses)
 
 
 def test_a_pose_that_is_right_stays(known, video):

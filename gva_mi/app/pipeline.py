@@ -167,10 +167,8 @@ def avatar(
 
     def evaluate_anew(begun: bool) -> None:
         tested = few is None and bool(load_video(subject).splits.test)
-        evaluate(
-            run, subject, poses=refined, body=body, fit_poses=tested, few=few, page=False,
-            workers=usual_workers(),
-        )  # fmt: skip
+        about = {"fit_poses": tested, "few": few, "page": False, "workers": usual_workers()}
+        evaluate(run, subject, poses=refined, body=body, **about)
 
     def report(begun: bool) -> None:
         trained = run_folder.under_trained_poses(load_video(subject, refined), run)

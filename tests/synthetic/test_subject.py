@@ -1,5 +1,7 @@
 """Persons, and their surfaces, dressed and bare."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
@@ -42,6 +44,14 @@ def test_a_bare_subject_is_the_body_itself_and_defined_by_its_seed(body):
     assert set(bare.material) == {int(Material.SKIN)}
     assert not torch.allclose(bare.shape.betas, other.shape.betas) and bare.look != other.look
     assert np.array_equal(bare.vertices, again.vertices) and bare.look == again.look
+
+
+def test_the_last_surface_is_kept_for_the_same_body(body):
+    same, other = copy.deepcopy(body), copy.deepcopy(body)
+    other.weights = other.weights.roll(1, dims=0)
+    bare = draw_surface(body, person(body, 0), bare=True)
+    assert draw_surface(same, person(body, 0), bare=True) is bare
+    assert draw_surface(other, person(body, 0), bare=True) is not bare
 
 
 def test_a_dressed_body_lies_in_its_mask_and_normals_match_the_depth(body, dressed):

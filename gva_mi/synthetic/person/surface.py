@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -128,9 +128,25 @@ class PersonSurface:
         return np.stack(frames).astype(np.float32)
 
 
-@lru_cache(maxsize=1)  # a program that made a subject often measures it next
+_last: dict[tuple[object, ...], PersonSurface] = {}  # what draw_surface returned last
+
+
 def draw_surface(body: BodyModel, person: SyntheticPerson, bare: bool = False) -> PersonSurface:
-    """Make the surface of a person on a body: dressed, or ``bare``, bald and in a swimsuit."""
+    """Make the surface of a person on a body: dressed, or ``bare``, bald and in a swimsuit.
+
+    The last one is kept: a program that made a subject often measures it next. By then it has
+    loaded the body again, so bodies are compared by their arrays.
+    """
+    arrays = (np.ascontiguousarray(x) for x in body.buffers())
+    key = *(sha256(x).digest() for x in arrays), person, bare
+    if key not in _last:
+        drawn = _draw_surface(body, person, bare)
+        _last.clear()
+        _last[key] = drawn
+    return _last[key]
+
+
+def _draw_surface(body: BodyModel, person: SyntheticPerson, bare: bool) -> PersonSurface:
     rng = np.random.default_rng([person.seed, 1])
     shape = Shape(torch.tensor(person.betas[: body.num_betas], dtype=torch.float32))
     rest = RestBody.of(body, shape)

@@ -150,10 +150,8 @@ def avatar(
     title = f"{'A draft avatar' if draft else 'An avatar'} of {video.name}"
 
     def prepare_anew(begun: bool) -> None:
-        prepare(
-            video, subject, options, own_masks, person=person, lens=lens, body=body,
-            overwrite=True,
-        )  # fmt: skip
+        named = {"person": person, "lens": lens, "body": body}
+        prepare(video, subject, options, own_masks, **named, overwrite=True)
 
     def check_anew(begun: bool) -> None:
         write_json(findings, check(subject, body=body).to_json())

@@ -1,14 +1,16 @@
-"""Hooks of mkdocs: pages of the site that are files of the repository, and formulas as MathML.
+"""Hooks of mkdocs: pages that are files of the repository, formulas as MathML, drawings as SVG.
 
 On the forge, pages link to code and lessons by relative paths. On the site, such a link leads to a
 page that shows the file: ``../gva_mi/core/llvm.py`` becomes
 ``source/gva_mi/core/llvm.py.md``. README.md is the page ``demo.md``, and CHANGELOG.md is
-``changes.md``. Formulas become MathML, without a script.
+``changes.md``. Formulas become MathML, and drawings SVG: the site needs no script for them, and no
+network. The font of the formulas is STIX Two Math (OFL), which the package ziamath brings.
 """
 
 from __future__ import annotations
 
 import html
+import itertools
 import json
 import re
 import tempfile
@@ -31,6 +33,8 @@ _FORMULA = re.compile(
 )  # as pymdownx.arithmatex leaves them
 _kept: list[tempfile.TemporaryDirectory] = []  # until the process ends
 _TAG = re.compile(r"\\tag\{(.*?)\}")
+_DRAWING = re.compile(r'<pre class="mermaid"><code>(.*?)</code></pre>', re.DOTALL)
+FONT = "STIXTwoMath-Regular.ttf"  # that site.css names
 
 
 def links(markdown: str) -> list[str]:
@@ -90,6 +94,19 @@ def mathml(page: str) -> str:
     return _FORMULA.sub(one, page)
 
 
+def drawings(page: str) -> str:
+    """Draw a page's Mermaid flowcharts, by Mermaid itself."""
+    import mermaidx
+
+    numbers = itertools.count()
+
+    def one(match: re.Match[str]) -> str:
+        svg = mermaidx.render(html.unescape(match[1])).svg()
+        return f'<div class="drawing">{svg.replace("my-svg", f"drawing-{next(numbers)}")}</div>'
+
+    return _DRAWING.sub(one, page)
+
+
 def on_config(config: MkDocsConfig) -> None:
     """Let mkdocstrings find ``gva_mi_plugins``, whose folder is ``plugins/``."""
     _kept.append(tempfile.TemporaryDirectory(prefix="gva_mi_docs_"))
@@ -102,8 +119,12 @@ on_config.mkdocs_priority = 100  # before mkdocstrings reads its own configurati
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add a page for each file of the repository that a page links to."""
+    """Add a page for each file of the repository that a page links to, and the formulas' font."""
+    import ziamath
     from mkdocs.structure.files import File
+
+    font = Path(ziamath.__file__).parent / "fonts" / FONT
+    files.append(File.generated(config, FONT, abs_src_path=str(font)))
 
     lessons = {path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")}
     sources = lessons | set(AT_THE_TOP)
@@ -144,5 +165,5 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def on_page_content(html: str, **_: object) -> str:
-    """Convert formulas to MathML."""
-    return mathml(html)
+    """Convert formulas to MathML and drawings to SVG."""
+    return drawings(mathml(html))

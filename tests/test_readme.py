@@ -68,7 +68,7 @@ def commands(page):
 
 def anchors(page):
     """Return the anchors that a forge gives to the headings of a page."""
-    heads = re.findall(r"^#+ (.*)", BLOCKS.sub("", page.read_text()), re.MULTILINE)
+    heads = re.findall(r"^#+ (.*)", BLOCKS.sub("", text_of(page)), re.MULTILINE)
     heads = [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads]
     return {*heads, *re.findall(r"^::: (\S+)", page.read_text(), re.MULTILINE)}
 
@@ -278,25 +278,50 @@ def test_python_programs_run(name, end):
         exec(compile(program, name, "exec"), {})
 
 
+def dead_links(page):
+    """Yield the relative links of a page or lesson that have no page on the site, or no heading."""
+    text = BLOCKS.sub("", text_of(page))
+    for link in site_pages.links(text):  # a folder has no page, nor has a file beside the project
+        path = (page.parent / link).resolve()
+        if not path.is_file() or not path.is_relative_to(ROOT):
+            yield f"{page.name}: {link}"
+    for link, anchor in re.findall(r"\]\(([^)\s#:]*)#([^)\s]+)\)", text):
+        to = page.parent / link if link else page
+        if to.is_file() and anchor not in anchors(to):
+            yield f"{page.name}: {link}#{anchor}"
+
+
+def not_in_the_menu(menu, pages):
+    """Return the pages that only the menu or only the site has; hooks add lessons and others."""
+    named = set(re.findall(r": ([\w/.]+\.md)$", menu, re.MULTILINE))
+    lessons = {f"notebooks/{path.name}" for path in LESSONS}
+    hooks = {site_pages.page_of(name) for name in (*lessons, *site_pages.AT_THE_TOP)}
+    return named ^ ({str(page.relative_to(ROOT / "docs")) for page in pages} | hooks)
+
+
 def test_every_link_leads_to_a_file_or_a_heading():
-    wrong = []
-    for page in PAGES:
-        links = site_pages.links(page.read_text())  # a folder has no page on the site
-        wrong += [f"{page.name}: {x}" for x in links if not (page.parent / x).is_file()]
-        text = BLOCKS.sub("", page.read_text())
-        for link, anchor in re.findall(r"\]\(([^)\s#:]*)#([^)\s]+)\)", text):
-            if anchor not in anchors(page.parent / link if link else page):
-                wrong.append(f"{page.name}: {link}#{anchor}")
-    assert not wrong
+    pages = (*PAGES, *LESSONS, ROOT / "CHANGELOG.md")
+    assert not [link for page in pages for link in dead_links(page)]
 
 
 def test_the_menu_and_the_pages_agree():
-    """The menu also has lessons and pages that hooks add."""
     menu = (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2].partition("\nplugins:")[0]
-    named = set(re.findall(r": ([\w/.]+\.md)$", menu, re.MULTILINE))
-    own = {str(page.relative_to(ROOT / "docs")) for page in PAGES[1:]}
-    lessons = {f"notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")}
-    assert named == own | {site_pages.page_of(name) for name in (*lessons, *site_pages.AT_THE_TOP)}
+    assert not not_in_the_menu(menu, PAGES[1:])
+    assert not_in_the_menu(menu.replace("paper.md", "papers.md"), PAGES[1:]) == {
+        "paper.md", "papers.md"
+    }  # fmt: skip
+
+
+def test_faults_that_stop_the_building_of_the_site_are_found_without_it(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Head\n\n[a](#head) [b](#heads) [c](gone.md) [d](page.md#no) [e](https://x.org/#y)\n\n"
+        "```sh\n# [in a program](nowhere.md)\n```\n"
+    )
+    outside = "page.md: page.md"  # it is there, but not in the project
+    assert sorted(dead_links(page)) == sorted(
+        ["page.md: #heads", "page.md: gone.md", outside, "page.md: page.md#no"]
+    )
 
 
 def test_every_module_of_the_reference_exists():
@@ -320,3 +345,8 @@ def test_the_site_is_built(tmp_path):
     assert "overview.png" in index and "\\tag" not in page and page.count("<math") > 100
     assert 'href="source/gva_mi/splat/kernels/pixel.py.html"' in page
     assert "(N, 3)" in (tmp_path / "api/splat.html").read_text()
+    drawn = (tmp_path / "architecture.html").read_text()  # without a network
+    assert drawn.count("<svg id=") == 4 and 'class="mermaid"' not in drawn
+    assert (tmp_path / site_pages.FONT).exists() and site_pages.FONT in (
+        tmp_path / "site.css"
+    ).read_text()

@@ -1,1 +1,1 @@
-"""Benchmarks of a checkout: ``gva-mi bench splat|growth|fit``."""
+"""Benchmarks of a checkout: ``gva-mi bench splat|growth|fit|table``."""

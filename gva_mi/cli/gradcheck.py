@@ -139,23 +139,27 @@ def _normals(options: GradcheckOptions) -> Iterator[tuple[str, Report]]:
 
 
 def bench(
-    what: Positional[Literal["splat", "growth", "fit"]],
+    what: Positional[Literal["splat", "growth", "fit", "table"]],
     *,
     repeats: Annotated[int, Within(1, 100_000)] = 20,
     scene: Path | None = None,
+    video: Path | None = None,
 ) -> None:
-    """Measure the speed of the renderer, of larger scenes, or of a fit and a refinement.
+    """Measure the speed of the renderer, of larger scenes, of a fit, or of whole commands.
 
-    Prints tables of milliseconds; on a shared machine trust only ratios within one run.
+    Prints tables; on a shared machine trust only ratios within one run.
 
     Args:
-        what: the part to measure; growth: larger scenes and more threads.
+        what: the part to measure; growth: larger scenes and more threads; table: the renderer, a
+            step of the fit, and the steps of demo, avatar and batch.
         repeats: calls per figure.
         scene: splat: a .ply or .glb of Gaussians; without it, a person of 20,000 Gaussians at
             512 px.
+        video: table: a video to make an avatar of; without it, a rendered one.
     """
-    if what != "splat" and scene is not None:
-        raise InputError(f"bench {what}: --scene is an option of bench splat")
+    for of, option, file in (("splat", "scene", scene), ("table", "video", video)):
+        if what != of and file is not None:
+            raise InputError(f"bench {what}: --{option} is an option of bench {of}")
     if not (CHECKOUT / "benchmarks/splat.py").exists():
         raise InputError(
             "bench: benchmarks are in the repository and not in the installed package; clone it "
@@ -163,6 +167,7 @@ def bench(
         )
     if str(CHECKOUT) not in sys.path:
         sys.path.insert(0, str(CHECKOUT))
-    options = {} if scene is None else {"path": scene}
+    given = {"path": scene, "video": video}
+    options = {name: file for name, file in given.items() if file is not None}
     for table in import_module(f"benchmarks.{what}").run(repeats, **options):
         say(f"{table}\n")

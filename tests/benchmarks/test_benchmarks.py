@@ -1,6 +1,7 @@
 """Every benchmark runs at a tiny size; times themselves are not tested."""
 
 import importlib.util
+import itertools
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +16,7 @@ from gva_mi.splat import render
 from gva_mi.splat.scene import person_scene
 
 ROOT = Path(__file__).parents[2]
+DEMO_STEPS = ("make_subject", "refine", "fit", "evaluate")
 TINY = {
     "splat": {"gaussians": 300, "size": 64},
     "fit": {"gaussians": 300, "size": 32},
@@ -34,6 +36,18 @@ def test_a_benchmark_runs(name):
         assert table.rows and len(str(table).splitlines()) == 2 + len(table.rows)
         times = [v for row in table.rows for k, v in row.items() if k.endswith(("ms", "min s"))]
         assert all(time > 0 for time in times)
+
+
+@pytest.mark.slow
+def test_the_steps_of_a_command_have_wall_and_cpu_times():
+    """Of the demo, at the size of its own test; the tables before it are those of others."""
+    table, pipeline = import_module("benchmarks.table"), import_module("gva_mi.app.pipeline")
+    demo = pipeline.DemoOptions(frames=6, size=64, steps=4)
+    sizes = table.Sizes(gaussians=(300,), pixels=32, demo=demo)
+    *_, steps = itertools.islice(table.run(1, None, sizes), 4)
+    assert [row["step"] for row in steps.rows] == [*DEMO_STEPS, "all"]
+    *parts, whole = (row["CPU s"] for row in steps.rows)
+    assert min(parts) > 0 and sum(parts) == pytest.approx(whole, rel=0.1)
 
 
 def test_growth_counts_the_pairs_and_restores_the_count_of_threads(monkeypatch):

@@ -35,6 +35,7 @@ from concurrent.futures import (
 )
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from gva_mi.core.console import Progress, part_of_progress, say
@@ -179,6 +180,16 @@ def worker_processes(
     pool.shutdown(cancel_futures=True)
 
 
+class _ByTurns(Executor):
+    """An executor that gives its work to others, one after another."""
+
+    def __init__(self, pools: Sequence[Executor]) -> None:
+        self._turns = cycle(pools)
+
+    def submit(self, work: Callable[..., Result], /, *given: Any) -> Future[Result]:  # noqa: ANN401
+        return next(self._turns).submit(work, *given)
+
+
 class Helpers:
     """Processes that take shares of the items that this process works on."""
 
@@ -200,10 +211,7 @@ class Helpers:
             make: makes the function in a process, from ``given``. The result of an item depends on
                 the item alone. All that processes exchange must be possible to pickle.
         """
-        here = make(*given)
-        # By value: queues would pass each tensor of torch as an open file.
-        recipe = pickle.dumps((make, given), pickle.HIGHEST_PROTOCOL) if self._pools else b""
-        starting = {pool: pool.submit(_make_work, recipe) for pool in self._pools}
+        here, starting = make(*given), self._made(make, given)
 
         def shared(items: Sequence[Item]) -> list[Result]:
             try:
@@ -225,6 +233,29 @@ class Helpers:
             return found
 
         return shared
+
+    def in_order(
+        self,
+        make: Callable[..., Callable[[Sequence[Item]], list[Result]]],
+        *given: Any,  # noqa: ANN401
+    ) -> Callable[[Iterable[Item]], Iterator[Result]]:
+        """Return a function that yields the results of items in order, one process after another.
+
+        ``make`` and ``given`` are as for :meth:`share`; this process does none of the work.
+        """
+        pool, ahead = _ByTurns(tuple(self._made(make, given))), 2 * len(self)
+
+        def results(items: Iterable[Item]) -> Iterator[Result]:
+            for (result,) in in_order(pool, _do_work, ([item] for item in items), ahead):
+                yield result
+
+        return results
+
+    def _made(self, make: Callable[..., Any], given: Sequence[Any]) -> dict[Executor, Future[bool]]:
+        """Let each process make a function; return the futures of that."""
+        # By value: queues would pass each tensor of torch as an open file.
+        recipe = pickle.dumps((make, given), pickle.HIGHEST_PROTOCOL) if self._pools else b""
+        return {pool: pool.submit(_make_work, recipe) for pool in self._pools}
 
 
 @contextmanager

@@ -28,7 +28,6 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -42,7 +41,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.atomic import atomic_dir
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_json, write_arrays, write_json
-from gva_mi.core.tasks import in_order, worker_processes
+from gva_mi.core.tasks import helper_processes
 from gva_mi.splat import Camera
 from gva_mi.subject.fingerprint import fingerprint, require_same_body
 from gva_mi.subject.folder import FRAMES, SPLITS, SYNTH, TRUTH, VIDEO, SubjectWriter
@@ -101,11 +100,19 @@ def make_subject(
     """
     views = min(options.novel_views, options.frames)
     total, done = options.frames + options.novel_poses + views, count(1)
-    drawn_on = options.drawn_on(body)
-    subject = options.subject_on(drawn_on)
-    staging = Staging(options, drawn_on, subject)
-    renderer = partial(Renderer, subject, staging.room(), options.light)
-    with atomic_dir(Path(out), replaced) as folder, _rendering(renderer, options.workers) as draw:
+    drawn_on, shared = options.drawn_on(body), options.workers > 1
+    # The processes start while the subject is drawn.
+    with (
+        atomic_dir(Path(out), replaced) as folder,
+        helper_processes(options.workers + 1, shared) as helpers,
+    ):
+        subject = options.subject_on(drawn_on)
+        staging = Staging(options, drawn_on, subject)
+        renderer = partial(Renderer, subject, staging.room(), options.light)
+        if shared:
+            draw = helpers.in_order(_make_render, renderer)
+        else:
+            draw = partial(map, partial(_render_job, renderer()))
 
         def render(jobs: Iterable[RenderJob]) -> Iterator[np.ndarray]:
             for result in draw(jobs):
@@ -301,20 +308,10 @@ class _SubjectContents:
         writer.poses(near.pose, near.shape, stage=0)
 
 
-@contextmanager
-def _rendering(make: Callable[[], Renderer], workers: int) -> Iterator[Render]:
-    """Yield a function that renders jobs, writes their files and yields results in order.
-
-    Each of the ``workers`` makes a renderer; a single one is this process.
-
-    Raises:
-        InputError: a worker process died.
-    """
-    if workers == 1:
-        yield partial(map, partial(_render_job, make()))
-        return
-    with worker_processes(workers, _start_worker, make) as pool:
-        yield partial(in_order, pool, _render_in_worker, ahead=2 * workers)
+def _make_render(make: Callable[[], Renderer]) -> Callable[[Iterable[RenderJob]], list[np.ndarray]]:
+    """Return a function that renders jobs and writes their files, with a renderer of its own."""
+    renderer = make()
+    return lambda jobs: [_render_job(renderer, job) for job in jobs]
 
 
 def _render_job(renderer: Renderer, job: RenderJob) -> np.ndarray:
@@ -336,18 +333,6 @@ def _picture_seed(seed: tuple[int, ...]) -> int:
     """Return the renderer's seed of a picture, from the seed of its job."""
     random, _ = np.random.SeedSequence(seed).spawn(2)  # the second is for the errors
     return int(random.generate_state(1)[0])
-
-
-_renderer: Renderer | None = None  # of a worker process
-
-
-def _start_worker(make: Callable[[], Renderer]) -> None:
-    global _renderer
-    _renderer = make()
-
-
-def _render_in_worker(job: RenderJob) -> np.ndarray:
-    return _render_job(_renderer, job)
 
 
 def _link(source: Path | str, target: Path | str) -> None:

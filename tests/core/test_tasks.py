@@ -188,6 +188,17 @@ def test_shared_items_keep_their_order(count):
     assert len(late.given) == 1
 
 
+def test_helpers_alone_yield_results_in_order():
+    """Each takes items by turns."""
+    pools = [Inline() for _ in range(2)]
+    squares = Helpers(pools).in_order(make_squares)
+    assert list(squares(range(5))) == [k * k for k in range(5)]
+    assert [[given for (given,) in pool.given[1:]] for pool in pools] == [
+        [[0], [2], [4]],
+        [[1], [3]],
+    ]
+
+
 def test_a_helper_that_died_is_one_sentence():
     """No result is made up for the lost item."""
     pool = Inline()

@@ -41,8 +41,8 @@ OTHER_FORMATS = {  # what to do with files that Mitsuba does not read
     **dict.fromkeys((".ply", ".obj"), "name this mesh in one, as a shape"),
 }  # fmt: skip
 LIMITS = (
-    "surfaces are diffuse, light is as fine as the skin's vertices (1 cm), mirrors and glass show "
-    "the skin, hair is opaque in shadows"
+    "surfaces are diffuse, light is as fine as the skin's vertices (1 cm), curved mirrors and "
+    "glass show the skin, hair is opaque in shadows"
 )
 Metres = Annotated[float, Within(-1e4, 1e4, unit="metres")]
 Turn = Annotated[float, Within(-3600, 3600, unit="degrees")]

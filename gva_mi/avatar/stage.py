@@ -5,6 +5,9 @@
 2. C, α = splat(c), before the depth of the scene's shapes
 3. I   = C + (1 - α) sRGB(2^e L)      L: the scene with the proxy in it, as seen past the proxy
 
+In plane mirrors too, the camera sees Gaussians and not the proxy: L of a mirror's pixels is eq. 3
+with the camera's image in the mirror, times the mirror's reflectance.
+
 S, the light on Gaussians, and the sensors that see past a proxy and onto it belong to the plugin
 ``gaussian_splat`` (``plugins/gaussian_splat/lighting.py``). e is the exposure in
 stops.
@@ -28,7 +31,7 @@ Single Gaussians are brighter than white where pictures blend them to white, so 
 albedo is limited.
 
 Limits: surfaces are diffuse; the light is measured at the proxy's vertices, a centimetre apart;
-through glass, and in mirrors, the person is the proxy; hair is opaque in shadows.
+through glass, and in curved mirrors, the person is the proxy; hair is opaque in shadows.
 """
 
 from __future__ import annotations
@@ -204,7 +207,7 @@ class Stage:
         import drjit as dr
         import mitsuba as mi
         from gva_mi_plugins.gaussian_splat.lighting import Shares
-        from gva_mi_plugins.gaussian_splat.scene import OtherShapes
+        from gva_mi_plugins.gaussian_splat.scene import OtherShapes, plane_mirrors
 
         if mi.variant() != VARIANT:
             raise InputError(
@@ -218,7 +221,7 @@ class Stage:
         self.avatar, self.options, self.proxy = avatar, options, Proxy.of(avatar, surface)
         self.T_scene_avatar = np.eye(4) if T_scene_avatar is None else T_scene_avatar
         self.integrator = scene.integrator() or mi.load_dict({"type": "path"})
-        self.others = OtherShapes(scene, sensor or scene.sensors()[0])
+        self.others = OtherShapes(scene, sensor or scene.sensors()[0], plane_mirrors(scene))
 
         vertices, means = (
             x.detach().float().numpy() for x in (self.proxy.vertices, avatar.canonical.means)
@@ -251,10 +254,12 @@ class Stage:
         if sensor is not None:
             self.others = replace(self.others, sensor=sensor)
         self.place(pose)
-        color, alpha = self.person(pose, seed)
-        gain = 2**self.options.exposure
-        behind = to_srgb(gain * self.surroundings(seed))
-        return color + (1 - mi.TensorXf(alpha.array, (*alpha.shape, 1))) * behind
+        gaussians = self.gaussians(pose, seed)
+        behind = to_srgb(2**self.options.exposure * self.surroundings(seed))
+        for mirror in (*self.others.mirrors, None):
+            color, alpha = self.person(gaussians, mirror)
+            behind = color + (1 - mi.TensorXf(alpha.array, (*alpha.shape, 1))) * behind
+        return behind
 
     def place(self, pose: Pose) -> None:
         """Move the proxy to a pose of one frame."""
@@ -277,10 +282,9 @@ class Stage:
             found.append(self.around.mean(outside.light(direct, self.options.bake)).numpy())
         return np.mean(found, axis=0)
 
-    def person(self, pose: Pose, seed: int = 0) -> tuple[mi.TensorXf, mi.TensorXf]:
-        """Return C (H, W, 3) sRGB and α (H, W) of eq. 2, after :meth:`place`."""
+    def gaussians(self, pose: Pose, seed: int = 0) -> Gaussians:
+        """Return the Gaussians in the colours of eq. 1, Dr.Jit arrays, after :meth:`place`."""
         from gva_mi_plugins.gaussian_splat.integrator import to_srgb
-        from gva_mi_plugins.gaussian_splat.scene import SensorCamera
 
         with torch.no_grad():
             g = self.avatar(pose)
@@ -289,12 +293,34 @@ class Stage:
             parts.pop("sh")
             gain = 2**self.options.exposure
             parts["colors"] = to_srgb(gain * self.albedo * self.light(seed))
+        return Gaussians(**dict.fromkeys({"quats", "scales"} - parts.keys()), **parts)
+
+    def person(
+        self, gaussians: Gaussians, mirror: mi.Shape | None = None
+    ) -> tuple[mi.TensorXf, mi.TensorXf]:
+        """Return C (H, W, 3) sRGB and α (H, W) of eq. 2, or of the person's image in a mirror."""
+        import mitsuba as mi
+        from gva_mi_plugins.gaussian_splat.integrator import to_srgb
+        from gva_mi_plugins.gaussian_splat.scene import SensorCamera
+
         view = SensorCamera.of(self.others.sensor)
-        limit, camera = self.others.depth(view.camera), self.in_avatars_world(view.camera)
-        options = replace(AVATAR_SPLATTING, near=view.near, far=view.far)
-        absent = dict.fromkeys({"quats", "scales"} - parts.keys())
-        image = splat(Gaussians(**absent, **parts), camera, options, depth_limit=limit)
-        return image.color, image.alpha
+        options, camera = replace(AVATAR_SPLATTING, near=view.near, far=view.far), view.camera
+        if mirror is None:
+            limit = self.others.depth(camera)
+        else:
+            limit, tint = self.others.depth_in(mirror, camera)
+            plane = _plane(mirror, camera)
+            reflection = np.eye(4) - 2 * np.outer(plane * [1, 1, 1, 0], plane)
+            camera = replace(camera, T_camera_world=camera.T_camera_world @ reflection)
+            nx, ny, nz, d = plane @ self.T_scene_avatar
+            before = gaussians.means.numpy() @ [nx, ny, nz] + d > 0
+            opacities = gaussians.opacities * mi.TensorXf(before.astype(np.float32))
+            gaussians = replace(gaussians, opacities=opacities)
+        image = splat(gaussians, self.in_avatars_world(camera), options, depth_limit=limit)
+        if mirror is None:
+            return image.color, image.alpha
+        color = tint.array * mi.math.srgb_to_linear(image.color.array)
+        return to_srgb(mi.TensorXf(color, tint.shape)), image.alpha
 
     def in_avatars_world(self, camera: Camera) -> Camera:
         """Move a camera from the world of the scene to the world of the avatar's poses."""
@@ -305,6 +331,16 @@ class Stage:
         whole = replace(self.others, scene=self.whole.scene)
         image = whole.image(self.integrator, seed, self.options.spp, self.params, self.others)
         return image[:, :, :3]
+
+
+def _plane(mirror: mi.Shape, camera: Camera) -> np.ndarray:
+    """Return (n, d) with n · x + d = 0 on a mirror and a unit n towards the camera."""
+    import mitsuba as mi
+
+    at = mirror.sample_position(0, mi.Point2f(0.5))
+    p, n = (np.array(x, np.float64).ravel() for x in (at.p, at.n))
+    eye = np.linalg.inv(camera.T_camera_world)[:3, 3]
+    return np.sign(n @ (eye - p)) * np.append(n, -n @ p)
 
 
 def _tensor(x: Tensor) -> mi.TensorXf:

@@ -87,7 +87,8 @@ class Camera:
     fy: float  # focal length in y, pixels
     cx: float  # principal point, pixels from the left border
     cy: float  # principal point, pixels from the top border
-    T_camera_world: np.ndarray  # (4, 4) float64, rigid, takes world to camera
+    # (4, 4) float64, takes world to camera: rigid, or also mirrored, as behind a mirror
+    T_camera_world: np.ndarray
     width: int  # pixels
     height: int  # pixels
     model: CameraModel = "pinhole"

@@ -29,7 +29,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.stage import Stage, StageOptions
@@ -140,12 +139,10 @@ def relight_figures(
         scene | LIGHTS[light].emitters(), avatar, StageOptions("scene", bake=rays),
         surface=last_surface(run.out), filmed=video.pose,
     )  # fmt: skip
-    turned = torch.from_numpy(LIGHTS[light].direction).to(avatar.light)
-    ways = {
-        NOT_RELIT: [own_colors(avatar, pose) for pose in poses],
-        TURNED: [own_colors(avatar, pose, turned) for pose in poses],
-        RELIT: [stage_colors(stage, pose) for pose in poses],
-    }
+    ways = {NOT_RELIT: [own_colors(avatar, pose) for pose in poses]}
+    avatar.light.data = torch.from_numpy(LIGHTS[light].direction).to(avatar.light)
+    ways[TURNED] = [own_colors(avatar, pose) for pose in poses]
+    ways[RELIT] = [stage_colors(stage, pose) for pose in poses]
     figures = []
     for name, colors in ways.items():
         with torch.no_grad():
@@ -165,15 +162,10 @@ def relight_figures(
     return figures
 
 
-def own_colors(avatar: Avatar, pose: Pose, light: Tensor | None = None) -> np.ndarray:
-    """Return the avatar's own colours in a pose, linear (N, 3), or in a light turned to (3,)."""
-    kept = avatar.light.data
-    try:
-        avatar.light.data = kept if light is None else light
-        with torch.no_grad():
-            return linear((avatar(pose).sh[:, 0] * C0 + 0.5).numpy())
-    finally:
-        avatar.light.data = kept
+@torch.no_grad()
+def own_colors(avatar: Avatar, pose: Pose) -> np.ndarray:
+    """Return the avatar's own colours in a pose, linear (N, 3)."""
+    return linear((avatar(pose).sh[:, 0] * C0 + 0.5).numpy())
 
 
 def stage_colors(stage: Stage, pose: Pose) -> np.ndarray:

@@ -8,6 +8,8 @@ scene's light. Two sensors let a renderer look past it and at it.
 
   1. o' = o + (1 - NEAR) t d        t: distance of the first of the other shapes; or beyond them all
 
+  A ray that meets one of ``mirrors`` first is reflected before, and carries its reflectance.
+
 * ``onto_surface`` has one pixel per point of the proxy. Pixel k looks from a little above point k
   straight down at it, so an integrator measures the radiance that leaves the proxy there, with its
   own sampling, indirect light and derivatives:
@@ -39,6 +41,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from gva_mi_plugins.gaussian_splat.scene import reflected
 
 NEAR = 2e-4  # of eq. 1, share of the distance; chosen: far above float32's rounding
 ABOVE = 0.1  # h of eq. 2, in distances of neighbouring points; chosen: less than from limb to limb
@@ -54,6 +57,7 @@ class BehindPerson(mi.Sensor):
 
     Attributes:
         others: the scene without the proxy; set it before rendering the scene with the proxy.
+        mirrors: shapes of ``others`` in which the proxy is not seen either.
 
     Example:
         >>> near = {"type": "sphere", "center": [0, 0, 3]}  # black: there is no light
@@ -75,7 +79,7 @@ class BehindPerson(mi.Sensor):
         nested = [x for _, x in props.objects() if isinstance(x, mi.Sensor)]
         if len(nested) != 1:
             raise ValueError(f"behind_person: expected one nested sensor, got {len(nested)}")
-        self.nested, self.others = nested[0], None
+        self.nested, self.others, self.mirrors = nested[0], None, ()
         props["film"], props["sampler"] = self.nested.film(), self.nested.sampler()
         super().__init__(props)
 
@@ -85,7 +89,7 @@ class BehindPerson(mi.Sensor):
     ) -> tuple[mi.Ray3f, mi.Color3f]:  # fmt: skip
         """Sample a ray of the nested sensor and move its origin."""
         ray, weight = self.nested.sample_ray(time, sample1, sample2, sample3, active)
-        return self._moved(ray), weight
+        return ray, weight * self._move(ray)
 
     def sample_ray_differential(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f,
@@ -93,18 +97,25 @@ class BehindPerson(mi.Sensor):
     ) -> tuple[mi.RayDifferential3f, mi.Color3f]:  # fmt: skip
         """Sample a ray with differentials of the nested sensor and move its origin."""
         ray, weight = self.nested.sample_ray_differential(time, sample1, sample2, sample3, active)
-        return self._moved(ray), weight
+        return ray, weight * self._move(ray)
 
-    def _moved(self, ray: mi.Ray3f) -> mi.Ray3f:
+    def _move(self, ray: mi.Ray3f) -> mi.Color3f:
+        """Move a ray by eq. 1, and return the reflectance of mirrors on its way."""
         if self.others is None:
             raise ValueError("behind_person: set its attribute 'others', the scene without a proxy")
         with dr.suspend_grad():
             box = self.others.bbox()
-            found = self.others.ray_intersect_preliminary(ray, coherent=True)
+            found, weight = self.others.ray_intersect_preliminary(ray, coherent=True), mi.Color3f(1)
+            t = found.t
+            if self.mirrors:
+                hit, away, tint = reflected(ray, found, self.mirrors)
+                weight[hit] = tint
+                ray.o[hit], ray.d[hit] = away.o, away.d
+                t[hit] = self.others.ray_intersect_preliminary(away, active=hit).t
             reach = dr.norm(ray.o - mi.Point3f(box.center())) + dr.norm(mi.Vector3f(box.extents()))
-            t = dr.select(found.is_valid(), (1 - NEAR) * found.t, reach)
+            t = dr.select(dr.isfinite(t), (1 - NEAR) * t, reach)
         ray.o = ray(t)
-        return ray
+        return weight
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         """Offer the nested sensor's parameters."""

@@ -246,6 +246,33 @@ def by_id(parts: Iterable[mi.Object]) -> dict[str, mi.Object]:
     return named
 
 
+def plane_mirrors(scene: mi.Scene) -> tuple[mi.Shape, ...]:
+    """Return the rectangles of a scene that reflect perfectly and do nothing else.
+
+    Example:
+        >>> metal = {"type": "rectangle", "bsdf": {"type": "conductor"}}
+        >>> parts = {"metal": metal, "glass": metal | {"bsdf": {"type": "dielectric"}}}
+        >>> [shape.id() for shape in plane_mirrors(mi.load_dict({"type": "scene"} | parts))]
+        ['metal']
+    """
+    flags = lambda shape: int(shape.bsdf().flags()) & int(mi.BSDFFlags.All)
+    planes = [s for s in scene.shapes() if s.class_name() == "Rectangle" and s.bsdf()]
+    mirrors = (s for s in planes if flags(s) == int(mi.BSDFFlags.DeltaReflection))
+    return tuple(s for s in mirrors if not s.is_emitter())
+
+
+def reflected(
+    ray: mi.Ray3f, found: mi.PreliminaryIntersection3f, mirrors: Iterable[mi.Shape]
+) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f]:
+    """Reflect the rays that meet a mirror: which do, the rays after it, and its reflectance."""
+    hit = mi.Bool(False)
+    for mirror in mirrors:
+        hit |= found.is_valid() & (found.shape == mi.ShapePtr(mirror))
+    at = found.compute_surface_interaction(ray, mi.RayFlags.All, hit)
+    sample, tint = at.bsdf().sample(mi.BSDFContext(), at, 0.5, mi.Point2f(0.5), hit)
+    return hit, at.spawn_ray(at.to_world(sample.wo)), tint
+
+
 @dataclass(frozen=True)
 class OtherShapes:
     """All shapes of a scene except ellipsoids, with the scene's emitters and a sensor.
@@ -263,6 +290,7 @@ class OtherShapes:
 
     scene: mi.Scene
     sensor: mi.Sensor
+    mirrors: tuple[mi.Shape, ...] = ()  # that show what is behind a proxy, not the proxy
 
     @staticmethod
     def of(scene: mi.Scene, sensor: mi.Sensor, proxy: mi.Mesh | None = None) -> OtherShapes:
@@ -300,7 +328,7 @@ class OtherShapes:
         sensor = self.sensor
         if past is not None:
             sensor = mi.load_dict({"type": "behind_person", "sensor": sensor})
-            sensor.others = past.scene
+            sensor.others, sensor.mirrors = past.scene, past.mirrors
         params = mi.traverse(self.scene) if params is None else params
         image = mi.render(self.scene, params, sensor, integrator, seed=seed, spp=spp)
         if image.shape[2] not in (3, 4) or integrator.aov_names():
@@ -315,13 +343,35 @@ class OtherShapes:
 
         Infinite where there is no surface. Not differentiable.
         """
-        width, height = camera.width, camera.height
         with dr.suspend_grad():
-            pixel = dr.arange(mi.UInt32, width * height)
-            row = pixel // width
-            center = (mi.Point2f(pixel - row * width, row) + 0.5) / mi.Point2f(width, height)
-            ray, _ = self.sensor.sample_ray(0, 0, center, mi.Point2f(0.5))
-            found = self.scene.ray_intersect_preliminary(ray, coherent=True)
-            axis = mi.Vector3f(camera.T_camera_world[2, :3].tolist())
-            z = dr.dot(axis, ray(found.t)) + float(camera.T_camera_world[2, 3])
-            return mi.TensorXf(dr.select(found.is_valid(), z, dr.inf), (height, width))
+            ray, found = self._centers(camera)
+            return _depth(camera, ray, found.t)
+
+    def depth_in(self, mirror: mi.Shape, camera: Camera) -> tuple[mi.TensorXf, mi.TensorXf]:
+        """Return :meth:`depth` of what a mirror shows, 0 beside it, and its reflectance (H, W, 3).
+
+        The image of a point in a plane mirror is as far away as light has travelled.
+        """
+        with dr.suspend_grad():
+            ray, found = self._centers(camera)
+            hit, away, tint = reflected(ray, found, [mirror])
+            further = self.scene.ray_intersect_preliminary(away, active=hit)
+            depth = _depth(camera, ray, found.t + further.t)
+            inside = dr.select(hit, depth.array, 0)
+            return mi.TensorXf(inside, depth.shape), mi.TensorXf(dr.ravel(tint), (*depth.shape, 3))
+
+    def _centers(self, camera: Camera) -> tuple[mi.Ray3f, mi.PreliminaryIntersection3f]:
+        """Return rays through the centers of pixels, and what they meet."""
+        pixel = dr.arange(mi.UInt32, camera.width * camera.height)
+        row = pixel // camera.width
+        size = mi.Point2f(camera.width, camera.height)
+        center = (mi.Point2f(pixel - row * camera.width, row) + 0.5) / size
+        ray, _ = self.sensor.sample_ray(0, 0, center, mi.Point2f(0.5))
+        return ray, self.scene.ray_intersect_preliminary(ray, coherent=True)
+
+
+def _depth(camera: Camera, ray: mi.Ray3f, t: mi.Float) -> mi.TensorXf:
+    """Return the depth (H, W) along the camera's z of points on the rays of its pixels."""
+    axis = mi.Vector3f(camera.T_camera_world[2, :3].tolist())
+    z = dr.dot(axis, ray(t)) + float(camera.T_camera_world[2, 3])
+    return mi.TensorXf(dr.select(dr.isfinite(t), z, dr.inf), (camera.height, camera.width))

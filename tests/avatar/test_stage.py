@@ -1,5 +1,7 @@
 """An avatar in a Mitsuba scene."""
 
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 import pytest
@@ -42,7 +44,7 @@ def test_kept_light_keeps_the_persons_pixels_to_the_bit(known, turning, scene_of
     pose = turning(3)[0][1]
     stage = Stage(scene_of(), known)
     stage.place(pose)
-    color, alpha = (np.array(x) for x in stage.person(pose))
+    color, alpha = (np.array(x) for x in stage.person(stage.gaussians(pose)))
     layer = render_layer(known, pose, SensorCamera.of(stage.others.sensor).camera)
     np.testing.assert_array_equal(color, layer[..., :3])
     np.testing.assert_array_equal(alpha, layer[..., 3])
@@ -63,6 +65,38 @@ def test_a_person_who_is_elsewhere_in_the_scene_is_seen_from_there(known, scene_
     turned = {k: scene[k] | {"to_world": moved @ scene[k]["to_world"]} for k in ("sensor", "floor")}
     stage = Stage(scene | turned, known, StageOptions("scene", bake=4), T_scene_avatar=T)
     assert np.abs(np.array(stage.render(Pose.rest()) - whole)).mean() < 2e-3
+
+
+def test_a_plane_mirror_shows_the_person_as_a_camera_behind_it_sees_it(known, turning, scene_of):
+    """All of the picture is a mirror, in a grey sky; who stands behind it has no image."""
+    import mitsuba as mi
+    from gva_mi_plugins.gaussian_splat.integrator import to_srgb
+    from gva_mi_plugins.gaussian_splat.scene import SensorCamera
+
+    def mirrored(at):
+        to_world = mi.ScalarTransform4f().translate(at.tolist()).rotate([0, 1, 0], 20).scale(9)
+        mirror = {"type": "rectangle", "to_world": to_world, "bsdf": {"type": "conductor"}}
+        sky = {"type": "constant", "radiance": rgb(0.2, 0.2, 0.2)}
+        parts = scene_of(sky=sky, floor=mirror)
+        return Stage(parts, known, StageOptions("kept", spp=1))
+
+    pose, at = turning(3)[0][1], np.array([0.0, 0, -1.2])
+    stage = mirrored(at)
+    n = np.array([np.sin(np.radians(20)), 0, np.cos(np.radians(20))])
+    M = np.eye(4)
+    M[:3, :3] -= 2 * np.outer(n, n)
+    M[:3, 3] = 2 * (n @ at) * n
+    camera = SensorCamera.of(stage.others.sensor).camera
+    picture = to_srgb(mi.TensorXf([0.2])).numpy()
+    for T in (camera.T_camera_world @ M, camera.T_camera_world):
+        layer = render_layer(known, pose, replace(camera, T_camera_world=T))
+        assert layer[..., 3].max() > 0.9
+        picture = layer[..., :3] + (1 - layer[..., 3:]) * picture
+    np.testing.assert_allclose(np.array(stage.render(pose)), picture, atol=2e-3)
+
+    stage = mirrored(-at)
+    (mirror,) = stage.others.mirrors
+    assert not stage.person(stage.gaussians(pose), mirror)[1].numpy().any()
 
 
 @pytest.mark.parametrize("name", ["sky.radiance.value", "floor.bsdf.reflectance.value", "albedo"])

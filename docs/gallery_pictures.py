@@ -2,14 +2,19 @@
 
     python docs/gallery_pictures.py DEMO OUT
     python docs/gallery_pictures.py --eq8 SUBJECT OUT
+    python docs/gallery_pictures.py --phone ME OUT
+    python docs/gallery_pictures.py --ladder SUBJECT RUNS OUT
 
 DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``scenes.png``, ``check.png``,
 ``motions.png`` and ``exports.png`` are written into OUT. SUBJECT is a synthetic subject;
-``eq8.png`` is written.
+``eq8.png`` is written. ME is the folder of ``gva-mi avatar``; ``phone.webp`` is written. SUBJECT
+and RUNS are folders of ``gva-mi study avatar --rows ladder full``, one in ``videos/`` and one in
+``runs/``; ``ladder.png`` is written.
 
 The overview shows what an avatar is made of, and what it looks like in new poses. Above: a frame
-that training left out, its normals, the Gaussians drawn small, and the avatar from other sides.
-Below: the ground truth beside the render in two poses that are not in the video, and a raised hand.
+that training left out, its normals, the Gaussians drawn small, and the avatar from other sides. In
+the middle: the ground truth beside the render in poses that are not in the video. Below: face and
+hands of frames that training left out, enlarged, beside the avatar.
 """
 
 from __future__ import annotations
@@ -23,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from gva_mi import app
 from gva_mi.avatar.avatar import Avatar
@@ -33,7 +38,7 @@ from gva_mi.body.so3 import to_matrix, to_rotvec
 from gva_mi.evaluate.measure import SplitView
 from gva_mi.evaluate.pictures import shown_views, turntable
 from gva_mi.evaluate.pose_errors import pose_errors
-from gva_mi.evaluate.regions import person_box
+from gva_mi.evaluate.regions import Details, person_box
 from gva_mi.fit import paper, run_folder
 from gva_mi.fit.renders import CameraPath, cut_out, render_frame
 from gva_mi.mesh.mesh_scene import MeshScene
@@ -42,6 +47,8 @@ from gva_mi.refine import SequenceOptions, refine
 from gva_mi.refine.image_evidence import MaskAndNormals, common_scale
 from gva_mi.splat import look_at, render
 from gva_mi.splat.axes import with_axes
+from gva_mi.study.avatar_study import PRINTED_POSES, file_name
+from gva_mi.study.variants import FULL, LADDER
 from gva_mi.subject.folder import REFINED_POSES
 from gva_mi.subject.ground_truth import GroundTruth, load_ground_truth
 from gva_mi.subject.normals import normal_colors
@@ -51,7 +58,9 @@ from gva_mi.subject.video import Video, load_video
 from gva_mi.synthetic import SynthOptions, make_subject
 
 # Sizes are chosen by eye, for a page of the site.
-ROW_HEIGHT = 440  # pixels of a row of the overview
+ROW_HEIGHT = 400  # pixels of a row of the overview, without its labels
+CLOSE_HEIGHT = 200  # the same, of faces and hands, some 50 pixels in the demo's video
+LABEL_HEIGHT = 24  # pixels
 SIDE_VIEWS = 3  # other sides of the avatar in the overview
 NEW_POSE_SCALE = 2  # size of renders in new poses, relative to the video's pictures
 VIEW_SIZE = (240, 340)  # width and height in pixels of a view of motions.png and exports.png
@@ -60,6 +69,9 @@ VIEWS = 6  # of each of the two
 SCENES = (("room", 0, 0.7), ("studio", 4, 0), ("sky", 6, 0))
 SCENE_RAYS = 256  # per pixel
 SCENE_SIDE = 400  # pixels, of each picture
+STEPS = (0, 1, 4, 7)  # rows of the ladder that ladder.png shows, before the default
+PHONE_HEIGHT = 320  # pixels of the moving picture
+PHONE_MILLISECONDS = 120  # for each frame
 
 
 def gva_mi(*words: str | Path | float) -> None:
@@ -84,17 +96,40 @@ def save(image: np.ndarray, out: Path) -> None:
     Image.fromarray(image).quantize(200, dither=Image.Dither.NONE).save(out, optimize=True)
 
 
-def motions(run: Path, folder: Path) -> list[Path]:
+def motions(run: Path, folder: Path, path: CameraPath, frames: int = VIEWS) -> list[Path]:
     """Render the avatar in the dance of another subject."""
     dancer = folder / "dancer"
     options = SynthOptions(
-        motion="dance", frames=VIEWS, size=32, samples=1, bare=True,
+        motion="dance", frames=frames, size=32, samples=1, bare=True,
         novel_poses=0, novel_views=0,
     )  # fmt: skip
     make_subject(dancer, options, load_body())
     out = folder / "motions"
-    app.render(run, out, CameraPath("static", size=VIEW_SIZE), poses=dancer / "truth/poses.npz")
+    app.render(run, out, path, poses=dancer / "truth/poses.npz")
     return sorted(out.glob("*.png"))
+
+
+def phone(me: Path, folder: Path) -> list[Image.Image]:
+    """Return frames: the video, the avatar beside it in the same pose, and in a dance."""
+    video = load_video(me / "subject", me / "subject" / REFINED_POSES)
+    trained = run_folder.under_trained_poses(video, me / "run")
+    avatar = run_folder.load_avatar(me / "run")
+    seen = np.any([outline.mask > 0.5 for outline in video.outlines(range(len(video)))], axis=0)
+    box = person_box(seen, margin=0.05)
+    path = CameraPath("orbit", size=(PHONE_HEIGHT * 2 // 3, PHONE_HEIGHT))
+    dance = [read_image(name, 3) for name in motions(me / "run", folder, path, len(video))]
+    pictures = []
+    for k, new in enumerate(dance):
+        camera = box.cut_camera(video.cameras[k])
+        filmed = in_8_bits(box.cut(video[k].image))
+        parts = [filmed, render_frame(avatar, trained.pose[k], camera), new]
+        pictures.append(np.concatenate([_in_height(part, PHONE_HEIGHT) for part in parts], axis=1))
+    return [Image.fromarray(picture) for picture in pictures]
+
+
+def _in_height(part: np.ndarray, height: int) -> np.ndarray:
+    size = max(1, round(part.shape[1] * height / part.shape[0])), height
+    return np.asarray(Image.fromarray(part).resize(size, Image.Resampling.LANCZOS))
 
 
 def exports(run: Path, folder: Path) -> list[Path]:
@@ -122,65 +157,110 @@ def scenes(demo: Path, folder: Path) -> np.ndarray:
     return np.concatenate(pictures, axis=1)
 
 
+Panel = tuple[str, np.ndarray]  # a label, and a picture of 8 bits (H, W, 3)
+
+
 def overview(avatar: Avatar, video: Video) -> np.ndarray:
     """Return the picture, 8-bit (H, W, 3), on white.
 
     Args:
         avatar: to show.
-        video: opened with the poses that the avatar was trained under.
+        video: of a synthetic subject, opened with the poses that the avatar was trained under.
     """
-    rows = [list(_made_of(avatar, video))]
-    if (view := shown_views(avatar, video, load_body()).get("novel_pose")) is not None:
-        rows.append(list(_new_poses(avatar, view)))
-    return _stacked([np.concatenate([_scaled(part) for part in row], axis=1) for row in rows])
+    view = shown_views(avatar, video, load_body())["novel_pose"]
+    rows = (
+        (ROW_HEIGHT, _made_of(avatar, video)), (ROW_HEIGHT, _new_poses(avatar, view)),
+        (CLOSE_HEIGHT, _close_ups(avatar, video)),
+    )  # fmt: skip
+    in_rows = [[_labelled(*part, height) for part in row] for height, row in rows]
+    return _stacked([np.concatenate(row, axis=1) for row in in_rows])
 
 
-def _made_of(avatar: Avatar, video: Video) -> Iterator[np.ndarray]:
-    frame = video.with_true_mask(video[(video.splits.test or video.splits.train)[0]])
-    yield cut_out(frame)
-    if frame.normals is not None:
-        inside = frame.mask[..., None] > 0.5
-        yield in_8_bits(np.where(inside, normal_colors(frame.normals), 1))
+def _made_of(avatar: Avatar, video: Video) -> Iterator[Panel]:
+    frame = video.with_true_mask(video[video.splits.test[0]])
+    yield "held-out frame", cut_out(frame)
+    inside = frame.mask[..., None] > 0.5
+    yield "its normals", in_8_bits(np.where(inside, normal_colors(frame.normals), 1))
     with torch.no_grad():
         whole = with_axes(avatar(frame.pose))
         thin = replace(whole, scales=whole.scales / 3)
-        yield in_8_bits(render(thin, frame.camera, background=torch.ones(3)).color.numpy())
-    yield from list(turntable(avatar, frame.pose, SIDE_VIEWS + 1, video.size))[1:]
+        small = render(thin, frame.camera, background=torch.ones(3)).color.numpy()
+    yield "Gaussians, drawn small", in_8_bits(small)
+    for picture in list(turntable(avatar, frame.pose, SIDE_VIEWS + 1, video.size))[1:]:
+        yield "avatar", picture
 
 
-def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[np.ndarray]:
-    """Show ground truth and render of two poses, and of the hand that is raised highest in any."""
-    frames = {k: view.video.with_true_mask(view.video[k]) for k in view.frames}
-    boxes = [(k, person_box(frames[k].mask)) for k in spread(view.frames, 4)[1:3]]
-    if view.details is not None:
-        found = [(k, box) for k in frames for what, box in view.details.boxes(k) if what == "hands"]
-        boxes += sorted(found, key=lambda hand: hand[1].top)[:1]
-    for k, box in boxes:
-        yield box.cut(cut_out(frames[k]))
-        camera = box.cut_camera(frames[k].camera).resized(
+def _new_poses(avatar: Avatar, view: SplitView) -> Iterator[Panel]:
+    """Show ground truth and render of poses that the video does not hold."""
+    for k in spread(view.frames, 5)[1:4]:
+        frame = view.video.with_true_mask(view.video[k])
+        box = person_box(frame.mask)
+        yield "new pose: truth", box.cut(cut_out(frame))
+        camera = box.cut_camera(frame.camera).resized(
             NEW_POSE_SCALE * box.width, NEW_POSE_SCALE * box.height
         )
-        yield render_frame(avatar, frames[k].pose, camera)
+        yield "avatar", render_frame(avatar, frame.pose, camera)
 
 
-def _scaled(part: np.ndarray) -> np.ndarray:
-    """Crop a picture to its content, and scale it to the height of a row."""
-    from PIL import Image
+def _close_ups(avatar: Avatar, video: Video) -> Iterator[Panel]:
+    """Show a face and two hands of frames that training left out."""
+    details = Details.of(video, load_body())
+    found = [(what, k, box) for k in video.splits.test for what, box in details.boxes(k)]
+    faces, hands = ([x for x in found if x[0] == name] for name in ("face", "hands"))
+    for what, k, box in (faces[0], hands[0], hands[len(hands) // 2]):
+        frame = video.with_true_mask(video[k])
+        yield f"{what.removesuffix('s')}: held-out frame", box.cut(cut_out(frame))
+        camera = box.cut_camera(frame.camera).resized(CLOSE_HEIGHT, CLOSE_HEIGHT)
+        yield "avatar", render_frame(avatar, frame.pose, camera)
 
+
+def _labelled(label: str, part: np.ndarray, height: int) -> np.ndarray:
+    """Crop a picture to its content, scale it to a height, and write above it."""
     cut = person_box(part.min(-1) < 250).cut(part)
-    width = max(1, round(cut.shape[1] * ROW_HEIGHT / cut.shape[0]))
-    resized = Image.fromarray(cut).resize((width, ROW_HEIGHT), Image.Resampling.LANCZOS)
-    return np.asarray(resized)
+    width = max(1, round(cut.shape[1] * height / cut.shape[0]))
+    font = ImageFont.load_default(LABEL_HEIGHT * 2 / 3)
+    wide = max(width, int(font.getlength(label))) + LABEL_HEIGHT
+    panel = Image.new("RGB", (wide, height + LABEL_HEIGHT), "white")
+    shown = Image.fromarray(cut).resize((width, height), Image.Resampling.LANCZOS)
+    panel.paste(shown, ((wide - width) // 2, LABEL_HEIGHT))
+    ImageDraw.Draw(panel).text((wide / 2, 2), label, "black", font, "ma")
+    return np.asarray(panel)
 
 
 def _stacked(rows: list[np.ndarray]) -> np.ndarray:
     """Stack rows of different widths, each centred."""
     width = max(row.shape[1] for row in rows)
-    picture = np.full((len(rows) * ROW_HEIGHT, width, 3), 255, np.uint8)
-    for k, row in enumerate(rows):
-        left = (width - row.shape[1]) // 2
-        picture[k * ROW_HEIGHT : (k + 1) * ROW_HEIGHT, left : left + row.shape[1]] = row
-    return picture
+    left = [(width - row.shape[1]) // 2 for row in rows]
+    sides = [(x, width - row.shape[1] - x) for x, row in zip(left, rows, strict=True)]
+    return np.concatenate(
+        [
+            np.pad(row, ((0, 0), side, (0, 0)), constant_values=255)
+            for row, side in zip(rows, sides, strict=True)
+        ]
+    )
+
+
+def ladder(subject: Path, runs: Path) -> np.ndarray:
+    """Show a new view and a new pose: ground truth, and the avatars of some rows of the ladder."""
+    rows: list[list[Panel]] = [[], []]
+    for variant in [*(LADDER[k] for k in STEPS), FULL]:
+        run = runs / file_name(variant.name)
+        poses = PRINTED_POSES if variant.poses == "printed" else REFINED_POSES
+        trained = run_folder.under_trained_poses(load_video(subject, subject / poses), run)
+        avatar = run_folder.load_avatar(run)
+        views = shown_views(avatar, trained, load_body())
+        for row, split in zip(rows, ("novel_view", "novel_pose"), strict=True):
+            video, k = views[split].video, views[split].frames[1]
+            frame = video.with_true_mask(video[k])
+            box = person_box(frame.mask, margin=0.1)
+            if not row:
+                row.append((f"{split.replace('_', ' ')}: truth", box.cut(cut_out(frame))))
+            camera = box.cut_camera(frame.camera).resized(
+                NEW_POSE_SCALE * box.width, NEW_POSE_SCALE * box.height
+            )
+            row.append((variant.name, render_frame(avatar, frame.pose, camera)))
+    in_rows = [[_labelled(*part, ROW_HEIGHT) for part in row] for row in rows]
+    return _stacked([np.concatenate(row, axis=1) for row in in_rows])
 
 
 ANKLE_STEPS = np.linspace(-0.35, 0.35, 29)  # radians that the hip turns the leg; chosen by eye
@@ -263,6 +343,15 @@ def _draw_loss(axis, video: Video, k: int, body: BodyModel, truth: GroundTruth) 
 
 if __name__ == "__main__" and sys.argv[1] == "--eq8":
     eq8(Path(sys.argv[2]), Path(sys.argv[3]) / "eq8.png")
+elif __name__ == "__main__" and sys.argv[1] == "--ladder":
+    save(ladder(Path(sys.argv[2]), Path(sys.argv[3])), Path(sys.argv[4]) / "ladder.png")
+elif __name__ == "__main__" and sys.argv[1] == "--phone":
+    with tempfile.TemporaryDirectory() as name:
+        first, *others = phone(Path(sys.argv[2]), Path(name))
+    first.save(
+        Path(sys.argv[3]) / "phone.webp", save_all=True, append_images=others, loop=0,
+        duration=PHONE_MILLISECONDS, quality=70, method=6,
+    )  # fmt: skip
 elif __name__ == "__main__":
     demo, out = map(Path, sys.argv[1:])
     video = load_video(demo / "subject", demo / "subject" / REFINED_POSES)
@@ -275,5 +364,6 @@ elif __name__ == "__main__":
         Image.fromarray(scenes(demo, folder)).save(out / "scenes.png")
         app.check(demo / "subject", sheet=folder / "check.png")
         save(read_image(folder / "check.png", 3), out / "check.png")
-        save(in_a_row(motions(demo / "run", folder)), out / "motions.png")
+        path = CameraPath("static", size=VIEW_SIZE)
+        save(in_a_row(motions(demo / "run", folder, path)), out / "motions.png")
         save(in_a_row(exports(demo / "run", folder)), out / "exports.png")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 AT_THE_TOP = {"README.md": "demo.md", "CHANGELOG.md": "changes.md"}  # pages of Markdown already
-SHOWN_AS_THEY_ARE = (".md", ".png")  # of docs/
+SHOWN_AS_THEY_ARE = (".md", ".png", ".webp")  # of docs/
 _FENCES = re.compile(r"^(```+).*?^\1", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"(\]\()(?!\w+:)([^)\s#]+)((?:#[^)\s]*)?\))")  # a relative one
 _FORMULA = re.compile(

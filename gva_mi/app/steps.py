@@ -107,7 +107,7 @@ def prepare(
 def check(
     subject: Path | str, *, body: Path | str | None = None, sheet: Path | str | None = None
 ) -> CheckReport:
-    """Find everything that is wrong with a subject's folder, and what to film better, in one pass.
+    """Find all that is wrong with a subject's folder, and how to film it better, in one pass.
 
     Args:
         subject: the folder.

@@ -33,7 +33,7 @@ is that slope.
 
 **Repeated errors.** Errors last, and the same picture of a person gets the same errors. So ``m``
 frames that look the same count as one: at least the frames of a tenth of a second. A person who
-stands still, or repeats one movement, shows less in a minute than a person who turns round once.
+stands still, or repeats one movement, shows less in a minute than a person who turns around once.
 With the mean square distance ``d²`` between the landmarks of two frames, metres, after both are
 centred,
 

@@ -10,7 +10,7 @@ axes to the joint's. The part of the motion that is locked to the camera is, in 
 1. ``c = P mean_k (R_k - mean R)ᵀ m_k``,    ``P = A / |A|``,    ``A = mean_k |R_k - mean R|²``
 
 with ``A`` of the pelvis and ``|X|² = Xᵀ X``. ``P`` removes the axis about which the person turns.
-``c`` is the tilt itself if the person turns round, and zero if not; below half a turn the term is
+``c`` is the tilt itself if the person turns around, and zero if not; below half a turn the term is
 off. Images show the coordinate ``c_z``, about the line of sight, so it tells how large ``c`` is by
 chance. The two coordinates in depth cost what exceeds that chance, in nats in every frame,
 

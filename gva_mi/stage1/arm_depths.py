@@ -3,7 +3,7 @@
 A single picture hardly shows the depth of a bone. If the bone is nearly parallel to the picture's
 plane, its length in the picture hardly changes with depth, and the sign is never visible. So the
 most likely pose of one frame is often far from the mean of all poses that the frame leaves
-possible. But an arm that rests, in the axes of a body that turns round, is seen from all sides.
+possible. But an arm that rests, in the axes of a body that turns around, is seen from all sides.
 With the direction ``s_t`` of a bone in the axes of the chest, whose rotation is ``R_t``, a frame
 says
 

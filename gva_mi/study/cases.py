@@ -33,7 +33,7 @@ class Take:
     subject: str | None = None  # one of the four named subjects; None: drawn from the seed
     seed: int = 0
     motion: str = "turn"
-    figure: str = "own"  # or a body that the fitted one does not span
+    figure: str = "own"  # or a body outside the model's shape space
     outfit: str = "own"  # or clothes that nothing was tuned on
     bare: bool = False  # without clothes and hair
     scene: str = "white"  # or a room, filmed by a phone

@@ -1,7 +1,7 @@
 """``gaussian_splat``: an integrator that splats the ``ellipsoids`` of a scene (EWA splatting).
 
 It draws any scene made for Mitsuba's ray-traced ``volprim_rf_basic``, or loaded from a 3DGS .ply,
-with the kernels of ``gva_mi.splat``: no rays, no noise, and right gradients. The method is
+with the kernels of ``gva_mi.splat``: no rays, no noise, and correct gradients. The method is
 EWA splatting (Zwicker et al., 2002) as in 3D Gaussian splatting (Kerbl et al., 2023).
 
 1. C, α = splat(ellipsoids, sensor)         ``scene.py``

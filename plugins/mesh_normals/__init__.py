@@ -1,4 +1,4 @@
-"""``mesh_normals``: normals and silhouettes of meshes with right gradients.
+"""``mesh_normals``: normals and silhouettes of meshes with correct gradients.
 
 The files, in the order in which they build on one another:
 

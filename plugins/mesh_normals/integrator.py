@@ -1,4 +1,4 @@
-"""``mesh_normals``: an integrator that renders normals and mask of meshes, with right gradients.
+"""``mesh_normals``: an integrator that renders normals and mask of meshes, with correct gradients.
 
 .. pluginparameters::
 
@@ -19,7 +19,7 @@
    - Whether lines in which surfaces intersect have a gradient, too. (Default: true)
  * - flat_faces
    - |bool|
-   - Whether every image looks for faces whose corners have come to lie on a line. (Default: true)
+   - Whether every image looks for degenerate faces. (Default: true)
  * - pixel_aspect
    - |float|
    - Width of a pixel over its height, ``f_y / f_x``, which Mitsuba's sensors cannot express.

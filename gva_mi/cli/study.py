@@ -117,15 +117,16 @@ STUDIES = {
     "simulated": "refine --held-out-set 72 --frames 40 --size 320",
     "known": "refine --held-out-set 72 --error-models shape focal anything "
     "--frames 40 --size 320 --known",
-    "variants": f"avatar {_TWO} --size 256 --steps 1500 --no-fitted --rows full "
+    "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
     '"without refinement" "without trained poses" "without either" "true poses" '
     '"without hand skeleton" "without re-initialisation" "without re-initialisation, naked" '
     '"seeded on the naked body" "without stretching" "with residual" GART-like "static 3DGS" '
     '"one held-out range"',
-    "ladder": f"avatar {_FOUR} --size 256 --no-fitted --rows ladder full",
-    "videos": "avatar --held-out-set 72 --error-models video touch --steps 2000 --no-fitted "
+    "ladder": f"avatar {_FOUR} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
+    "videos": "avatar --held-out-set 72 --error-models video touch --frames 48 --steps 2000 "
+    "--no-fitted "
     "--rows full",
-    "any-lens": "refine --held-out-set 72 --error-models video --no-lens",
+    "any-lens": "refine --held-out-set 72 --error-models video --frames 48 --no-lens",
     "relit": "relight --held-out-set 69 --error-models white bursts --lights left right usual",
 }
 TABLE = "table.json"  # in the folder of `study all`: the figures of all its studies, one long table

@@ -30,6 +30,7 @@ SHORT = {  # set after the parameter cell
     "6_an_ablation": "",
     "9_a_phone_video": "SIDE, FRAMES, PASSES, STEPS = 192, 12, 1, 8",
     "10_a_scene": "SIZE, RAYS, ROWS, COLUMNS, STEPS = 48, 4, 3, 4, 2",
+    "11_what_one_camera_sees": "SIZE, FRAMES, PASSES = 96, 9, 1",
     "8_hands": "SIZE, FRAMES, STEPS, PASSES = 128, 9, 10, 2",
 }
 PARTS = ("overview", "you will learn", "setup", "reference", "initial state", "results",

@@ -164,7 +164,8 @@ def refine(
 ) -> list[MeasuredRefinement]:
     """Refine the poses of videos with their normals and masks: stage 2 of the paper, Eq. 8.
 
-    Writes poses_refined.npz, refinement.json and refinement.png into each subject's folder.
+    Writes poses_refined.npz, uncertainty.npz, refinement.json and refinement.png into each
+    subject's folder.
 
     Args:
         subjects: a folder with video, masks, cameras, stage-1 poses and perhaps normals; or several

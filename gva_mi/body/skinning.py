@@ -69,7 +69,16 @@ class _SkinPoints(torch.autograd.Function):
             out[part] = moved.mT
             blended.append(A)
         ctx.save_for_backward(points, weights, maps, *blended)
+        ctx.save_for_forward(points, weights, maps)
         return out
+
+    @staticmethod
+    def jvp(ctx: FunctionCtx, dpoints: Tensor, dweights: Tensor, dmaps: Tensor) -> Tensor:
+        points, weights, maps = ctx.saved_tensors[:3]
+        blend = lambda maps, weights: (maps @ weights.T).unflatten(1, (3, 4))  # (T, 3, 4, N)
+        A, dA = blend(maps, weights), blend(dmaps, weights) + blend(maps, dweights)
+        turned = lambda A, x: torch.einsum("tikn,tnk->tni", A[:, :, :3], x.expand(len(A), -1, -1))
+        return turned(A, dpoints) + turned(dA, points) + dA[:, :, 3].mT
 
     @staticmethod
     @torch.autograd.function.once_differentiable

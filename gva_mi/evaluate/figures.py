@@ -91,6 +91,8 @@ METRICS = {
     "change": Metric("+.0%"),  # of an error by the refinement, relative
     "increased": Metric(".0%"),  # share of frames whose error increased
     **{f"{stage} IoU": Metric(".3f", min) for stage in (*STAGES, "true", "mask")},
+    "in 90 % region": Metric(".0%", min),  # share of joints within their predicted 90 % region
+    **{f"{name}rms, mm": Metric(".1f") for name in ("", "predicted ")},  # of joints
     "IoU - limit": Metric("+.3f", min),  # of refined poses, less the IoU of true poses
     "s a frame": Metric(".2f"),
     "steps": Metric(",.0f"),

@@ -7,13 +7,15 @@ are 8-bit (H, W, 3), on white.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from gva_mi.avatar.avatar import Avatar
-from gva_mi.body.pose import Pose
+from gva_mi.avatar.rig import Rig
+from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.body.smplx import BodyModel
 from gva_mi.evaluate.measure import OF_VIDEO, Split, SplitView, aligned_views, views_of
 from gva_mi.evaluate.page import Picture, Section, picture
@@ -36,6 +38,7 @@ ZOOMED_PIXELS = 220  # about the side of an enlarged box
 DOT_SIZE = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
 DOTS_HEIGHT = 560  # pixels, height of the pictures of dots
 RED_LEVELS = 64  # levels of 255, difference that is fully red
+Scale = Sequence[tuple[tuple[int, int, int], str]]  # of Section
 SECTIONS: dict[Split, str] = {
     "test": "Test frames",
     "held_out_range": "The held-out range",
@@ -156,16 +159,74 @@ def seen_map(avatar: Avatar, video: Video, pose: Pose) -> Section:
         total = total - laplacian @ total
     low, high = np.log(SEEN_LIMITS)
     share = np.log((total[:, 0] / total[:, 1].clip(1e-9)).clip(1e-9))[near]
-    at = (2 * (share - low) / (high - low)).clip(0, 2)
-    colors = np.stack([np.interp(at, range(3), x) for x in np.array([c for c, _ in SEEN_SCALE]).T])
-    sh = torch.zeros_like(avatar.canonical.sh)
-    sh[:, 0] = torch.as_tensor((colors.T / 255 - 0.5) / C0).to(sh)
-    path, gaussians = CameraPath("turntable", frames=4, size=(300, 400)), avatar.animate(pose, sh)
-    pictures = [
-        picture(name, over(layer_of(gaussians.gaussians, shot.camera), np.array(WHITE)))
-        for name, shot in zip(SEEN_VIEWS, shots(path, rig, pose), strict=True)
-    ]
+    pictures = _colored(avatar, pose, 2 * (share - low) / (high - low), SEEN_SCALE)
     return Section("How well each part was seen", pictures, columns=4, scale=SEEN_SCALE)
+
+
+# Of trust_map: mm that are certain, and uncertain; between them by logarithm. Chosen: the errors of
+# the best and of the worst parts of the body in docs/studies.md.
+TRUST_LIMITS = 10.0, 60.0
+TRUST_SCALE = (
+    ((21, 94, 117), f"{TRUST_LIMITS[0]:.0f} mm"),
+    ((253, 230, 170), f"{np.sqrt(np.prod(TRUST_LIMITS)):.0f} mm"),
+    ((194, 65, 12), f"{TRUST_LIMITS[1]:.0f} mm and more"),
+)
+# Joints of the parts that the page names.
+PARTS = {
+    "trunk": ("spine1", "spine2", "spine3", "left_hip", "right_hip"),
+    "head": ("head",),
+    "left arm": ("left_elbow",), "right arm": ("right_elbow",),
+    "left hand": ("left_wrist", "left_middle1"), "right hand": ("right_wrist", "right_middle1"),
+    "left leg": ("left_knee",), "right leg": ("right_knee",),
+    "left foot": ("left_ankle", "left_foot"), "right foot": ("right_ankle", "right_foot"),
+}  # fmt: skip
+
+
+@torch.no_grad()
+def trust_map(avatar: Avatar, uncertainty: Tensor, pose: Pose) -> Section:
+    """Show the avatar in a pose, coloured by how uncertain the place of each part is.
+
+    Args:
+        avatar: to show.
+        uncertainty: (55,) of its joints, mm, of :func:`gva_mi.evaluate.refinement.joint_errors`.
+        pose: one frame.
+    """
+    from scipy.spatial import cKDTree
+
+    rig, found = avatar.rig, uncertainty.numpy()
+    mm = _along_bones(rig, found)[cKDTree(rig.vertices).query(avatar.canonical.means.numpy())[1]]
+    low, high = np.log(TRUST_LIMITS)
+    pictures = _colored(avatar, pose, 2 * (np.log(mm) - low) / (high - low), TRUST_SCALE)
+    of = {name: found[[JOINTS.index(x) for x in joints]].max() for name, joints in PARTS.items()}
+    best, worst = (f(of, key=of.get) for f in (min, max))
+    text = f"Trust the {best} most ({of[best]:.0f} mm), and the {worst} least ({of[worst]:.0f} mm)."
+    return Section("Which parts to trust", pictures, columns=4, text=text, scale=TRUST_SCALE)
+
+
+def _along_bones(rig: Rig, joints: np.ndarray) -> np.ndarray:
+    """Spread values (55,) of joints over the vertices (V,), between the ends of their bones."""
+    values, total = np.zeros(len(rig.vertices)), 0.0
+    for j in range(len(joints)):
+        ends = [j, *(k for k, parent in enumerate(rig.parents) if parent == j)]
+        gap = torch.cdist(rig.vertices, rig.joints[ends]).double().numpy()
+        near = 1 / gap.clip(1e-3) ** 2
+        weight = rig.weights[:, j].double().numpy()
+        values += weight * (near @ joints[ends]) / near.sum(1)
+        total = total + weight
+    return values / total
+
+
+def _colored(avatar: Avatar, pose: Pose, at: np.ndarray, scale: Scale) -> list[Picture]:
+    """Draw an avatar from four sides, its Gaussians (N,) at places 0 to 2 of a scale."""
+    colors = [np.interp(at.clip(0, 2), range(3), x) for x in np.array([c for c, _ in scale]).T]
+    sh = torch.zeros_like(avatar.canonical.sh)
+    sh[:, 0] = torch.as_tensor((np.stack(colors, 1) / 255 - 0.5) / C0).to(sh)
+    path = CameraPath("turntable", frames=4, size=(300, 400))
+    gaussians = avatar.animate(pose, sh).gaussians
+    return [
+        picture(name, over(layer_of(gaussians, shot.camera), np.array(WHITE)))
+        for name, shot in zip(SEEN_VIEWS, shots(path, avatar.rig, pose), strict=True)
+    ]
 
 
 def dots(caption: str, gaussians: Gaussians) -> Picture:

@@ -15,6 +15,11 @@ mean says that a limb is too far away.
 If the true body is the fitted one, the points are its vertices. A foreign body has other vertices:
 then the points are the joints: 22 of the body, and the joints of hands and feet.
 
+A predicted covariance ``C`` of a joint's place (:mod:`gva_mi.refine.uncertainty`) is calibrated if
+90 % of the true errors ``e`` lie within its 90 % region:
+
+    5. eᵀ C⁻¹ e <= χ²_3(0.9)
+
 All errors are taken on the bare body: the displacement for clothes is not part of a pose.
 """
 
@@ -29,7 +34,9 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, ROOT_AND_BODY, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
 from gva_mi.core.cpu import one_torch_thread
+from gva_mi.prior.error_model import GROUPS
 from gva_mi.refine.close_ups import hand_vertices
+from gva_mi.refine.uncertainty import Uncertainty
 from gva_mi.subject.ground_truth import GroundTruth
 
 _FRAMES_AT_A_TIME = 16  # chosen: their vertices fit in memory
@@ -65,6 +72,45 @@ def pose_errors(
             y = truth.body(truth.pose[frames], truth.shape)
             parts.append(points.errors(x, y) | _depths(x, y, axes[frames].to(x.joints)))
     return {name: 1e3 * torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+
+REGION_RADIUS = 6.2514  # χ²_3(0.9): nine of ten squares of three normal numbers are smaller
+
+
+@torch.no_grad()
+def within_region(
+    body: BodyModel, found: tuple[Pose, Shape], truth: GroundTruth, uncertainty: Uncertainty
+) -> dict[tuple[str, str], Tensor]:
+    """Compare true errors of the joints of the body with their predicted covariances.
+
+    Returns:
+        (T,) by region and metric: share of joints with eq. 5, pelvis-aligned, of each group of
+        joints and of all (``joints``); and of all, root mean squares, mm, true and predicted.
+    """
+    pose, shape = found
+    with one_torch_thread():
+        x, y = _joints(body, pose, shape), _joints(truth.body, truth.pose, truth.shape)
+    e, C = (x - x[:, :1]) - (y - y[:, :1]), uncertainty.aligned[:, 1 : ROOT_AND_BODY.stop]
+    e = e[:, 1 : ROOT_AND_BODY.stop].to(C)
+    inside = ((torch.linalg.solve(C, e) * e).sum(2) <= REGION_RADIUS).double()
+    groups = {name: [j - 1 for j in joints] for name, joints in GROUPS.items()}
+    groups = {name: joints for name, joints in groups.items() if name not in ("pelvis", "fingers")}
+    groups["joints"] = list(range(e.shape[1]))
+    shares = {
+        (name, "in 90 % region"): inside[:, joints].mean(1) for name, joints in groups.items()
+    }
+    rms = lambda square: 1e3 * square.mean(1).sqrt()
+    return shares | {
+        ("joints", "rms, mm"): rms(e.square().sum(2)),
+        ("joints", "predicted rms, mm"): rms(C.diagonal(dim1=2, dim2=3).sum(2)),
+    }
+
+
+def _joints(body: BodyModel, pose: Pose, shape: Shape) -> Tensor:
+    """Return the joints (T, 55, 3), posed some frames at a time."""
+    starts = range(0, len(pose), _FRAMES_AT_A_TIME)
+    parts = (body(pose[start : start + _FRAMES_AT_A_TIME], shape) for start in starts)
+    return torch.cat([part.joints for part in parts])
 
 
 def means(errors: dict[str, Tensor]) -> dict[str, float]:

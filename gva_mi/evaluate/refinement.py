@@ -9,8 +9,9 @@ with a mask. Not even the ground-truth pose reaches an IoU of 1 under clothes: i
       poses_refined.npz   all frames, and the offsets of the displaced surface: gva_mi.body.pose
       refinement.json     figures, frames that kept their stage-1 pose and why, options, versions
       refinement.png      the body over some frames: stage 1 above, refined below
+      uncertainty.npz     covariances of joints, (T, 55, 3, 3) m²: ``joints``, ``aligned``
 
-The other two files always belong to the poses in the folder. The paper refines test frames too,
+The other files always belong to the poses in the folder. The paper refines test frames too,
 from their own masks and normals: ``"test_frames": "seen"``. If they were ``"held out"``, their
 poses follow from the other frames, and figures have rows for both splits, too. ``points`` are those
 that errors are taken on, vertices or joints. ``stage1_errors`` are the inferred standard deviations
@@ -18,6 +19,9 @@ of stage 1's errors (radians for joints, metres for the place) and their duratio
 ``footing``: deviation of standing soles from one plane, share of the time they stand, and their
 height otherwise, metres. ``swapped``: frames whose legs, or arms, were exchanged left and right
 before the refinement.
+
+``joints`` are covariances of the joints' places in the world, ``aligned`` of their places relative
+to the pelvis (:mod:`gva_mi.refine.uncertainty`). Eq. 8 as printed leaves none.
 """
 
 from __future__ import annotations
@@ -31,15 +35,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import aligned, listed
 from gva_mi.core.cpu import one_thread
 from gva_mi.core.errors import InputError, expecting
-from gva_mi.core.files import read_json
+from gva_mi.core.files import read_arrays, read_json, require_array, require_keys, write_arrays
 from gva_mi.core.stamp import write_record
 from gva_mi.evaluate.figures import Figure, Table, figures_from, pivot, table, to_json
-from gva_mi.evaluate.pose_errors import pose_errors
+from gva_mi.evaluate.pose_errors import pose_errors, within_region
 from gva_mi.evaluate.regions import person_box
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.mesh.overlay import overlay, strip
@@ -58,6 +62,7 @@ from gva_mi.subject.splits import spread
 from gva_mi.subject.video import Video
 
 REFINEMENT, OVERLAYS = "refinement.json", "refinement.png"
+UNCERTAINTY = "uncertainty.npz"
 OVERLAY_FRAMES = 8  # in the picture; chosen: a readable width
 OVERLAY_MARGIN = 0.1  # share of the longer side around the person; chosen: bodies beside it show
 
@@ -120,6 +125,12 @@ def measure(
         frames["", "", f"{stage} IoU"] = silhouette_iou(video, body, pose, shape, cameras)
     if truth is None:
         return frames
+    if refined is not None and refined.uncertainty is not None:
+        found = refined.pose, refined.shape
+        for (region, metric), values in within_region(
+            body, found, truth, refined.uncertainty
+        ).items():
+            frames[region, "pelvis-aligned", metric] = values
     person = truth.body, truth.pose, truth.shape, truth.cameras
     frames["", "", "true IoU"] = silhouette_iou(video, *person)
     for part in (("body", "absolute"), ("body", "pelvis-aligned"), ("hands", "absolute")):
@@ -176,7 +187,8 @@ def pose_tables(figures: Iterable[Figure]) -> Iterator[Table]:
     """Yield errors, depths and IoU at each stage, a row for each part of the body."""
     known = [figure for figure in figures if not figure.metric.startswith("given")]
     errors = ("error, mm", "change", "increased")
-    for title, ends in (("errors", errors), ("depths", "depth, mm"), ("silhouettes", "IoU")):
+    tables = {"errors": errors, "depths": "depth, mm", "silhouettes": "IoU"}
+    for title, ends in (tables | {"uncertainty": ("90 % region", "rms, mm")}).items():
         own = [figure for figure in known if figure.metric.endswith(ends)]
         if own:
             yield table(pivot(own, ("region", "alignment")), title)
@@ -240,6 +252,11 @@ def describe(measured: MeasuredRefinement) -> Iterator[str]:
     for limbs, frames in refined.swapped.items():
         yield f"{limbs:11} left and right were exchanged in frames {listed(frames)}"
     yield from describe_prior(refined.error_models, refined.contact)
+    if refined.uncertainty is not None:
+        mm = joint_errors(refined.uncertainty.aligned)
+        parts = ("spine3", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")
+        named = ", ".join(f"{name} {mm[JOINTS.index(name)]:.0f}" for name in parts)
+        yield f"uncertain   by so many mm, relative to the pelvis: {named}"
     for found in pose_tables(measured.figures()):
         yield from aligned([found.head, *found.rows])
     yield f"poses: {video.folder / REFINED_POSES}; overlays: {video.folder / OVERLAYS}"
@@ -297,10 +314,13 @@ def write_refinement(measured: MeasuredRefinement) -> None:
         "options": {"loss": options.name, **asdict(options)},
     }
     pose, shape, offsets = refined.pose, refined.shape, refined.offsets
-    for name in (REFINEMENT, OVERLAYS):  # which describe the older poses
+    for name in (REFINEMENT, OVERLAYS, UNCERTAINTY):  # which describe the older poses
         (folder / name).unlink(missing_ok=True)
     SubjectWriter(folder).refined_poses(pose, shape, offsets)
     write_record(folder / REFINEMENT, record)
+    if (found := refined.uncertainty) is not None:
+        arrays = {"joints": found.joints, "aligned": found.aligned}
+        write_arrays(folder / UNCERTAINTY, **{k: x.float().numpy() for k, x in arrays.items()})
     write_image(folder / OVERLAYS, _overlays(measured))
 
 
@@ -318,6 +338,26 @@ def load_refinement(subject: Path) -> tuple[tuple[Figure, ...], bool]:
     record = read_json(path, expected)
     with expecting(path, expected):
         return figures_from(record["figures"]), record.get("test_frames", "seen") == "seen"
+
+
+def load_uncertainty(subject: Path) -> Tensor | None:
+    """Read the covariances (T, 55, 3, 3) of joints relative to the pelvis, m²; None without any.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    path = subject / UNCERTAINTY
+    if not path.exists():
+        return None
+    data = read_arrays(path, "what `gva-mi refine` writes")
+    require_keys(path, data, ("aligned",))
+    form = (None, len(JOINTS), 3, 3)
+    return torch.from_numpy(require_array(path, "aligned", data["aligned"], form))
+
+
+def joint_errors(covariances: Tensor) -> Tensor:
+    """Return the root mean square distances (55,), mm, of covariances (T, 55, 3, 3), m²."""
+    return 1e3 * covariances.diagonal(dim1=2, dim2=3).sum(2).mean(0).sqrt()
 
 
 @torch.no_grad()

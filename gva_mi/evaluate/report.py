@@ -30,8 +30,15 @@ from gva_mi.core.options import from_json
 from gva_mi.evaluate.figures import Table, label_of, pivot, table, where
 from gva_mi.evaluate.measure import ALIGNED, OF_VIDEO, REGIONS, SPLITS, Metrics
 from gva_mi.evaluate.page import Headline, Picture, Section, animation, picture, write_page
-from gva_mi.evaluate.pictures import dots, picture_sections, seen_map, shown_views, turntable
-from gva_mi.evaluate.refinement import OVERLAYS, pose_tables
+from gva_mi.evaluate.pictures import (
+    dots,
+    picture_sections,
+    seen_map,
+    shown_views,
+    trust_map,
+    turntable,
+)
+from gva_mi.evaluate.refinement import OVERLAYS, joint_errors, load_uncertainty, pose_tables
 from gva_mi.fit import run_folder
 from gva_mi.fit.renders import WHITE, CameraPath, over, render_shots, shots
 from gva_mi.fit.web_page import save_page
@@ -99,6 +106,7 @@ def write_report(
         verdict=verdict,
         sections=[
             *(first or [_turning(avatar, video)]),
+            *_trust(avatar, video),
             Section("In short", headlines=headlines(metrics)),
             *picture_sections(avatar, views, FRAMES_SHOWN),
             *_refinement(metrics, video.folder / OVERLAYS),
@@ -138,6 +146,12 @@ def headlines(metrics: Metrics) -> list[Headline]:
 def _quality(psnr: float) -> str:
     """Return a word for a PSNR in the person's box, dB."""
     return "good" if psnr >= GOOD_PSNR else "fair" if psnr >= FAIR_PSNR else "poor"
+
+
+def _trust(avatar: Avatar, video: Video) -> Iterator[Section]:
+    """Show how uncertain each part is, if the refinement left it in the subject's folder."""
+    if (found := load_uncertainty(video.folder)) is not None:
+        yield trust_map(avatar, joint_errors(found), video.pose[_frame_from_front(video)])
 
 
 def _turning(avatar: Avatar, video: Video) -> Section:

@@ -26,7 +26,7 @@ hide it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -134,6 +134,19 @@ class MeshScene:
         counts = [camera.width * camera.height for camera in crops]
         shapes = [(camera.height, camera.width, pixels.shape[-1]) for camera in crops]
         return [x.view(shape) for x, shape in zip(pixels.split(counts), shapes, strict=True)]
+
+    def tangents(self, vertices: Tensor, camera: Camera, motions: Tensor) -> Iterator[Tensor]:
+        """Yield how the picture (H, W, 4) of :meth:`render` changes, one motion after the other.
+
+        Args:
+            vertices: (V, 3) float32, world, metres.
+            camera: the view.
+            motions: (P, V, 3) directions in which the vertices move.
+        """
+        import mitsuba as mi
+
+        columns = (mi.Vector3f(dx.mT.float().contiguous().numpy()) for dx in motions)
+        yield from map(tensor_of, self.view(vertices, camera).tangents(columns))
 
     def _pixels(
         self, vertices: Tensor, picture: Camera, crops: tuple[Camera, ...], normals: bool

@@ -15,6 +15,7 @@ printed, frame by frame.
 ``image_evidence``        masks and normals: the data term of Eq. 8
 ``close_ups``             the same of hands and feet, at the video's own resolution
 ``landmark_evidence``     landmarks
+``uncertainty``           covariances of the poses found: what one camera can see
 ``frame_losses``          losses of frames, shared among processes
 ``clips``                 cuts a long video into clips, and joins the results
 ========================  ============================================================

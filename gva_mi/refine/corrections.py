@@ -121,6 +121,22 @@ class Corrections:
         return Corrections(self._stage1, self._anatomy, prior, turns, moves)
 
     @torch.no_grad()
+    def variances(self) -> Tensor:
+        """Return the prior's variances in each frame, (n, J + 3) float64.
+
+        They are those of a coordinate of each turn, radians², zero for joints that are not
+        corrected, and of the shift in the camera's axes, m².
+        """
+        turns, moves = self.found()
+        joint_turns, prior = self._stage1.to_joint_axes(turns), self.prior
+        of_turns = torch.zeros(turns.shape[:2], dtype=torch.float64)
+        for joints, process in ((PELVIS, prior.pelvis), (CORRECTED_JOINTS, prior.joints)):
+            covariance = process.covariance(joint_turns[:, joints])
+            of_turns[:, joints] = covariance.diagonal(dim1=1, dim2=2).T
+        of_shifts = prior.place.covariance(moves[..., None]).diagonal(dim1=1, dim2=2).T
+        return torch.cat([of_turns, of_shifts], dim=1)
+
+    @torch.no_grad()
     def fit_ground(self, soles: Soles) -> None:
         """Fit the ground to the current poses, and add its energy to the prior."""
         stage1, pose = self._stage1, self.pose(range(len(self.moves)))

@@ -136,6 +136,7 @@ class Descent:
 
     pose: Pose  # of all T frames; those without evidence stay as they were
     prior: PosePrior  # as inferred last
+    variances: Tensor  # (T, J + 3) Corrections.variances; NaN in frames that stayed
 
 
 def descend(
@@ -194,7 +195,9 @@ def descend(
             progress(step + 1, len(batches), loss=float(loss.detach()))
     with torch.no_grad():
         found = corrections.pose(range(len(frames)))
-    return Descent(start.with_frames(frames, found), corrections.prior)
+        variances = torch.full((len(start), len(arms) + 3), torch.nan, dtype=torch.float64)
+        variances[frames] = corrections.variances()
+    return Descent(start.with_frames(frames, found), corrections.prior, variances)
 
 
 @torch.no_grad()

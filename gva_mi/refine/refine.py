@@ -41,6 +41,7 @@ from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
 from gva_mi.core.cpu import one_thread
 from gva_mi.core.tasks import Done, Helpers, helper_processes, run
+from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut, join, skim
 from gva_mi.refine.observed_video import ObservedVideo, RefineOptions, simplified_body
 from gva_mi.refine.optimize import worse_frames
@@ -51,8 +52,10 @@ from gva_mi.refine.sequence import (
     Solution,
     refine_sequence,
     repeats,
+    shape_precision,
 )
 from gva_mi.refine.single_frame import FRAMES_A_JOB, refine_single_frames
+from gva_mi.refine.uncertainty import STRIDE, Posterior, Uncertainty
 from gva_mi.splat import Camera
 from gva_mi.subject.lens import is_one_lens, seen_alike
 from gva_mi.subject.video import Video
@@ -78,6 +81,7 @@ class Refined(Solution):
     held_out: list[int] = field(default_factory=list)  # test frames that were not used
     # "legs" or "arms" that stage 1 had swapped, and in which frames.
     swapped: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    uncertainty: Uncertainty | None = None  # None without a prior
 
 
 def refine(
@@ -229,9 +233,11 @@ def _joined(
     kept = video.kept | worse_frames(video.evidence, losses_stage1, losses, margin=margin)
     taken = [k for k in (*video.evidence, *video.held_out) if k not in kept]
     solved = [*found, *([skimmed] if skimmed else [])]
-    work = video.seconds + sum(done.seconds for done in solved) + time.perf_counter() - begin
     pose = video.pose.with_frames(taken, pose[taken])
-    shared = replace(shared, pose=pose, offsets=video.coarse.spread(shared.offsets))
+    uncertainty = _uncertainty(video, pose, shared, found, kept)
+    work = video.seconds + sum(done.seconds for done in solved) + time.perf_counter() - begin
+    offsets = video.coarse.spread(shared.offsets)
+    shared = replace(shared, pose=pose, offsets=offsets, variances=None)
     return Refined(
         **vars(shared),
         losses_stage1=losses_stage1,
@@ -241,7 +247,31 @@ def _joined(
         seconds_per_frame=work / len(video.pose),
         held_out=list(video.held_out),
         swapped=video.swapped,
+        uncertainty=uncertainty,
     )
+
+
+def _uncertainty(
+    video: ObservedVideo,
+    pose: Pose,
+    person: Solution,
+    clips: Sequence[Done[Solution]],
+    kept: Mapping[int, str],
+) -> Uncertainty | None:
+    """Return the uncertainty of joined poses, by every STRIDE-th frame that has evidence."""
+    options, frames = video.options, [k for k in sorted(video.evidence) if k not in kept][::STRIDE]
+    if not isinstance(options, SequenceOptions) or not frames or options.prior_weight == 0:
+        return None
+    variances = torch.full((len(pose), clips[0].result.variances.shape[1]), torch.nan).double()
+    for clip, done in zip(_clips(video), clips, strict=True):
+        variances[clip.start : clip.stop] = done.result.variances
+    evidence = {k: video.evidence[k] for k in frames}
+    stage1 = Stage1Poses.of(video.pose, frames, evidence[frames[0]].camera)
+    of_person, body = (pose, person.shape, person.offsets), video.coarse.body
+    of_shape = shape_precision(body, len(person.shape.betas), options)
+    with one_thread():
+        prior = stage1, variances[frames], of_shape
+        return Posterior.of(evidence, body, of_person, *prior).uncertainty(len(pose))
 
 
 def before_one_lens(video: Video, body: BodyModel) -> Video:

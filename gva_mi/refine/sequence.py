@@ -36,6 +36,7 @@ from typing import Annotated, ClassVar
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
@@ -122,6 +123,8 @@ class Solution:
     error_models: Mapping[str, Stage1ErrorModel] = field(default_factory=dict)
     contact: ContactStats | None = None  # how the feet touch the ground, if inferred
     landmark_offsets: Tensor | None = None  # (P, 3) ``o`` of gva_mi.observe.rig, metres
+    # (T, 58) of the prior: a turn of each joint, radians², and the shift, m²; NaN where unused.
+    variances: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,16 @@ def refine_sequence(
         error_models=descent.prior.error_models,
         contact=None if ground is None else ground.contact,
         landmark_offsets=None if clip.landmarks is None else person.landmark_offsets.detach(),
+        variances=descent.variances,
     )
+
+
+def shape_precision(body: BodyModel, betas: int, options: SequenceOptions) -> Tensor:
+    """Return the precision (B, B) of the first ``betas`` that the penalties of ``β`` are."""
+    slope = Stature.of(body).slope.double()[:betas]
+    slope = pad(slope, (0, betas - len(slope))) * (options.height is not None)
+    penalty = BETAS_WEIGHT * torch.eye(betas).double() + HEIGHT_WEIGHT * slope[:, None] * slope
+    return 2 * penalty / options.prior_weight
 
 
 def repeats(frames: int) -> int:

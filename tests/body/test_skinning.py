@@ -3,6 +3,7 @@
 import pytest
 import roma
 import torch
+import torch.autograd.forward_ad as forward
 
 from gva_mi.body.kinematics import joint_transforms
 from gva_mi.body.polar import apply_lbs
@@ -90,3 +91,21 @@ def test_opposite_joints_give_finite_gradients():
     _, turned = skin_gaussians(means, quats, torch.full((1, 2), 0.5, dtype=F64), T)
     turned.sum().backward()
     assert turned.isfinite().all() and T.grad.isfinite().all()
+
+
+def test_the_tangent_of_points_is_that_of_central_differences():
+    """Of points that all poses share, their weights and the transforms, together."""
+    means, _, weights, T = scene()
+    poses = torch.stack([T, scene(seed=4)[3]])
+    g = torch.Generator().manual_seed(1)
+    given = means, weights, poses
+    along = [torch.randn(x.shape, generator=g, dtype=F64) for x in given]
+    along[2][..., 3, :] = 0
+    step = 1e-6
+    ends = (skin_points(*(x + s * dx for x, dx in zip(given, along, strict=True)))
+            for s in (step, -step))  # fmt: skip
+    high, low = ends
+    with forward.dual_level():
+        dual = skin_points(*map(forward.make_dual, given, along))
+        tangent = forward.unpack_dual(dual).tangent
+    torch.testing.assert_close(tangent, (high - low) / (2 * step), rtol=1e-7, atol=1e-8)

@@ -9,7 +9,8 @@ import torch
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.pose import JOINTS, LEFT_HAND, Shape
 from gva_mi.body.smplx import load_body
-from gva_mi.evaluate.pose_errors import means, pose_errors
+from gva_mi.evaluate.pose_errors import means, pose_errors, within_region
+from gva_mi.refine.uncertainty import Uncertainty
 from gva_mi.subject.ground_truth import GroundTruth
 
 SHAPE = Shape(torch.zeros(10))
@@ -86,3 +87,26 @@ def test_a_foreign_body_is_compared_by_its_joints(body, giant, truth):
     wrist = turned(truth.pose, "right_wrist", (0.5, 0, 0))
     again = pose_errors(body, (wrist, SHAPE), foreign)
     torch.testing.assert_close(again["fingers"], errors["fingers"], atol=1e-3, rtol=0)
+
+
+def test_the_predicted_region_holds_nine_of_ten_errors_of_its_covariance(body, truth):
+    """Errors drawn with a covariance, which is then predicted right, too small, and too large."""
+    draw = torch.randn(100, 3, generator=torch.Generator().manual_seed(0))
+    still = truth.pose[[0] * 100]
+    many = replace(truth, pose=still, cameras=[truth.cameras[0]] * 100)
+    bent = turned(still, "left_elbow", (0.0, 0.0, 0.0))
+    bent.rotations[:, JOINTS.index("left_elbow")] += 0.02 * draw
+    apart = (body(bent, SHAPE).joints - body(still, SHAPE).joints).double()
+    moved = apart[:, JOINTS.index("left_wrist")]
+    covariance = moved.T @ moved / len(moved) + 1e-8 * torch.eye(3)
+    shares = {}
+    for factor in (0.1, 1.0, 10.0):
+        C = (factor * covariance).expand(100, 55, 3, 3)
+        shares[factor] = within_region(body, (bent, SHAPE), many, Uncertainty(C, C, {}))
+        assert float(shares[factor]["hips", "in 90 % region"].min()) == 1  # they do not move
+    wrists = [2 * float(shares[f]["wrists", "in 90 % region"].mean()) - 1 for f in shares]
+    assert wrists[0] < 0.5 and 0.8 < wrists[1] < 0.97 and wrists[2] > 0.99, wrists
+    rms, predicted = (shares[1.0]["joints", f"{name}rms, mm"] for name in ("", "predicted "))
+    expected = 1e3 * covariance.trace().sqrt().expand(100)
+    torch.testing.assert_close(predicted, expected)
+    assert float(rms.mean()) < float(predicted.mean())  # one joint of 21 moves

@@ -12,9 +12,12 @@ from gva_mi.core.errors import InputError
 from gva_mi.evaluate.figures import where
 from gva_mi.evaluate.refinement import (
     MeasuredRefinement,
+    describe,
     error_figures,
+    joint_errors,
     kept_poses,
     load_refinement,
+    load_uncertainty,
     mask_iou,
     means,
     measure,
@@ -22,6 +25,7 @@ from gva_mi.evaluate.refinement import (
     write_refinement,
 )
 from gva_mi.refine import SequenceOptions
+from gva_mi.refine.uncertainty import Uncertainty
 from gva_mi.subject.pictures import write_image
 
 BODY, HANDS = ("body", "absolute"), ("hands", "absolute")
@@ -121,6 +125,29 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
     (tmp_path / "refinement.json").write_text("[]")
     with pytest.raises(InputError, match="refinement.json: .*`gva-mi refine` writes"):
         load_refinement(tmp_path)
+
+
+def test_the_uncertainty_lies_beside_the_poses_and_goes_with_them(
+    estimated, body, refined, tmp_path
+):
+    shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
+    video = replace(estimated, folder=tmp_path)
+    covariances = 1e-4 * torch.eye(3).expand(6, 55, 3, 3).double()
+    found = replace(refined, uncertainty=Uncertainty(covariances, 2 * covariances, {"mask": 1.0}))
+    for one in (found, refined):
+        measured = MeasuredRefinement(video, body, SequenceOptions(), one)
+        write_refinement(measured)
+        said = [line for line in describe(measured) if line.startswith("uncertain")]
+        loaded = load_uncertainty(tmp_path)
+        assert (loaded is None) == (one is refined) == (not said)
+        if said:
+            torch.testing.assert_close(loaded, 2 * covariances.float())
+            expected = torch.full((55,), 1e3 * (3 * 2e-4) ** 0.5)
+            torch.testing.assert_close(joint_errors(loaded), expected)
+            assert "head 24" in said[0]
+    np.savez(tmp_path / "uncertainty.npz", aligned=np.zeros((6, 54, 3, 3)))
+    with pytest.raises(InputError, match="uncertainty.npz: 'aligned'"):
+        load_uncertainty(tmp_path)
 
 
 def test_trained_poses_have_a_column_beside_refined_ones(measured, estimated, body, truth):

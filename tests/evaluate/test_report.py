@@ -5,13 +5,15 @@ import io
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
+from gva_mi.body.pose import JOINTS, LEFT_HAND
 from gva_mi.evaluate import report
 from gva_mi.evaluate.figures import Figure, Table
 from gva_mi.evaluate.measure import ALIGNED, Metrics
 from gva_mi.evaluate.page import Headline, Section, animation, picture, write_page
-from gva_mi.evaluate.pictures import picture_sections, seen_map, shown_views
+from gva_mi.evaluate.pictures import picture_sections, seen_map, shown_views, trust_map
 from gva_mi.subject.problems import doubt, error
 
 PSNR = "PSNR, dB"
@@ -123,3 +125,19 @@ def test_the_avatar_is_coloured_by_how_well_each_part_was_seen(known, studio):
             np.linalg.norm(person - seen, axis=1) < np.linalg.norm(person - guess, axis=1)
         )
     assert share["front"] > 0.8 and share["back"] < 0.5, share
+
+
+def test_the_avatar_is_coloured_by_how_uncertain_each_part_is(known, studio):
+    """Certain but for the left forearm and hand: these alone have the colour of a guess."""
+    mm = torch.full((55,), 5.0)
+    mm[[JOINTS.index("left_wrist"), *range(LEFT_HAND.start, LEFT_HAND.stop)]] = 90.0
+    section = trust_map(known, mm, studio.pose[0])
+    assert "the left hand least (90 mm)" in section.text
+    sure, unsure = (np.array(section.scale[i][0]) for i in (0, -1))
+    image = Image.open(io.BytesIO(base64.b64decode(section.pictures[0].data.partition(",")[2])))
+    pixels = np.asarray(image.convert("RGB")).astype(float)
+    person = pixels.min(2) < 200
+    near = lambda color: np.linalg.norm(pixels - color, axis=2) < 60
+    guessed, certain = near(unsure) & person, near(sure) & person
+    assert 0.01 < guessed.sum() / person.sum() < 0.25 and certain.sum() > 0.5 * person.sum()
+    assert np.nonzero(guessed)[1].min() > np.median(np.nonzero(person)[1])  # her left: our right

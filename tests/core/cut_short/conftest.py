@@ -22,7 +22,7 @@ from gva_mi.synthetic import SynthOptions, make_subject
 TIMES = re.compile(r"seconds|s a frame$")  # names of measured times
 GROWING = ("new/refine.json", "new/avatar.json")  # grow case by case
 ABOUT = {  # files, and the poses beside them that they describe
-    **dict.fromkeys(("refinement.json", "refinement.png"), "poses_refined.npz"),
+    **dict.fromkeys(("refinement.json", "refinement.png", "uncertainty.npz"), "poses_refined.npz"),
     "photometric.json": "poses_photometric.npz",
 }
 

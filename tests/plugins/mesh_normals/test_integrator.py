@@ -76,9 +76,11 @@ def test_forward_and_backward_are_transposes(scenes, integrator, name):
     view = integrator.view(scene, scenes.camera(), 1)
     image = scenes.weights(48)
     adjoint = np.array(view.adjoint(mi.TensorXf(image))).T
-    for move in directions(parts).values():
-        move = np.concatenate(move).astype(np.float32)
+    moves = [np.concatenate(move).astype(np.float32) for move in directions(parts).values()]
+    several = view.tangents(mi.Vector3f(move.T) for move in moves)
+    for move, same in zip(moves, several, strict=True):
         tangent = np.array(view.tangent(mi.Vector3f(move.T)))
+        np.testing.assert_array_equal(np.array(same), tangent)
         scale = np.abs(tangent * image).sum() + 1e-3
         assert abs(dot(tangent, image) - dot(adjoint, move)) < 2e-5 * scale
 

@@ -35,7 +35,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gva_mi.body.pose import Pose, Shape
+from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.rotations import composed, shortest
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress, part_of_progress
@@ -262,9 +262,10 @@ def _uncertainty(
     options, frames = video.options, [k for k in sorted(video.evidence) if k not in kept][::STRIDE]
     if not isinstance(options, SequenceOptions) or not frames or options.prior_weight == 0:
         return None
-    variances = torch.full((len(pose), clips[0].result.variances.shape[1]), torch.nan).double()
+    variances = torch.full((len(pose), len(JOINTS) + 3), torch.nan).double()
     for clip, done in zip(_clips(video), clips, strict=True):
-        variances[clip.start : clip.stop] = done.result.variances
+        if done.result.variances is not None:  # else no frame of the clip has evidence
+            variances[clip.start : clip.stop] = done.result.variances
     evidence = {k: video.evidence[k] for k in frames}
     stage1 = Stage1Poses.of(video.pose, frames, evidence[frames[0]].camera)
     of_person, body = (pose, person.shape, person.offsets), video.coarse.body

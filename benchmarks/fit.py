@@ -129,13 +129,14 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
         sample = samples[k]
         with clock("pose"):
             pose = fit.poses(sample.frame)
-        with clock("avatar"):
-            animated = fit.avatar.animate(pose)
+        with clock("avatar, colours by Lambert's law"):
+            animated = fit.avatar.animate(pose, fit.colors())
         g = animated.gaussians
         with clock("target"):
             target = sample.target(g)
         with clock("splatting"):
-            image = render(g, target.camera, AVATAR_SPLATTING, screen=Screen())
+            screen = Screen()
+            image = render(g, target.camera, AVATAR_SPLATTING, screen=screen)
         seen = image.color, image.alpha
         for name, loss in weights.items():
             with clock(name):
@@ -148,6 +149,12 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
             torch.autograd.backward(leaves, grads)
         with clock("Adam"):
             fit.optimizer.step()
+        with clock("scales, slopes, gradients on the screen"):
+            fit.avatar.canonical.decay_slopes(fit.options.rates.sh_decay)
+            fit.clamp_scales()
+            fit.gradients.add(screen, sample.area)
+        with clock(f"poses, one step in {fit.options.poses.every}"):
+            fit.poses.step((k + 1) * fit.options.poses.every, sample.frame)
         fit.optimizer.zero_grad(set_to_none=True)
 
 

@@ -40,7 +40,7 @@ class Sizes:
 
     gaussians: tuple[int, ...] = (20_000, 100_000)
     pixels: int = 512  # a side of the renderer's pictures and of the video's
-    frames: int = 32  # of the video
+    frames: int = 24  # of the video
     demo: pipeline.DemoOptions = pipeline.DemoOptions()
     effort: pipeline.AvatarEffort = pipeline.AvatarEffort()
 

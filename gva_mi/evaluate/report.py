@@ -27,6 +27,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
 from gva_mi.core.options import from_json
+from gva_mi.core.tasks import on_all_cores
 from gva_mi.evaluate.figures import Table, label_of, pivot, table, where
 from gva_mi.evaluate.measure import ALIGNED, OF_VIDEO, REGIONS, SPLITS, Metrics
 from gva_mi.evaluate.page import Headline, Picture, Section, animation, picture, write_page
@@ -275,17 +276,28 @@ def verdict(
 def _videos(
     out: Path, avatar: Avatar, video: Video, progress: Progress | None
 ) -> Iterator[Picture]:
-    """Write the videos of the avatar, and yield each as an animation."""
+    """Write the videos of the avatar, and yield each as an animation.
+
+    Threads encode one while the next is rendered.
+    """
     motions = {TURNTABLE: (video.pose[_frame_from_front(video)], "turntable")}
     motions |= {name: (driven_motion(avatar, name), "static") for name in DRIVEN_MOTIONS}
-    for name, (motion, path) in motions.items():
-        plan, images = shots(CameraPath(path=path, size=VIDEO_SIZE), avatar.rig, motion), []
-        for layer in render_shots(avatar, motion, plan):
-            images.append(over(layer, np.array(WHITE)))
-            if progress:
-                progress(len(images), len(plan))
+
+    def rendered() -> Iterator[tuple[str, list[np.ndarray]]]:
+        for name, (motion, path) in motions.items():
+            plan, images = shots(CameraPath(path=path, size=VIDEO_SIZE), avatar.rig, motion), []
+            for layer in render_shots(avatar, motion, plan):
+                images.append(over(layer, np.array(WHITE)))
+                if progress:
+                    progress(len(images), len(plan))
+            yield name, images
+
+    def encoded(of_motion: tuple[str, list[np.ndarray]]) -> Picture:
+        name, images = of_motion
         write_video(out / f"{name}.mp4", images, VIDEO_FPS, way="playable")
-        yield animation(name, images[::PAGE_STRIDE])
+        return animation(name, images[::PAGE_STRIDE])
+
+    yield from on_all_cores(encoded, rendered())
 
 
 def driven_motions(avatar: Avatar) -> list[NamedMotion]:

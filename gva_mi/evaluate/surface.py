@@ -102,7 +102,7 @@ def spacing(means: np.ndarray, truth: TrueSurface) -> float | None:
     """Evaluate eq. 2 on Gaussians (N, 3); None for a few."""
     from scipy.spatial import cKDTree
 
-    distance, nearest = cKDTree(truth.points).query(means)
+    distance, nearest = cKDTree(truth.points).query(means, workers=-1)
     near = distance < SURFACE_BAND
     means, nearest = means[near], nearest[near]
     normals = truth.normals[nearest]
@@ -110,7 +110,7 @@ def spacing(means: np.ndarray, truth: TrueSurface) -> float | None:
     if len(means) < FEWEST_POINTS:
         return None
     feet = means - height * normals
-    apart = cKDTree(feet).query(feet, k=2)[0][:, 1]
+    apart = cKDTree(feet).query(feet, k=2, workers=-1)[0][:, 1]
     return float(apart.std() / apart.mean())
 
 
@@ -118,7 +118,7 @@ def bias_mm(means: np.ndarray, truth: TrueSurface) -> dict[str, float]:
     """Evaluate eq. 3 on Gaussians (N, 3), for each part that the person has, millimetres."""
     from scipy.spatial import cKDTree
 
-    distance = 1e3 * cKDTree(means).query(truth.points)[0]
+    distance = 1e3 * cKDTree(means).query(truth.points, workers=-1)[0]
     return {
         name: float(np.percentile(distance[truth.part == k], 95))
         for k, name in enumerate(PARTS)
@@ -130,7 +130,7 @@ def stray_mm(means: np.ndarray, truth: TrueSurface) -> float:
     """Evaluate eq. 4 on Gaussians (N, 3), millimetres."""
     from scipy.spatial import cKDTree
 
-    return float(1e3 * np.percentile(cKDTree(truth.everywhere).query(means)[0], 99))
+    return float(1e3 * np.percentile(cKDTree(truth.everywhere).query(means, workers=-1)[0], 99))
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ TABLES: dict[str, Table] = {
         ],
     ),
     "height": Table(
-        "body error of stage 1",
+        "change of the body error of stage 1",
         [part("the study's error model [shape](studies.md#simulated-errors): a wrong size",
               change(ABSOLUTE, "body"), row="shape", variant="refined")],
         [part("without `--height`", study="simulated"), part("with it", study="known")],

@@ -183,7 +183,7 @@ def avatar(
     metrics, page = run / run_folder.METRICS, out / run_folder.REPORT
     prepare_options = [asdict(options), asdict(own_masks), person, lens]
     steps = [
-        Step("prepare", "refine", prepare_options, inputs, [subject / PREPARED], prepare_anew),
+        Step("prepare", "video", prepare_options, inputs, [subject / PREPARED], prepare_anew),
         Step("check", "refine", None, prepared, [findings], check_anew),
         Step("refine", "refine", refining, prepared, [refined], refine_anew),
         Step("split", "refine", effort.test_frames, [subject / PREPARED], [subject / SPLITS],

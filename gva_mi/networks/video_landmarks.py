@@ -60,8 +60,9 @@ def watch_video(
                 body = body_network.see_mirrored(image, body, before)
             yield image, body
             if on_silhouette is not None:
+                closer = None if body is None else body_network.see_closer(image, body)
                 nobody = np.zeros(image.shape[:2], np.float32)
-                on_silhouette(k, nobody if body is None else body.probability(nobody.shape))
+                on_silhouette(k, nobody if body is None else closer.probability(nobody.shape))
             if progress:
                 progress(k + 1, len(pictures))
 

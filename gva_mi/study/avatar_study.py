@@ -99,7 +99,8 @@ class AvatarStudy(Study):
         out = self.folder / "runs" / file_name(case.name) / name
         options = replace(self.options.fit, seed=case.draw, steps=self.options.steps)
         options = options.of_video() if case.noise == VIDEO_KIND else options
-        about = (self.body, options, self.stamp, self.options.fitted, number)
+        filmed = f"-video{RESULTS_VERSIONS['video']}" if case.noise == VIDEO_KIND else ""
+        about = (self.body, options, self.stamp + filmed, self.options.fitted, number)
         return VariantRun(self.videos.subject(case), out, row, *about)
 
 

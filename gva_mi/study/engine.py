@@ -33,7 +33,7 @@ from gva_mi.core.tasks import Task, run
 from gva_mi.evaluate.figures import Figure, figures_from, to_json
 from gva_mi.study.cases import StudyCase
 from gva_mi.study.videos import StudyVideos, VideoOptions
-from gva_mi.subject.fingerprint import fingerprint
+from gva_mi.subject.fingerprint import VIDEO_KIND, fingerprint
 
 EXPECTED = "what `gva-mi study` writes, or give --overwrite"
 
@@ -104,17 +104,21 @@ class Study(ABC):
             if record["kind"] != self.kind or not is_fresh(self.path, self.stamp):
                 return []
             cases = {name: from_json(StudyCase, case) for name, case in record["cases"].items()}
+            if record.get("video_version") != RESULTS_VERSIONS["video"]:
+                cases = {name: x for name, x in cases.items() if x.noise != VIDEO_KIND}
             found: dict[tuple[str, str], list[Figure]] = {}
             for figure in figures_from(record["figures"]):
                 found.setdefault((figure.subject, figure.variant), []).append(figure)
             return [
                 Outcome(cases[name], variant, tuple(figures))
                 for (name, variant), figures in found.items()
+                if name in cases
             ]
 
     def save(self, outcomes: Sequence[Outcome]) -> None:
         """Write all results."""
         record = {"kind": self.kind, "made_with": self.made_with}
+        record["video_version"] = RESULTS_VERSIONS["video"]  # which simulated subjects do not need
         record["cases"] = {outcome.case.name: asdict(outcome.case) for outcome in outcomes}
         record["figures"] = to_json(figure for outcome in outcomes for figure in outcome.figures)
         write_record(self.path, record, self.stamp)

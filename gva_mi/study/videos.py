@@ -97,7 +97,7 @@ class StudyVideos:
         """
         made = case.noise
         if made == VIDEO_KIND:
-            made += f"{RESULTS_VERSIONS['refine']}{'' if self.options.lens else '-anylens'}"
+            made += f"{RESULTS_VERSIONS['video']}{'' if self.options.lens else '-anylens'}"
         return self.folder / "videos" / f"{self._name(case.take)}-{made}-{case.draw}"
 
     def make(

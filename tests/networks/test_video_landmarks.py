@@ -5,7 +5,8 @@ import pytest
 from PIL import Image
 
 from gva_mi.core.errors import InputError
-from gva_mi.networks.body_landmarks import SeenBody, mean_of_passes
+from gva_mi.networks.body_landmarks import BodyNetwork, SeenBody, mean_of_passes
+from gva_mi.networks.person_tracker import PersonDetector, PersonTracker
 from gva_mi.networks.video_landmarks import LANDMARK_NAMES, watch_video
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS
 
@@ -82,6 +83,20 @@ def test_silhouettes_overlap_the_mask(watched, rendered_person):
         assert inside.shape == true.shape and 0 <= inside.min() and inside.max() <= 1
         found = inside > 0.5
         assert (found & true).sum() / (found | true).sum() > 0.9
+
+
+def test_a_closer_look_sharpens_the_silhouette_and_leaves_what_lies_outside(rendered_person):
+    picture, true = rendered_person.picture, rendered_person.mask
+    network = BodyNetwork()
+    body = PersonTracker(PersonDetector(), network, None).follow(picture)
+    closer = network.see_closer(picture, body)
+    rough, fine = (seen.probability(true.shape) for seen in (body, closer))
+    y, x = np.indices(true.shape) + 0.5
+    places = closer.closer[0].from_picture(np.stack([x, y], axis=-1))
+    inside = ((places > 0) & (places < 1)).all(-1)
+    assert np.allclose(rough[~inside], fine[~inside], atol=2e-3) and (~inside & (rough > 0.5)).any()
+    before, after = (np.square(seen - true)[inside].mean() for seen in (rough, fine))
+    assert after < 0.9 * before
 
 
 def test_a_mirrored_picture_has_mirrored_landmarks(watched, rendered_person):

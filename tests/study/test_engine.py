@@ -101,11 +101,13 @@ def test_results_hold_for_the_same_options_body_and_version_alone(tmp_path, body
     before, filmed = avatars(), recordings()
     monkeypatch.setitem(RESULTS_VERSIONS, "refine", RESULTS_VERSIONS["refine"] + 1)
     assert RefineStudy(tmp_path, body, options).stamp != made and avatars() != before
+    assert recordings() == filmed
+    monkeypatch.setitem(RESULTS_VERSIONS, "video", RESULTS_VERSIONS["video"] + 1)
     changed = [one != two for one, two in zip(filmed, recordings(), strict=True)]
     assert changed == [case.noise == VIDEO_KIND for case in TUNING]
 
 
-def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
+def test_the_file_keeps_results_as_long_as_they_hold(tmp_path, monkeypatch):
     study = Counting(tmp_path, None, None)
     assert study.load() == []
     outcomes = [
@@ -116,6 +118,8 @@ def test_the_file_keeps_results_as_long_as_they_hold(tmp_path):
     assert study.load() == outcomes
     record = json.loads(study.path.read_text())
     assert len(record["figures"]) == len(record["cases"]) == len(TUNING)
+    monkeypatch.setitem(RESULTS_VERSIONS, "video", RESULTS_VERSIONS["video"] + 1)
+    assert study.load() == [one for one in outcomes if one.case.noise != VIDEO_KIND]
     write_json(study.path, record | {"stamp": "another"})
     assert study.load() == []
 

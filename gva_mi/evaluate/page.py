@@ -42,6 +42,7 @@ class Section:
     title: str
     pictures: Sequence[Picture] = ()
     columns: int = 5  # pictures side by side
+    close_ups: Sequence[Picture] = ()  # below the pictures, in rows of their own
     tables: Sequence[Table] = ()
     text: str = ""  # what it says besides
     headlines: Sequence[Headline] = ()

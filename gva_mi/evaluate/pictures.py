@@ -70,8 +70,9 @@ def picture_sections(
     for split, title in SECTIONS.items():
         if split in views:
             pictures = list(_of_view(avatar, views[split], count))
-            pictures.sort(key=lambda one: "," in one.caption)  # whole figures, then close-ups
-            yield Section(title, pictures, columns=2)
+            whole, close = ([x for x in pictures if ("," in x.caption) is y] for y in (False, True))
+            columns = 3 if len(whole) % 3 == 0 else 2  # no empty cell
+            yield Section(title, whole, columns=columns, close_ups=close)
     yield Section("The Gaussians", [dots("", avatar.canonical)], columns=3)
 
 

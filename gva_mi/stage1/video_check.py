@@ -36,7 +36,7 @@ SEEN_DEGREES = 60  # to either side of the camera, which a frame shows at all
 SEEN_SHARE = 0.95  # of the sectors that a good video shows
 RARE_HAND_SHARE = 0.3  # of the frames with a hand, below which its fingers are a guess
 FAULTY_SHARE = 0.1  # of the frames with a fault, above which the fault is reported
-SHORT_FRAMES, SHORT_SECONDS = 40, 2.0  # shorter videos are reported
+SHORT_FRAMES, SHORT_SECONDS = 40, 2.0  # videos of fewer are reported
 SMALL_PIXELS = 250  # of a person's height, below which it is reported
 DARK_LUMA = 0.25  # of the brighter parts of a person, below which it is reported
 SURE_CONFIDENCE = 0.5  # of a landmark that the picture shows
@@ -283,7 +283,7 @@ def _pictures(video: Video, frames: Sequence[int], progress: Progress | None) ->
 
 
 def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iterator[Problem]:
-    """Find frames with other people, frames without the person, and short videos."""
+    """Find frames with other people, frames without the person, and videos that are too short."""
     if len(crowded):
         yield doubt(
             "several people",
@@ -300,12 +300,19 @@ def _people_and_length(video: Video, crowded: Sequence[int], fps: float) -> Iter
             "stay in the picture; ffmpeg -ss 3 -to 9 -i VIDEO PART cuts a video, seconds",
             video.absent,
         )
-    if len(video) < SHORT_FRAMES or len(video) / fps < SHORT_SECONDS:
+    if len(video) / fps < SHORT_SECONDS:
         yield doubt(
             "short video",
             f"{len(video)} frames, {len(video) / fps:.1f} s",
             "the video is short, or was cut",
             "film 5 to 15 seconds",
+        )
+    elif len(video) < SHORT_FRAMES:
+        yield doubt(
+            "few frames",
+            f"{len(video)} in {len(video) / fps:.1f} s",
+            "the video has few frames a second, or --fps leaves most of them out",
+            "record 24 frames a second or more, and use them all",
         )
 
 

@@ -8,6 +8,7 @@ from scipy.ndimage import uniform_filter1d
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.body.smplx import load_body
 from gva_mi.splat import Camera, look_at
+from gva_mi.stage1 import video_check
 from gva_mi.stage1.video_check import check_video
 from gva_mi.subject.cameras import save_cameras
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
@@ -102,6 +103,13 @@ FAULTS = {  # of one video: what it is called, and what its figure says
 
 def test_a_good_video_has_no_findings(recording):
     assert recording() == {}
+
+
+def test_a_video_of_few_frames_is_not_called_short(recording, monkeypatch):
+    monkeypatch.setattr(video_check, "SHORT_FRAMES", 41)
+    assert {what: figure for what, (figure, _) in recording().items()} == {
+        "few frames": "40 in 2.7 s"
+    }
 
 
 @pytest.mark.parametrize("name", FAULTS)

@@ -36,7 +36,7 @@ from gva_mi.subject.video import Video
 # Chosen: what is easy to see on a page.
 ZOOMED_PIXELS = 220  # about the side of an enlarged box
 DOT_SIZE = 0.0015  # metres, standard deviation of a Gaussian drawn as a dot
-DOTS_HEIGHT = 560  # pixels, height of the pictures of dots
+DOTS_HEIGHT, DOTS_MARGIN = 560, 28  # pixels: height of the pictures of dots, and beside the person
 RED_LEVELS = 64  # levels of 255, difference that is fully red
 Scale = Sequence[tuple[tuple[int, int, int], str]]  # of Section
 SECTIONS: dict[Split, str] = {
@@ -245,7 +245,7 @@ def dots(caption: str, gaussians: Gaussians) -> Picture:
     scale, views = DOTS_HEIGHT / size[1], []
     for axis, across in (((0, 0, 1), 0), ((1, 0, 0), 2)):
         distance = 8.0  # far away, for a nearly parallel view
-        width = round(size[across] * scale)
+        width = round(size[across] * scale) + 2 * DOTS_MARGIN
         T_camera_world = look_at(centre + distance * np.array(axis), centre)
         focal = distance * scale
         camera = Camera(

@@ -28,6 +28,9 @@ from gva_mi.splat.scene import Scene
 EXPLAINED = 1e-4
 # A way counts if it leaves less than this share of the difference. Chosen: rounding leaves more.
 GAIN = 0.8
+# Share of a gradient's error that a mistake which explains it may leave. Chosen: lost digits leave
+# more, and are then not called a missing factor.
+LEFT = 0.1
 MOST_WAYS = 5  # taken together; chosen: more are a guess no longer
 FEW_ROWS = 0.2  # share of the Gaussians; chosen: others are then told by name
 NAMED_ROWS = 5
@@ -170,7 +173,9 @@ def guess_of(found: Tensor, truth: Tensor, value: Tensor) -> str:
         >>> guess_of(true[:, [1, 0]], true, true)
         'its columns are in the order [1, 0]'
     """
-    explains = lambda guess: float((found - guess).norm()) < 10 * EXPLAINED * float(found.norm())
+    left = lambda guess: float((found - guess).norm())
+    most = min(10 * EXPLAINED * float(found.norm()), LEFT * left(truth))
+    explains = lambda guess: left(guess) < most
     if not found.any():
         return "zero: is it detached?"
     factor = float((found * truth).sum() / truth.square().sum().clamp(min=1e-300))

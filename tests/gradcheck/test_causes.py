@@ -107,6 +107,15 @@ def test_a_wrong_picture_and_one_of_another_shape_are_told():
         render(scene().gaussians, scene().camera, SMOOTH)
 
 
+def test_few_digits_are_no_missing_factor():
+    def rounded(gaussians, *args):
+        few = gaussians.opacities.half() - gaussians.opacities
+        return renderer()(replace(gaussians, opacities=gaussians.opacities + few.detach()), *args)
+
+    report = gradcheck(rounded, scene())
+    assert not report.passed and "factor" not in "".join(report.causes), report.causes
+
+
 def test_kernels_without_the_bound_of_the_jacobian_are_right_too():
     made = beyond_the_border(SplatOptions(hold_jacobian=False))
     report = gradcheck(render, made)

@@ -25,6 +25,9 @@ SHORT = {  # set after the parameter cell
     "3_refining_a_pose": "SIZE, STEPS, SWEEP, FRAMES, PASSES = 48, 20, 3, 3, 1",
     "3b_silhouettes": "SIZE, POSES, SEEDS, LINES, AROUND = 32, 1, 2, 1000, (4, 6)",
     "7_a_kernel": "SIZE, COUNT, PERSON, WINDOW, REPEATS = 16, 5, 500, 64, 2",
+    "7b_reproducible_is_not_significant": "SIZE, COUNT, STEPS, RUNS = 16, 20, 12, 2",
+    "7c_what_a_wrong_gradient_costs": "SIZE, COUNT, STEPS, SCENES, NUDGES = 16, 10, 3, 2, 1\n"
+    "TALL, PASSES, PEOPLE, NUDGED = 48, 3, 2, 1",
     "4_fitting_an_avatar": "SIZE, FRAMES, STEPS = 48, 9, 8",
     "5_reinitialising_on_the_surface": "SIZE, FRAMES, STEPS = 48, 9, 10",
     "6_an_ablation": "",

@@ -46,10 +46,10 @@ from gva_mi.refine.clips import cut, join, skim
 from gva_mi.refine.observed_video import ObservedVideo, RefineOptions, simplified_body
 from gva_mi.refine.optimize import worse_frames
 from gva_mi.refine.sequence import (
-    STEPS_A_PASS,
     ObservedClip,
     SequenceOptions,
     Solution,
+    frames_a_step,
     refine_sequence,
     repeats,
     shape_precision,
@@ -124,9 +124,14 @@ def refine_all(
     Returns:
         The results in the order of the videos, each as soon as it is done.
     """
-    losses = sum(options.passes * max(len(video), STEPS_A_PASS) for video in videos)
-    pays = isinstance(options, SequenceOptions) and losses >= SHARED_LOSSES
-    with helper_processes(min(workers, options.batch) if pays else 1, pays) as helpers:
+    pays = False
+    if isinstance(options, SequenceOptions):
+        counts = [len(video) for video in videos]
+        losses = sum(count * repeats(count) * options.passes for count in counts)
+        most = max((frames_a_step(count, options) for count in counts), default=1)
+        workers = min(workers, most)
+        pays = losses >= SHARED_LOSSES
+    with helper_processes(workers, pays) as helpers:
         yield from _refined_all(videos, body, options, progress, helpers)
 
 

@@ -174,7 +174,7 @@ def refine_sequence(
     frames = len(clip.evidence)
     options = replace(
         options,
-        batch=max(1, min(options.batch, frames // STEPS_A_PASS)),
+        batch=frames_a_step(frames, options),
         passes=repeats(frames) * options.passes,
         learn=repeats(frames) * options.learn,
     )
@@ -206,6 +206,11 @@ def shape_precision(body: BodyModel, betas: int, options: SequenceOptions) -> Te
     slope = pad(slope, (0, betas - len(slope))) * (options.height is not None)
     penalty = BETAS_WEIGHT * torch.eye(betas).double() + HEIGHT_WEIGHT * slope[:, None] * slope
     return 2 * penalty / options.prior_weight
+
+
+def frames_a_step(frames: int, options: SequenceOptions) -> int:
+    """Return how many frames a step takes of a clip of so many frames."""
+    return max(1, min(options.batch, frames // STEPS_A_PASS))
 
 
 def repeats(frames: int) -> int:

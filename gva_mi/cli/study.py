@@ -106,7 +106,6 @@ class RelightChoice(_Choice):
 
 # Subjects of held-out set 72, each under another error model.
 _TWO = "--held-out-set 72 --subjects 7200 7202 --error-models bursts white"
-_FOUR = "--held-out-set 72 --subjects 7200 7202 7204 7208 --error-models bursts white slow lean"
 # The studies of the documents, by the names of their folders: `gva-mi study all` runs them.
 STUDIES = {
     "eq8": "refine --held-out-set 31 --subjects 3100 3102 3103 3104 3108 "
@@ -118,11 +117,9 @@ STUDIES = {
     "known": "refine --held-out-set 72 --error-models shape focal anything "
     "--frames 40 --size 320 --known",
     "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
-    '"without refinement" "without trained poses" "without either" "true poses" '
-    '"without hand skeleton" "without re-initialisation" "without re-initialisation, naked" '
-    '"seeded on the naked body" "without stretching" "with residual" GART-like "static 3DGS" '
-    '"one held-out range"',
-    "ladder": f"avatar {_FOUR} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
+    '"without either" "without trained poses" "true poses" "without hand skeleton" '
+    '"without re-initialisation"',
+    "ladder": f"avatar {_TWO} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
     "videos": "avatar --held-out-set 72 --error-models video touch --frames 48 --steps 2000 "
     "--no-fitted "
     "--rows full",

@@ -95,11 +95,10 @@ WHOLE_AND_PERSON, DETAILS = ("white", "person"), ("face", "hands")
 
 # The cases of the studies' held-out set, by the rows of its tables.
 CASES = held_out(72)
-OF_VIDEOS = [case for case in CASES if case.kind_of_errors in (VIDEO_KIND, TOUCH)]
-SIMULATED = tuple(dict.fromkeys(case.row for case in CASES if case not in OF_VIDEOS))
+OF_VIDEOS = [case for case in CASES if case.kind_of_errors == VIDEO_KIND]
+SIMULATED = tuple(dict.fromkeys(case.row for case in CASES if case.row not in (VIDEO_KIND, TOUCH)))
 VIDEO_NAMES = (
     "turn", "everyday, clothes that nothing was tuned on", "half a turn, stretched body (joints)",
-    "touch: dress", "touch: coat", "touch: trunk",
 )  # fmt: skip
 LIMIT_NAMES = (
     "as usual: one turn", "half a turn", "no turn", "everyday motion", "30 frames", "120 frames",
@@ -162,7 +161,7 @@ SUMMARY = [
     *(
         part(f"{region}, three phone videos, pelvis-aligned: stage 1 → refined → trained",
              errors(region, ALIGNED, *THREE, unit=" mm"), "[videos](#avatars-of-videos)",
-             study="videos", row=VIDEO_KIND)
+             study="videos")
         for region in ("body", "hands")
     ),
     part("body: stage 1 → Eq. 8 as printed, pelvis-aligned",
@@ -217,7 +216,7 @@ TABLES: dict[str, Table] = {
             part("[two subjects, simulated errors](docs/studies.md#variants)", study="variants",
                  variant="full"),
             part("[three rendered phone videos](docs/studies.md#avatars-of-videos)",
-                 study="videos", row=VIDEO_KIND),
+                 study="videos"),
         ],
     ),
     "simulated": Table(
@@ -248,35 +247,13 @@ TABLES: dict[str, Table] = {
               change(ABSOLUTE, "body"), row="shape", variant="refined")],
         [part("without `--height`", study="simulated"), part("with it", study="known")],
     ),
-    "refined-videos": Table(
-        "stage 1 → refined, mm",
-        [
-            of_simulated(VIDEO_KIND, "three videos"),
-            of_simulated(TOUCH, "three videos, hands touch the body"),
-        ],
-        [
-            *regions(errors),
-            part("body made worse: aligned, absolute", worse(ALIGNED, ABSOLUTE)),
-            part("IoU of masks", IOU),
-        ],
-    ),
-    "any-lens": Table(
-        "stage 1 → refined",
-        [
-            *(part(f"{region}, {way}, mm", errors(region, way)) for region, way in LENGTHS),
-            part("depth of the pelvis, refined, mm, each video",
-                 depth("pelvis", of=extremes, join=" … ")),
-            part("IoU of masks", IOU),
-        ],
-        [
-            part(name, study=study, row=VIDEO_KIND, variant="refined")
-            for study, name in (("simulated", "lens known"), ("any-lens", "lens unknown"))
-        ],
-    ),
     "limits": Table(
         "stage 1, mm",
-        [part(name, study="limits", row=row, stage="stage 1") for name, row in LIMIT_ROWS.items()],
-        [*regions(error), part("IoU of masks", IOU, stage="")],
+        [part(name, study="limits", row=row) for name, row in LIMIT_ROWS.items()],
+        [
+            *regions(lambda region, alignment: errors(region, alignment, STAGES[0])),
+            part("IoU of masks", IOU),
+        ],
     ),
     "how-to-film": Table(
         "video",
@@ -298,7 +275,6 @@ TABLES: dict[str, Table] = {
                  Shown("", each=("metric", ("lens, px", "true lens, px")), join=" / "),
                  study="real"),
             part("up, degrees", Shown("up, degrees", form=".1f"), study="real"),
-            part("landmarks, px", Shown("points, px"), study="real"),
             part("joints, mm", Shown("joints, mm"), study="real"),
             part("lens known", Shown("joints, mm"), study="real-known"),
             part("aligned", Shown("aligned, mm", {"region": ""}), study="real"),
@@ -311,16 +287,14 @@ TABLES: dict[str, Table] = {
         [
             *(part(name, study="videos", subject=case.take.name)
               for name, case in zip(VIDEO_NAMES, OF_VIDEOS, strict=True)),
-            part("mean of the first three", study="videos", row=VIDEO_KIND),
-            part("mean, touch", study="videos", row=TOUCH),
+            part("mean", study="videos"),
         ],
         regions(lambda region, alignment: errors(region, alignment, *THREE)),
     ),
     "video-pictures": Table(
         "PSNR, dB",
         [
-            part(f"{kind}: {name}", study="videos", row=row, region=region)
-            for row, kind in ((VIDEO_KIND, "three videos"), (TOUCH, "touch"))
+            part(name, study="videos", region=region)
             for region, name in (
                 ("white", "whole picture"), ("person", "person's box"), ("hands", "hands"),
                 ("face", "face"),
@@ -355,6 +329,7 @@ TABLES: dict[str, Table] = {
             part(name, study="relit", variant=light)
             for light, name in (
                 ("left", "left: one lamp"), ("right", "right: one warm lamp"),
+                ("above", "above: one lamp"), ("turned", "turned: the video's own, turned"),
                 ("usual", "usual: the video's own"),
             )
         ],

@@ -113,18 +113,18 @@ STUDIES = {
     "alphas": "avatar --held-out-set 31 --error-models white --subjects 3102 --frames 16 "
     '--size 128 --steps 400 --novel 2 --no-fitted --rows "as printed" alphas',
     "limits": "refine --cases limits --stage 1",
-    "simulated": "refine --held-out-set 72 --frames 40 --size 320",
+    "simulated": "refine --held-out-set 72 --error-models bursts white slow mixed lean shape "
+    'outliers focal masks normals anything "no normals" --frames 40 --size 320',
     "known": "refine --held-out-set 72 --error-models shape focal anything "
     "--frames 40 --size 320 --known",
     "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
     '"without either" "without trained poses" "true poses" "without hand skeleton" '
     '"without re-initialisation"',
     "ladder": f"avatar {_TWO} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
-    "videos": "avatar --held-out-set 72 --error-models video touch --frames 48 --steps 2000 "
-    "--no-fitted "
+    "videos": "avatar --held-out-set 72 --error-models video --frames 48 --steps 2000 --no-fitted "
     "--rows full",
-    "any-lens": "refine --held-out-set 72 --error-models video --frames 48 --no-lens",
-    "relit": "relight --held-out-set 69 --error-models white bursts --lights left right usual",
+    "relit": "relight --held-out-set 75 --error-models white bursts --steps 1600 "
+    "--lights left right above turned usual",
 }
 TABLE = "table.json"  # in the folder of `study all`: the figures of all its studies, one long table
 

@@ -118,8 +118,7 @@ STUDIES = {
     "known": "refine --held-out-set 72 --error-models shape focal anything "
     "--frames 40 --size 320 --known",
     "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
-    '"without either" "without trained poses" "true poses" "without hand skeleton" '
-    '"without re-initialisation"',
+    '"without refinement" "without either" "without hand skeleton" "without re-initialisation"',
     "ladder": f"avatar {_TWO} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
     "videos": "avatar --held-out-set 72 --error-models video --frames 48 --steps 2000 --no-fitted "
     "--rows full",

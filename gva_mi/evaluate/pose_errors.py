@@ -33,7 +33,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, LEFT_HAND, RIGHT_HAND, ROOT_AND_BODY, WRISTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel, Posed
-from gva_mi.core.cpu import one_torch_thread
+from gva_mi.core.cpu import one_torch_thread, sqrt
 from gva_mi.prior.error_model import GROUPS
 from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.refine.uncertainty import Uncertainty
@@ -99,7 +99,7 @@ def within_region(
     shares = {
         (name, "in 90 % region"): inside[:, joints].mean(1) for name, joints in groups.items()
     }
-    rms = lambda square: 1e3 * square.mean(1).sqrt()
+    rms = lambda square: 1e3 * sqrt(square.mean(1))
     return shares | {
         ("joints", "rms, mm"): rms(e.square().sum(2)),
         ("joints", "predicted rms, mm"): rms(C.diagonal(dim1=2, dim2=3).sum(2)),

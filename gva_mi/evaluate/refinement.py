@@ -38,7 +38,7 @@ from torch import Tensor
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import aligned, listed
-from gva_mi.core.cpu import one_thread
+from gva_mi.core.cpu import one_thread, sqrt
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_json, require_array, require_keys, write_arrays
 from gva_mi.core.stamp import write_record
@@ -357,7 +357,7 @@ def load_uncertainty(subject: Path) -> Tensor | None:
 
 def joint_errors(covariances: Tensor) -> Tensor:
     """Return the root mean square distances (55,), mm, of covariances (T, 55, 3, 3), m²."""
-    return 1e3 * covariances.diagonal(dim1=2, dim2=3).sum(2).mean(0).sqrt()
+    return 1e3 * sqrt(covariances.diagonal(dim1=2, dim2=3).sum(2).mean(0))
 
 
 @torch.no_grad()

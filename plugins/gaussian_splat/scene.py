@@ -264,7 +264,17 @@ def plane_mirrors(scene: mi.Scene) -> tuple[mi.Shape, ...]:
 def reflected(
     ray: mi.Ray3f, found: mi.PreliminaryIntersection3f, mirrors: Iterable[mi.Shape]
 ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f]:
-    """Reflect the rays that meet a mirror: which do, the rays after it, and its reflectance."""
+    """Reflect the rays that meet a mirror: which do, the rays after it, and its reflectance.
+
+    Example:
+        >>> mirror = {"type": "rectangle", "bsdf": {"type": "conductor"}}
+        >>> scene = mi.load_dict({"type": "scene", "mirror": mirror})
+        >>> ray = mi.Ray3f([0, 0, 5], [0, 0, -1])
+        >>> found = scene.ray_intersect_preliminary(ray)
+        >>> hit, after, tint = reflected(ray, found, scene.shapes())
+        >>> hit, after.d, tint  # a conductor reflects all light unless a material is named
+        ([True], [[0, 0, 1]], [[1, 1, 1]])
+    """
     hit = mi.Bool(False)
     for mirror in mirrors:
         hit |= found.is_valid() & (found.shape == mi.ShapePtr(mirror))

@@ -149,7 +149,7 @@ def test_unknown_and_missing_arguments_are_answered_with_the_known_ones(cli):
 def test_positional_arguments_are_shown_by_their_names_and_choices_as_such(cli):
     assert " KIND SOURCE OUT" in cli.works("prepare", "--help").splitlines()[0]
     assert " SUBJECTS ..." in cli.works("refine", "--help").splitlines()[0]
-    assert " {splat,growth,fit}" in cli.works("bench", "--help").splitlines()[0]
+    assert " [OPTIONS] {splat,growth,fit,table}" in cli.works("bench", "--help").splitlines()[0]
     missing = cli.fails("prepare", "video.mp4", "me")
     assert "OUT" in missing and "SOURCE" not in missing and "PATH" not in missing
 

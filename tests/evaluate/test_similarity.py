@@ -158,7 +158,7 @@ def test_fitted_novel_poses_correct_a_skeleton_offset(moved, known, body):
     similarity = similarity_to_truth(known.rig, video, body)
     views = aligned_views(views_of(video, body=body), similarity, known.rig, body)
     protocol = {"seen": {"test pictures": ["stage 1"], "test masks": []}}
-    fitted = _under_fitted_poses(known, [], views, protocol, None)
+    fitted = _under_fitted_poses(known, [], views, protocol, None, workers=1)
     figures = evaluate_views(known, [*views, *fitted], Scorer(Weights()))
     before, after = where(figures, region="white", metric="PSNR, dB")
     assert after.split == before.split == "novel_pose" and after.value > before.value + 3

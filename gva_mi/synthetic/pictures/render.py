@@ -27,7 +27,6 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
-from gva_mi.mesh.mesh_scene import instanced
 from gva_mi.splat import Camera
 from gva_mi.synthetic.person.level_sets import vertex_normals
 from gva_mi.synthetic.person.surface import PersonSurface
@@ -93,7 +92,7 @@ class Renderer:
         params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
         params["vertex_positions"] = mi.Float(vertices.ravel())
         params.update()
-        self._scene = instanced(mesh)
+        self._scene = mi.load_dict({"type": "scene", "mesh": mesh})
         self._scene_params = mi.traverse(self._scene)
         self._material = mi.UInt32(material)
         self._rest = mi.Float(rest.ravel())
@@ -284,7 +283,7 @@ def faces_seen(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> np.nd
     pixel = dr.arange(mi.UInt32, camera.width * camera.height)
     column, row = mi.Float(pixel % camera.width), mi.Float(pixel // camera.width)
     ray, _ = primary_rays(camera, column + 0.5, row + 0.5)
-    at = instanced(mesh).ray_intersect_preliminary(ray)
+    at = mi.load_dict({"type": "scene", "mesh": mesh}).ray_intersect_preliminary(ray)
     face = np.where(at.is_valid().numpy(), at.prim_index.numpy().astype(np.int64), -1)
     return face.reshape(camera.height, camera.width)
 

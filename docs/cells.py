@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import mean
+from statistics import mean, stdev
 
 from gva_mi.evaluate.figures import STAGES
 
@@ -34,6 +34,7 @@ class Shown:
     scale: float = 1
     of: Callable[[Sequence[float]], float | tuple[float, float]] = mean  # over subjects
     minus: Where | None = None  # subtract the figure of the same subject that differs in this
+    error: bool = False  # add the standard error of the mean over subjects
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Part:
     shown: Shown | None
     where: Where
     note: str = ""  # of a row: text in the last column
+    minus: Where | None = None  # of a row: as of Shown, in all its cells
 
 
 @dataclass(frozen=True)
@@ -100,12 +102,15 @@ class Writer:
         numbers: list[str] = []
         for x in each:
             values = self.values(at | {name: x})
-            if shown.minus is not None:
-                others = self.values(at | {name: x} | shown.minus)
+            if (minus := row.minus or shown.minus) is not None:
+                others = self.values(at | {name: x} | minus)
                 values = {key: values[key] - others[key] for key in values.keys() & others.keys()}
             found = shown.of(list(values.values())) if values else None
             found = found if isinstance(found, tuple) else (found,)
             numbers += [number(x, shown) for x in found]
+            if shown.error and len(values) > 1:
+                deviation = stdev(values.values()) / len(values) ** 0.5
+                numbers[-1] += f" ± {shown.scale * deviation:{shown.form.lstrip('+')}}"
         text = shown.join.join(numbers)
         return "–" if set(numbers) == {"–"} else text + shown.unit
 

@@ -25,6 +25,7 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 from cells import Part, Row, Shown, Table, Writer, extremes, part
@@ -362,6 +363,24 @@ TABLES: dict[str, Table] = {
         ],
     ),
     "ladder": ablation("ladder", (*LADDER, FULL)),
+    "gains": Table(
+        "dB, against the row above",
+        [
+            Part(after.name, None, {"study": "ladder", "variant": after.name},
+                 minus={"variant": before.name})
+            for before, after in pairwise((*LADDER, FULL))
+        ],
+        [
+            part(name, psnr(split, alignment, region, form="+.1f", error=True))
+            for name, split, alignment, region in (
+                ("test", "test", "", "white"),
+                ("person's box", "test", "", "person"),
+                ("hands", "test", "", "hands"),
+                ("novel pose, aligned", "novel_pose", "aligned", "white"),
+                ("novel view, aligned", "novel_view", "aligned", "white"),
+            )
+        ],
+    ),
 }  # fmt: skip
 
 
@@ -398,11 +417,24 @@ def pages() -> list[Path]:
     return [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
+def unequal(figures: Sequence[Row]) -> list[str]:
+    """Return the studies whose variants were measured on different cases: means would mislead."""
+    cases: dict[str, dict[str, set[tuple[str, str]]]] = {}
+    for figure in figures:
+        of_study = cases.setdefault(figure["study"], {})
+        of_study.setdefault(figure["variant"], set()).add((figure["row"], figure["subject"]))
+    return [name for name, of in cases.items() if any(x != y for x, y in pairwise(of.values()))]
+
+
 def main(study: Path | None) -> None:
     """Write tables and ``figures.csv`` anew."""
     new = [] if study is None else figures_of(study)
     measured = {figure["study"] for figure in new}
     figures = [figure for figure in load() if figure["study"] not in measured] + new
+    if unfinished := unequal(figures):
+        sys.exit(
+            f"{study}: not all cases have all variants: {', '.join(unfinished)}; run them again"
+        )
     figures.sort(key=lambda figure: figure["study"])  # stable
     writer = Writer(figures)
     for path in pages():

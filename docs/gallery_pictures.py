@@ -4,12 +4,13 @@
     python docs/gallery_pictures.py --eq8 SUBJECT OUT
     python docs/gallery_pictures.py --phone ME OUT
     python docs/gallery_pictures.py --ladder SUBJECT RUNS OUT
+    python docs/gallery_pictures.py --viewer DEMO OUT
 
 DEMO is the folder of ``gva-mi demo``; ``overview.png``, ``scenes.png``, ``check.png``,
 ``motions.png`` and ``exports.png`` are written into OUT. SUBJECT is a synthetic subject;
 ``eq8.png`` is written. ME is the folder of ``gva-mi avatar``; ``phone.webp`` is written. SUBJECT
 and RUNS are folders of ``gva-mi study avatar --rows ladder full``, one in ``videos/`` and one in
-``runs/``; ``ladder.png`` is written.
+``runs/``; ``ladder.png`` is written. ``--viewer`` needs Chromium, and writes ``viewer.png``.
 
 The overview shows what an avatar is made of, and what it looks like in new poses. Above: a frame
 that training left out, its normals, the Gaussians drawn small, and the avatar from other sides. In
@@ -70,6 +71,8 @@ SCENES = (("room", 0, 0.7), ("studio", 4, 0), ("sky", 6, 0))
 SCENE_RAYS = 256  # per pixel
 SCENE_SIDE = 400  # pixels, of each picture
 STEPS = (0, 1, 4, 7)  # rows of the ladder that ladder.png shows, before the default
+VIEWER_SIZE, SHOWN_SIZE = (1000, 560), (625, 350)  # CSS pixels of the viewer's page; drawn
+VIEWER_TURN = 120  # pixels that the mouse is dragged
 PHONE_HEIGHT = 320  # pixels of the moving picture
 PHONE_MILLISECONDS = 120  # for each frame
 
@@ -263,6 +266,37 @@ def ladder(subject: Path, runs: Path) -> np.ndarray:
     return _stacked([np.concatenate(row, axis=1) for row in in_rows])
 
 
+def viewer(demo: Path) -> np.ndarray:
+    """Show the viewer's page beside the video, turned and posed, as a surface, as a skeleton."""
+    from samples.browser import SOFTWARE_WEBGL, Browser
+    from samples.viewer_page import ViewerPage
+
+    command = [sys.executable, "-m", "gva_mi", "view", demo / "run", "--port", "0"]
+    command += ["--subject", demo / "subject"]
+    pages = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            with Browser(*SOFTWARE_WEBGL) as browser:
+                page = ViewerPage(browser, process.stdout.readline().split(": ")[0], *VIEWER_SIZE)
+                page.close_notice()
+                pages.append(page.settled())
+                page.click("beside the video")
+                page.turn(VIEWER_TURN)
+                page.choose("joint", "left_shoulder")
+                page.enter("z", "60")
+                for mode, frame in (("Gaussians", 0), ("surface", 21), ("skeleton", 42)):
+                    page.choose("show", mode)
+                    page.enter("frame", str(frame))
+                    pages.append(page.settled(pages[-1]))
+        finally:
+            process.terminate()
+    in_size = [
+        np.asarray(Image.fromarray(x).resize(SHOWN_SIZE, Image.Resampling.LANCZOS)) for x in pages
+    ]
+    rows = [np.concatenate(in_size[k : k + 2], axis=1) for k in (0, 2)]
+    return np.concatenate(rows)
+
+
 ANKLE_STEPS = np.linspace(-0.35, 0.35, 29)  # radians that the hip turns the leg; chosen by eye
 
 
@@ -345,6 +379,9 @@ if __name__ == "__main__" and sys.argv[1] == "--eq8":
     eq8(Path(sys.argv[2]), Path(sys.argv[3]) / "eq8.png")
 elif __name__ == "__main__" and sys.argv[1] == "--ladder":
     save(ladder(Path(sys.argv[2]), Path(sys.argv[3])), Path(sys.argv[4]) / "ladder.png")
+elif __name__ == "__main__" and sys.argv[1] == "--viewer":
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # it drives the browser
+    save(viewer(Path(sys.argv[2])), Path(sys.argv[3]) / "viewer.png")
 elif __name__ == "__main__" and sys.argv[1] == "--phone":
     with tempfile.TemporaryDirectory() as name:
         first, *others = phone(Path(sys.argv[2]), Path(name))

@@ -33,7 +33,9 @@ RESULTS = {"refine": "gva_mi.refine", "avatar": "gva_mi.fit"}  # packages that m
 def made_from(notebook, path):
     """Return what outputs depend on: code, files that it names, the program's results."""
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
-    named = {name for source in code for name in re.findall(r'"([\w./-]+\.(?:json|md))"', source)}
+    named = {
+        name for source in code for name in re.findall(r'"([\w./-]+\.(?:csv|json|md))"', source)
+    }
     there = sorted(name for name in named if (path.parent / name).is_file())
     return {
         "cells": [_digest(source.encode()) for source in code],

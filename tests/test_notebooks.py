@@ -3,7 +3,6 @@
 import ast
 import importlib
 import importlib.util
-import json
 import runpy
 from pathlib import Path
 from types import SimpleNamespace
@@ -89,17 +88,6 @@ def test_whatever_changes_outputs_makes_them_stale(tmp_path, monkeypatch):
     assert not stale()  # it refines nothing
     monkeypatch.setitem(RESULTS_VERSIONS, "avatar", RESULTS_VERSIONS["avatar"] + 1)
     assert stale()
-
-
-def test_the_figures_of_lessons_are_todays_or_the_lesson_calls_them_earlier():
-    for path in FOLDER.glob("*.json"):
-        record = json.loads(path.read_text())
-        if "made_with" not in record:  # a table of docs/studies.md
-            continue
-        today = RESULTS_VERSIONS[record["kind"]]
-        lesson = path.with_suffix(".ipynb").read_text()
-        said = "earlier versions of the fit than today's" in lesson
-        assert record["made_with"]["results_version"] == today or said, path.name
 
 
 def test_every_notebook_is_a_short_lesson_with_small_outputs():

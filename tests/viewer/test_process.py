@@ -4,12 +4,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
 
-import numpy as np
 import pytest
 from samples.browser import CHROMIUM, NO_BROWSER, SOFTWARE_WEBGL, Browser
+from samples.viewer_page import FIELD, ViewerPage
 
 from gva_mi.body.pose import save_poses
 
@@ -43,45 +42,18 @@ def test_it_serves_a_page_and_ctrl_c_ends_it(served):
     assert process.stdout.read() == ""
 
 
-# The input beside a label of viser's panel.
-FIELD = """(name => {
-  let at = [...document.querySelectorAll('label')].find(x => x.innerText.trim() === name);
-  while (!at.querySelector('input:not([type=hidden])')) at = at.parentElement;
-  return at.querySelector('input:not([type=hidden])');
-})"""
-
-
-def settled(browser, before=None):
-    """The picture left of the panel, once it stands still and differs from the one before."""
-    last, end = None, time.monotonic() + 120
-    while time.monotonic() < end:
-        shown = browser.picture()[150:, :450]
-        still = last is not None and np.array_equal(shown, last)
-        if still and shown.std() > 10 and (before is None or not np.array_equal(shown, before)):
-            return shown
-        last = shown
-        time.sleep(0.5)
-    raise AssertionError("the picture does not change, or not settle")
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason=NO_BROWSER)
 def test_a_browser_turns_poses_and_plays(served):
     _, url = served
     with Browser(*SOFTWARE_WEBGL) as browser:
-        browser.open(url, 800, 500, "document.querySelectorAll('label').length > 10")
-        opened = settled(browser)
-        mouse = lambda kind, x, **more: browser(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=300, button="left", **more
-        )
-        mouse("mousePressed", 200, clickCount=1)
-        for x in range(220, 400, 20):
-            mouse("mouseMoved", x, buttons=1)
-        mouse("mouseReleased", 400, clickCount=1)
-        turned = settled(browser, opened)
-        browser.run(f"(x => {{ x.focus(); x.select(); }})({FIELD}('z'))")
-        browser("Input.insertText", text="60")
-        browser.press("Enter", "\r")
-        settled(browser, turned)
-        browser.run(f"{FIELD}('play').click()")
+        page = ViewerPage(browser, url)
+        opened = page.settled()
+        page.turn(200)
+        turned = page.settled(opened)
+        page.enter("z", "60")
+        posed = page.settled(turned)
+        page.choose("show", "surface")
+        page.settled(posed)
+        page.click("play")
         browser.wait(f"Number({FIELD}('frame').value) !== 0")
         assert not [text for text in browser.complaints if "deprecated" not in text]

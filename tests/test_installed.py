@@ -62,17 +62,8 @@ def test_a_wheel_is_complete_and_its_command_works_elsewhere(tmp_path):
             (sources / name).write_bytes((ROOT / name).read_bytes())
             if top in TOPS and not name.endswith(".md"):
                 wanted.add(name.replace(top, TOPS[top], 1))
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--no-build-isolation",
-        *ALONE,
-        "-w",
-        tmp_path,
-        sources,
-    )
+    run(sys.executable, "-m", "pip", "wheel", "--no-build-isolation", *ALONE, "-w", tmp_path,
+        sources)  # fmt: skip
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as file:
         held = {name for name in file.namelist() if not re.match(r"[^/]*\.dist-info/", name)}

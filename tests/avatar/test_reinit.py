@@ -34,14 +34,10 @@ def avatar_of(body, points, colors, opacities=None):
     N, points = len(points), tensor(points)
     sh = torch.zeros(N, 4, 3)
     sh[:, 0] = (tensor(colors) - 0.5) / C0
-    avatar.canonical = CanonicalGaussians(
-        means=points,
-        quats=tensor(rng.normal(size=(N, 4))),
+    avatar.canonical = CanonicalGaussians(means=points, quats=tensor(rng.normal(size=(N, 4))),
         log_scales=tensor(rng.uniform(0.005, 0.05, (N, 3))).log(),
         logit_opacities=torch.logit(tensor(np.full(N, 0.8) if opacities is None else opacities)),
-        sh=sh,
-        **avatar.skin.bind(points),
-    )
+        sh=sh, **avatar.skin.bind(points))  # fmt: skip
     return avatar
 
 
@@ -58,16 +54,7 @@ def noisy_cloud(body, count=8000, noise=0.005, out=0.0):
 
 def distance_to(body, points):
     """Distance to the body's surface, to 2 mm on the small body, by dense samples of it."""
-    return dense_samples(body.v_template.numpy().tobytes(), body).query(points)[0]
-
-
-DENSE = {}
-
-
-def dense_samples(vertices, body):
-    if vertices not in DENSE:
-        DENSE[vertices] = cKDTree(noisy_cloud(body, 200_000, noise=0)[0])
-    return DENSE[vertices]
+    return cKDTree(noisy_cloud(body, 200_000, noise=0)[0]).query(points)[0]
 
 
 @pytest.fixture(scope="module")

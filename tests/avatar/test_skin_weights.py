@@ -93,6 +93,3 @@ def test_slopes_of_linear_weights_on_a_sheet_are_exact_along_it_and_zero_across(
     torch.testing.assert_close(slopes, wanted.expand_as(slopes), rtol=0.05, atol=0.02)
     assert (slopes[:, 2] == 0).all()
     torch.testing.assert_close(slopes.sum(2), torch.zeros(len(vertices), 3), atol=1e-6, rtol=0)
-
-
-# Real clothes, in the poses that tear them.

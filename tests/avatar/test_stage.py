@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from gva_mi.avatar.stage import Proxy, Stage, StageOptions
-from gva_mi.core.errors import InputError
 from gva_mi.fit.renders import render_layer
 
 rgb = lambda *values: {"type": "rgb", "value": list(values)}
@@ -159,10 +158,3 @@ def test_the_proxy_is_the_outer_skin(known):
     assert len(proxy.faces) == len(with_fingers(found.surface, known.rig).faces)
     anew = Proxy.of(again).vertices
     assert torch.cdist(anew, proxy.vertices).min(1).values.mean() < 0.02
-
-
-@pytest.mark.parametrize(("absent", "message"), [("sky", "no light"), ("sensor", "no sensor")])
-def test_scenes_without_light_or_sensor_raise(known, scene_of, absent, message):
-    scene = {name: part for name, part in scene_of().items() if name != absent}
-    with pytest.raises(InputError, match=message):
-        Stage(scene, known)

@@ -17,10 +17,7 @@ from gva_mi.splat.scene import person_scene
 
 ROOT = Path(__file__).parents[2]
 DEMO_STEPS = ("make_subject", "refine", "fit", "evaluate")
-TINY = {
-    "splat": {"gaussians": 300, "size": 64},
-    "fit": {"gaussians": 300, "size": 32},
-}
+TINY = {"splat": {"gaussians": 300, "size": 64}, "fit": {"gaussians": 300, "size": 32}}
 
 
 @pytest.fixture(autouse=True)

@@ -71,16 +71,8 @@ def test_a_broken_video_and_a_killed_worker_cost_no_avatar(filmed, tmp_path):
     (tmp_path / "broken.mp4").write_text("no video")
     videos = [tmp_path / f"{name}.mp4" for name in ("a", "broken", "b")]
     options = "--height", height, "--quality", "draft", "--steps", 20, "--workers", 2
-    command = [
-        sys.executable,
-        "-m",
-        "gva_mi",
-        "batch",
-        *videos,
-        "--out",
-        tmp_path / "out",
-        *options,
-    ]
+    command = [sys.executable, "-m", "gva_mi", "batch", *videos, "--out", tmp_path / "out",
+        *options]  # fmt: skip
     with (tmp_path / "said.txt").open("w") as said:
         running = subprocess.Popen(list(map(str, [*command, *options])), stdout=said, stderr=said)
         avatars = lambda: [

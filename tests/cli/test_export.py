@@ -33,11 +33,8 @@ def same(found, expected, rtol=1e-4):
 
 def test_gaussians_at_rest_in_a_frame_and_in_a_motion(run, dance, known, cli, turning):
     with torch.no_grad():
-        expected = {
-            (): known(Pose.rest()),
-            ("--frame", 2): known(turning(3)[0][2]),
-            ("--poses", dance, "--frame", 3): known(turning(5, 1.0)[0][3]),
-        }
+        expected = {(): known(Pose.rest()), ("--frame", 2): known(turning(3)[0][2]),
+            ("--poses", dance, "--frame", 3): known(turning(5, 1.0)[0][3])}  # fmt: skip
     for chosen, gaussians in expected.items():
         out = cli.works("export", run, "--out", run / "a.ply", "--overwrite", *chosen)
         assert ("of a person of another shape" in out) == ("--poses" in chosen), out
@@ -92,10 +89,7 @@ BAD = {
     "suffix": (("--out", "a.obj"), "no format ends in .obj; expected .ply (Gaussians"),
     "frame": (("--out", "a.ply", "--frame", 3), "--frame 3 is out of range; there are 3 poses"),
     "no poses": (("--out", "a.ply", "--poses", "none.npz"), "none.npz: no such file"),
-    "meaningless": (
-        ("--out", "a.ply", "--fps", 2),
-        "is for .glb, .npz and .html, not for",
-    ),
+    "meaningless": (("--out", "a.ply", "--fps", 2), "is for .glb, .npz and .html, not for"),
     "no frame": (("--out", "a.html", "--frame", 1), "--frame is for .ply, .splat"),
     "two things": (("--out", "a.npz", "--no-rig", "--poses", "p.npz"), "not both"),
     "no rig": (("--out", "a.ply", "--no-rig"), "--no-rig is for .npz and .html, not for .ply"),

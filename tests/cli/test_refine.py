@@ -49,17 +49,11 @@ def test_a_ground_truth_of_another_length_costs_the_figures_alone(subject, cli):
     assert {row["metric"] for row in figures} == {"stage 1 IoU", "refined IoU", "s a frame"}
 
 
-BAD = {
-    "nobody": ((), "refine: give the folder of a subject, or of several"),
-    "paper, held out": (
-        ("nowhere", "--preset", "paper", "--hold-out-test"),
-        "--hold-out-test is an option of the refinement of all frames together",
-    ),
-    "paper, height": (
-        ("nowhere", "--preset", "paper", "--height", 1.8),
-        "--height is an option of",
-    ),
-}
+BAD = {"nobody": ((), "refine: give the folder of a subject, or of several"),
+    "paper, held out": (("nowhere", "--preset", "paper", "--hold-out-test"),
+    "--hold-out-test is an option of the refinement of all frames together"),
+    "paper, height": (("nowhere", "--preset", "paper", "--height", 1.8),
+    "--height is an option of")}  # fmt: skip
 
 
 def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, cli):

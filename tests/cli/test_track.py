@@ -72,12 +72,8 @@ def test_trained_poses_of_another_video_are_not_used(person, avatar, cli):
 
 @pytest.mark.slow
 def test_test_frames_are_fitted_only_on_request(video, body, subject, tmp_path, cli):
-    options = FitOptions(
-        steps=4,
-        window=16,
-        avatar=AvatarOptions(seed=SeedOptions(count=300)),
-        schedule=Schedule(reinit_at=()),
-    )
+    options = FitOptions(steps=4, window=16, avatar=AvatarOptions(seed=SeedOptions(count=300)),
+        schedule=Schedule(reinit_at=()))  # fmt: skip
     fit(video, body, options, tmp_path)
     rows = {}
     for arguments in ((), ("--fit-poses",)):

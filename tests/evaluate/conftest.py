@@ -62,13 +62,5 @@ def refined(video, estimated, body):
     losses, offsets = torch.rand(6), torch.zeros_like(body.v_template)
     kept = {5: "its loss grew from 0.100 to <0.200>"}
     pose = replace(video.pose, rotations=rotations)
-    return Refined(
-        pose,
-        video.shape,
-        offsets,
-        losses_stage1=losses + 0.1,
-        losses=losses,
-        kept=kept,
-        without_normals=[1],
-        seconds_per_frame=0.5,
-    )
+    return Refined(pose, video.shape, offsets, losses_stage1=losses + 0.1, losses=losses, kept=kept,
+        without_normals=[1], seconds_per_frame=0.5)  # fmt: skip

@@ -142,13 +142,9 @@ def test_metrics_survive_a_round_trip(tmp_path):
         Figure(split="test", region="white", metric="LPIPS", value=None),
         Figure(metric="seconds", value=1.5),
     )
-    metrics = Metrics(
-        figures=figures,
-        size=(48, 32),
-        protocol={"seen": {"test pictures": ["stage 1"]}},
-        options={"seed": 7, "steps": 3},
-        versions={"python": "3.11"},
-    )
+    metrics = Metrics(figures=figures, size=(48, 32),
+        protocol={"seen": {"test pictures": ["stage 1"]}}, options={"seed": 7, "steps": 3},
+        versions={"python": "3.11"})  # fmt: skip
     metrics.save(tmp_path)
     assert Metrics.load(tmp_path) == metrics
     record = json.loads((tmp_path / METRICS).read_text())
@@ -167,16 +163,12 @@ def test_a_file_that_cannot_be_read_is_named(text, tmp_path):
         Metrics.load(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "poses, refinement, seen",
-    [
-        ("poses.npz", None, (["stage 1"], [], [])),
-        ("poses_refined.npz", None, (["stage 1"], ["refine"], ["refine"])),
-        ("poses_refined.npz", "seen", (["stage 1"], ["refine"], ["refine"])),
-        ("poses_refined.npz", "held out", (["stage 1"], [], [])),
-        ("poses_photometric.npz", None, (["stage 1", "track"], ["track"], [])),
-    ],
-)
+@pytest.mark.parametrize("poses, refinement, seen",
+    [("poses.npz", None, (["stage 1"], [], [])),
+    ("poses_refined.npz", None, (["stage 1"], ["refine"], ["refine"])),
+    ("poses_refined.npz", "seen", (["stage 1"], ["refine"], ["refine"])),
+    ("poses_refined.npz", "held out", (["stage 1"], [], [])),
+    ("poses_photometric.npz", None, (["stage 1", "track"], ["track"], []))])  # fmt: skip
 def test_the_protocol_lists_who_has_seen_the_test_frames(poses, refinement, seen, video, tmp_path):
     if refinement is not None:
         (tmp_path / "refinement.json").write_text(

@@ -21,22 +21,13 @@ PSNR = "PSNR, dB"
 
 def test_a_page_is_one_file_with_its_pictures(tmp_path):
     image = np.zeros((4, 6, 3), np.uint8)
-    section = Section(
-        "Section <1>",
+    section = Section("Section <1>",
         [picture("grey", image + 128), animation("moving", [image] * 2)],
-        tables=[Table(("name", "value"), [("x < y", "1.2"), ("z", "–")])],
-        text="A & B",
+        tables=[Table(("name", "value"), [("x < y", "1.2"), ("z", "–")])], text="A & B",
         headlines=[Headline("3 mm", "error")],
-        scale=[((1, 2, 3), "dark"), ((250, 250, 250), "light")],
-    )
-    write_page(
-        tmp_path / "page.html",
-        title="Title",
-        subtitle="Subtitle",
-        sections=[section],
-        settings={"seed": 7},
-        verdict=Headline("Good", "from all sides"),
-    )
+        scale=[((1, 2, 3), "dark"), ((250, 250, 250), "light")])  # fmt: skip
+    write_page(tmp_path / "page.html", title="Title", subtitle="Subtitle", sections=[section],
+        settings={"seed": 7}, verdict=Headline("Good", "from all sides"))  # fmt: skip
     page = (tmp_path / "page.html").read_text()
     for text in (
         "Section &lt;1&gt;",

@@ -67,13 +67,9 @@ def test_what_frames_show_stays_and_the_rest_has_the_colors_around_it(alike, cam
     assert colors[n[:, 2] < -0.6].abs().max() < 1.1  # of the noise, nothing is left
 
 
-@pytest.mark.parametrize(
-    ("turn", "away", "channels"),
-    [
-        pytest.param(torch.pi / 2, (1.0, 0.0, 0.0), [0, 1, 2], id="a mirror"),
-        pytest.param(0.0, (0.0, 0.0, -1.0), [1], id="the front at its height"),
-    ],
-)
+@pytest.mark.parametrize(("turn", "away", "channels"),
+    [pytest.param(torch.pi / 2, (1.0, 0.0, 0.0), [0, 1, 2], id="a mirror"),
+    pytest.param(0.0, (0.0, 0.0, -1.0), [1], id="the front at its height")])  # fmt: skip
 def test_what_no_frame_shows_takes_the_colors_of_the_other_side(
     turn, away, channels, alike, camera, tmp_path, monkeypatch
 ):

@@ -34,18 +34,8 @@ def lasting(x=0.04):
     return torch.stack([0 * angle, x * angle.sin(), 0 * angle], dim=1)
 
 
-def trained_to(
-    truth,
-    given,
-    known,
-    camera,
-    options=OPTIONS,
-    until=STEPS,
-    poses=None,
-    since=0,
-    tests=(TEST,),
-    faces=False,
-):
+def trained_to(truth, given, known, camera, options=OPTIONS, until=STEPS, poses=None, since=0,
+    tests=(TEST,), faces=False):  # fmt: skip
     """Descend on the distance to the ground-truth place and elbow, and optionally face, frame by
     frame except for ``tests``."""
     poses = poses or TrainedPoses(given, [camera] * len(given), known.rig, options, STEPS)

@@ -7,10 +7,7 @@ import pytest
 import torch
 
 from gva_mi.fit.losses import LossOptions, render_losses
-from gva_mi.fit.samples import (
-    FrameSampler,
-    box_of_gaussians,
-)
+from gva_mi.fit.samples import FrameSampler, box_of_gaussians
 from gva_mi.splat import Gaussians, Image, render
 from gva_mi.subject.backdrop import behind, unsure
 from gva_mi.subject.crop import Box

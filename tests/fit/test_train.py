@@ -23,14 +23,9 @@ from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit, make_adam
 
 STEPS = 24
-OPTIONS = FitOptions(
-    steps=STEPS,
-    window=16,
-    checkpoint_every=10,
+OPTIONS = FitOptions(steps=STEPS, window=16, checkpoint_every=10,
     avatar=AvatarOptions(seed=SeedOptions(count=400), residual=ResidualOptions(enabled=True)),
-    schedule=Schedule(densify_every=5, reinit_at=()),
-    poses=PoseOptions(every=3),
-)
+    schedule=Schedule(densify_every=5, reinit_at=()), poses=PoseOptions(every=3))  # fmt: skip
 PARAMETERS = [
     "light",
     *(f"canonical.{n}" for n in ("means", "quats", "log_scales", "logit_opacities", "sh")),

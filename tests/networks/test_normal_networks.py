@@ -53,17 +53,13 @@ def test_one_of_several_outputs_is_chosen_by_its_name(person, tmp_path):
 
     24 by 32 pixels hold 3.9 patches of 14 by 14: its input is 4, and it answers x = 0.4, y = 0.
     """
-    nodes = [
-        ("Cast", ["num_tokens"], ["tokens"], {"to": 1}),
-        ("Mul", ["tokens", "tenth"], ["x"], {}),
-        ("Mul", ["image", "nothing"], ["zero"], {}),
+    nodes = [("Cast", ["num_tokens"], ["tokens"], {"to": 1}),
+        ("Mul", ["tokens", "tenth"], ["x"], {}), ("Mul", ["image", "nothing"], ["zero"], {}),
         ("Split", ["zero"], ["r", "g", "b"], {"axis": 1, "num_outputs": 3}),
-        ("Add", ["r", "x"], ["x_map"], {}),
-        ("Sub", ["b", "height"], ["z_map"], {}),
+        ("Add", ["r", "x"], ["x_map"], {}), ("Sub", ["b", "height"], ["z_map"], {}),
         ("Concat", ["x_map", "g", "z_map"], ["planes"], {"axis": 1}),
         ("Transpose", ["planes"], ["normal"], {"perm": [0, 2, 3, 1]}),
-        ("Transpose", ["image"], ["points"], {"perm": [0, 2, 3, 1]}),
-    ]
+        ("Transpose", ["image"], ["points"], {"perm": [0, 2, 3, 1]})]  # fmt: skip
     path = onnx_graph(
         tmp_path / "scene.onnx", nodes,
         {"image": ("FLOAT", [1, 3, "h", "w"]), "num_tokens": ("INT64", [])}, ["points", "normal"],

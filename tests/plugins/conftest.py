@@ -22,14 +22,9 @@ def sphere(rings=24, segments=40, radius=0.5, center=(0.0, 0.0, 0.0)):
     """A closed sphere whose poles are single vertices: vertices (V, 3) and faces (F, 3)."""
     theta = np.pi * np.arange(1, rings) / rings
     phi = 2 * np.pi * np.arange(segments) / segments
-    ring = np.stack(
-        [
-            np.sin(theta)[:, None] * np.cos(phi),
-            np.broadcast_to(np.cos(theta)[:, None], (rings - 1, segments)),
-            np.sin(theta)[:, None] * np.sin(phi),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    ring = np.stack([np.sin(theta)[:, None] * np.cos(phi),
+        np.broadcast_to(np.cos(theta)[:, None], (rings - 1, segments)),
+        np.sin(theta)[:, None] * np.sin(phi)], axis=-1).reshape(-1, 3)  # fmt: skip
     top, bottom = len(ring), len(ring) + 1
     at = lambda i, j: i * segments + j % segments
     faces = []

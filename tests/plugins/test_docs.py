@@ -20,11 +20,8 @@ SIZE = 160
 def reference_picture(scenes):
     """Normals, mask, depth, and the derivatives of normals and mask, side by side (H, 5 W, 3)."""
     ball, ring = scenes.sphere, scenes.torus
-    parts = [
-        ball(40, 60, 0.24, (-0.2, 0.2, 0.7)),
-        ring(96, 48),
-        ball(40, 60, 0.3, (0.4, -0.1, 0.1)),
-    ]
+    parts = [ball(40, 60, 0.24, (-0.2, 0.2, 0.7)), ring(96, 48),
+        ball(40, 60, 0.3, (0.4, -0.1, 0.1))]  # fmt: skip
     shapes = {f"m{k}": scenes.mesh(f"m{k}", *part) for k, part in enumerate(parts)}
     scene = mi.load_dict({"type": "scene", **shapes})
     parameters, sensor = mi.traverse(scene), scenes.camera(SIZE)
@@ -43,13 +40,9 @@ def reference_picture(scenes):
     grey = lambda x: np.repeat(x, 3, axis=2)
     depth = np.divide(image[..., 4:5], mask, out=np.zeros_like(mask), where=mask > 0)
     near, far = depth[depth > 0].min(), depth.max()
-    panels = (
-        0.5 * mask + 0.5 * image[..., :3] * [1, -1, -1],
-        grey(mask),
-        grey(mask * (1 - 0.8 * (depth - near) / (far - near))),
-        0.5 + derivative[..., :3] / 80,
-        grey(0.5 + derivative[..., 3:4] / 80),
-    )
+    panels = (0.5 * mask + 0.5 * image[..., :3] * [1, -1, -1], grey(mask),
+        grey(mask * (1 - 0.8 * (depth - near) / (far - near))), 0.5 + derivative[..., :3] / 80,
+        grey(0.5 + derivative[..., 3:4] / 80))  # fmt: skip
     return np.clip(np.concatenate(panels, axis=1), 0, 1)
 
 

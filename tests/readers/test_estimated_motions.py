@@ -103,10 +103,7 @@ def test_an_unknown_folder_is_described(tmp_path):
     (tmp_path / "x/frames").mkdir(parents=True)
     (tmp_path / "x/poses.npz").write_text("")
     for folder, words in (
-        (
-            tmp_path / "x/frames",
-            "frames: holds no motion in a known format; expected a file",
-        ),
+        (tmp_path / "x/frames", "frames: holds no motion in a known format; expected a file"),
         (tmp_path / "x", "x: holds no motion.*its motion is .*poses.npz"),
         (tmp_path / "nowhere", "nowhere: no such file; expected a motion such as"),
     ):

@@ -4,15 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from samples.estimates import (
-    CENTRED,
-    HEIGHT,
-    WIDTH,
-    WRITTEN,
-    dumped,
-    named,
-    of_smpl,
-)
+from samples.estimates import CENTRED, HEIGHT, WIDTH, WRITTEN, dumped, named, of_smpl
 
 from gva_mi.core.errors import InputError
 from gva_mi.readers.estimator_layouts import VideoInfo, people_by_name, wham_lens

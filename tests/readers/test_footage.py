@@ -150,14 +150,10 @@ def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
         notes_of(tmp_path / "a.mp4")
 
 
-@pytest.mark.parametrize(
-    "names, number",
-    [
-        (["frame_1.png", "frame_01.jpg", "frame_2.png"], 1),
-        (["1_color.png", "1_mask.png", "2_color.png"], 1),
-        (["shot 7 (copy 2).png", "shot 8.png", "shot 2.png"], 2),
-    ],
-)
+@pytest.mark.parametrize("names, number",
+    [(["frame_1.png", "frame_01.jpg", "frame_2.png"], 1),
+    (["1_color.png", "1_mask.png", "2_color.png"], 1),
+    (["shot 7 (copy 2).png", "shot 8.png", "shot 2.png"], 2)])  # fmt: skip
 def test_two_pictures_of_one_frame_are_refused(names, number, tmp_path):
     for name in names:
         Image.fromarray(shown()).save(tmp_path / name)

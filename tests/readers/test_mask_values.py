@@ -46,17 +46,6 @@ def test_a_frame_of_noise_alone_is_read_in_the_units_of_the_others(container, tm
     assert [int(x.max()) for x in found] == [255, 0, 255] and np.array_equal(found[0] > 127, ME)
 
 
-def test_pictures_of_16_bits_are_in_one_unit(tmp_path):
-    """255 of 65535 is dark, also in a picture that holds no more; 255 of 255 is not."""
-    for full, wanted in ((65535, 1), (255, 255)):
-        folder = tmp_path / str(full)
-        folder.mkdir()
-        for k, x in enumerate((255 * OTHER, full * ME)):
-            Image.fromarray(x.astype(np.uint16)).save(folder / f"{k}.png")
-        dark, mask = masks(folder)
-        assert dark.max() == wanted and np.array_equal(mask > 127, ME)
-
-
 @pytest.mark.parametrize("container", ["pictures", "arrays"])
 def test_a_subjects_own_masks_are_in_one_unit_too(container, tmp_path):
     folder = stored(tmp_path / "m", [NOISE, ME * np.uint8(255), NOISE], container)

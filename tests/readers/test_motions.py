@@ -234,7 +234,7 @@ def test_a_file_without_a_rate_is_played_pose_by_pose(tmp_path, walk, known):
     assert "no frame rate is known: each pose is one frame" in said.getvalue()
 
 
-STAND, LIE = np.zeros(3), np.array([-np.pi / 2, 0, 0])  # with y up
+LIE = np.array([-np.pi / 2, 0, 0])  # with y up
 
 
 def test_the_up_axis_is_that_of_the_floor_and_the_first_frames(read, walk, body):

@@ -89,13 +89,8 @@ def test_bad_sources_are_refused_in_one_sentence(wham, tmp_path, cli, seen, foot
 
     file, out = tmp_path / "x.pkl", tmp_path / "s"
     file.write_bytes(pickle.dumps({"a": 1}))
-    refused(
-        "unknown estimator format, holds a; expected one of wham: people with",
-        "auto",
-        file,
-        out,
-        *footage,
-    )
+    refused("unknown estimator format, holds a; expected one of wham: people with", "auto", file,
+        out, *footage)  # fmt: skip
     refused(
         "not a source of gvhmr, holds a; expected smpl_params_incam", "gvhmr", file, out, *footage
     )

@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
 FRAME, MASK = "frames/000002.png", "masks/000002.png"
 
 

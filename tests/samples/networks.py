@@ -9,18 +9,14 @@ def onnx_file(path, sides=("h", "w"), channels=3, kind="normals"):
 
     Other kinds write (n + 1) / 2, x and y alone, vectors of length 0, or NaN.
     """
-    nodes = [
-        ("Slice", ["seen", "zero", "two", "one"], ["colour"], {}),
+    nodes = [("Slice", ["seen", "zero", "two", "one"], ["colour"], {}),
         ("Clip", ["colour", "least", "most"], ["xy"], {}),
         ("ReduceSumSquare", ["xy", "one"], ["square"], {"keepdims": 1}),
-        ("Sub", ["unit", "square"], ["rest"], {}),
-        ("Sqrt", ["rest"], ["z"], {}),
+        ("Sub", ["unit", "square"], ["rest"], {}), ("Sqrt", ["rest"], ["z"], {}),
         ("Concat", ["xy", "z"], ["normals"], {"axis": 1}),
-        ("Add", ["normals", "unit"], ["raised"], {}),
-        ("Mul", ["raised", "half"], ["encoded"], {}),
+        ("Add", ["normals", "unit"], ["raised"], {}), ("Mul", ["raised", "half"], ["encoded"], {}),
         ("Sub", ["seen", "seen"], ["nothing"], {}),
-        ("Div", ["nothing", "nothing"], ["unknown"], {}),
-    ]
+        ("Div", ["nothing", "nothing"], ["unknown"], {})]  # fmt: skip
     number = np.float32
     constants = {
         "zero": [0], "two": [2], "one": [1], "least": number(-0.6), "most": number(0.6),

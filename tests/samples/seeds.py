@@ -146,15 +146,9 @@ def seeds(subject, avatar):
 
         each(folder, path, {"amass.npz": read, "aist.pkl": read, "motion.pt": read})
 
-    return {
-        "subject": (copied, opened),
-        "video": (filmed, opened),
-        "run": (run, read_run),
-        "study": (study, read_study),
-        "gaussians": (gaussians, read_gaussians),
-        "body": (bodies, read_bodies),
-        "motion": (motions, read_motions),
-    }
+    return {"subject": (copied, opened), "video": (filmed, opened), "run": (run, read_run),
+        "study": (study, read_study), "gaussians": (gaussians, read_gaussians),
+        "body": (bodies, read_bodies), "motion": (motions, read_motions)}  # fmt: skip
 
 
 def each(folder, path, readers):

@@ -101,13 +101,9 @@ def test_backgrounds_cameras_and_colours_are_checked():
 
 def test_more_pairs_than_indices_hold():
     n = 3000  # times the 262,144 tiles of the picture
-    g = Gaussians(
-        means=torch.tensor([[0.0, 0.0, 2.0]]).repeat(n, 1),
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1),
-        scales=torch.full((n, 3), 100.0),
-        opacities=torch.ones(n),
-        colors=torch.ones(n, 1),
-    )
+    g = Gaussians(means=torch.tensor([[0.0, 0.0, 2.0]]).repeat(n, 1),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1), scales=torch.full((n, 3), 100.0),
+        opacities=torch.ones(n), colors=torch.ones(n, 1))  # fmt: skip
     camera = Camera(2000, 2000, 1024, 1024, np.eye(4), 4096, 2048)
     with pytest.raises(ValueError, match=r"3000 Gaussians touch 786432000 tiles .* 536870911"):
         render(g, camera)

@@ -18,13 +18,9 @@ IMAGES = ("color", "alpha", "depth")
 
 def arrays(n=60, channels=3):
     rng = np.random.default_rng(1)
-    return {
-        "means": rng.uniform(-1, 1, (n, 3)),
-        "quats": rng.normal(size=(n, 4)),
-        "scales": rng.uniform(0.05, 0.3, (n, 3)),
-        "opacities": rng.uniform(0.2, 0.9, n),
-        "colors": rng.uniform(size=(n, channels)),
-    }
+    return {"means": rng.uniform(-1, 1, (n, 3)), "quats": rng.normal(size=(n, 4)),
+        "scales": rng.uniform(0.05, 0.3, (n, 3)), "opacities": rng.uniform(0.2, 0.9, n),
+        "colors": rng.uniform(size=(n, channels))}  # fmt: skip
 
 
 def gaussians(kind, rows=slice(None), channels=3):

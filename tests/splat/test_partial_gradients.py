@@ -3,10 +3,8 @@
 import pytest
 import torch
 
-from gva_mi.splat import Camera, Gaussians, Screen, reference, render
-from gva_mi.splat.kernels.inputs import RequestedGradients
+from gva_mi.splat import Camera, Gaussians, reference, render
 from gva_mi.splat.scene import random_scene
-from gva_mi.splat.torch_passes import Drawn, Tensors
 
 SCENE = random_scene(torch.Generator().manual_seed(0), 40, 32, 24)
 IMAGES = {"all": ("color", "alpha", "depth"), "depth": ("depth",)}
@@ -51,31 +49,14 @@ def test_gradients_of_some_inputs_have_the_bits_of_all_gradients(channels, image
             assert torch.equal(grad, whole[name]), (names, name)
 
 
-def test_only_requested_gradients_are_computed():
-    nothing = Tensors(*[False] * len(Tensors._fields))
-    drawn = Drawn(None, None)
-    asked = lambda drawn, **by: drawn.requested(nothing._replace(**by))
-    colors, means = asked(drawn, colors=True), asked(drawn, means=True)
-    assert colors == RequestedGradients(geometry=False) and means == RequestedGradients(
-        colors=False
-    )
-    assert asked(drawn, K=True) == RequestedGradients(colors=False, camera=True)
-    assert asked(drawn, means=True, colors=True) == RequestedGradients()
-    assert asked(Drawn(None, Screen()), colors=True).geometry  # a screen keeps a gradient
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 9])
 def test_a_list_may_end_anywhere_in_a_turn_of_the_loop(count):
     """The loops process several Gaussians per turn and read ahead; any length must work."""
     random = torch.Generator().manual_seed(count)
     uniform = lambda *shape: torch.rand(*shape, generator=random, dtype=torch.float64)
-    arrays = {
-        "means": 0.2 * (uniform(count, 3) - 0.5) + torch.tensor([0.0, 0.0, 3.0]).double(),
-        "quats": uniform(count, 4) - 0.5,
-        "scales": 0.1 + 0.2 * uniform(count, 3),
-        "opacities": 0.1 + 0.3 * uniform(count),
-        "colors": uniform(count, 3),
-    }
+    arrays = {"means": 0.2 * (uniform(count, 3) - 0.5) + torch.tensor([0.0, 0.0, 3.0]).double(),
+        "quats": uniform(count, 4) - 0.5, "scales": 0.1 + 0.2 * uniform(count, 3),
+        "opacities": 0.1 + 0.3 * uniform(count), "colors": uniform(count, 3)}  # fmt: skip
     camera = Camera(20, 20, 4, 2, torch.eye(4).numpy(), 8, 4)  # one tile
     weights, found = uniform(4, 8, 3), []
     for draw in (render, reference.render):

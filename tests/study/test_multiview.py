@@ -77,18 +77,13 @@ def test_a_calibration_is_read_and_its_distortion_undone(tmp_path):
     np.testing.assert_allclose(one.rays(pixels), x, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("", "found 0"),
-        ("[one]\nmatrix = 3", "expected a camera's name"),
-        ("[", "expected a"),
-        ("[metadata]\nerror = 0.0" + TABLE, "found 1"),
-        (TABLE.replace("600.0, 0.0", "600.0, 3.0"), "K must be .*600.0, 3.0, 320.0"),
-        (TABLE + "fisheye = true", "one is a fisheye, or does not have 4 or 5 distortion"),
-        (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or does not have 4 or 5"),
-    ],
-)
+@pytest.mark.parametrize(("text", "problem"),
+    [("", "found 0"), ("[one]\nmatrix = 3", "expected a camera's name"), ("[", "expected a"),
+    ("[metadata]\nerror = 0.0" + TABLE, "found 1"),
+    (TABLE.replace("600.0, 0.0", "600.0, 3.0"), "K must be .*600.0, 3.0, 320.0"),
+    (TABLE + "fisheye = true", "one is a fisheye, or does not have 4 or 5 distortion"),
+    (TABLE.replace("-0.001]", "-0.001, 0, 0]"), "one is a fisheye, or does not have 4 or 5")],
+    )  # fmt: skip
 def test_a_file_that_is_no_calibration_is_refused(tmp_path, text, problem):
     path = tmp_path / "calibration.toml"
     path.write_text(text)
@@ -183,18 +178,8 @@ def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
         (recordings / f"{name}.mp4").write_bytes((tmp_path / "take/video.mp4").read_bytes())
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (tmp_path / "cameras.toml").write_text(text.replace("640.0, 480.0", "256.0, 256.0"))
-    main(
-        [
-            "study",
-            "multiview",
-            str(recordings),
-            str(tmp_path / "cameras.toml"),
-            "--height",
-            "1.7",
-            "--json",
-            str(tmp_path / "a.json"),
-        ]
-    )
+    main(["study", "multiview", str(recordings), str(tmp_path / "cameras.toml"), "--height", "1.7",
+        "--json", str(tmp_path / "a.json")])  # fmt: skip
     figures = json.loads((tmp_path / "a.json").read_text())["figures"]
     lens = {row["subject"]: row["value"] for row in figures if row["metric"] == "lens, px"}
     assert set(lens) == {"a", "b"} and lens["a"] == lens["b"] != 600

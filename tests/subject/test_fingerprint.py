@@ -10,12 +10,7 @@ import torch
 from gva_mi import InputError
 from gva_mi.body.body_file import BUILT_IN_BODY
 from gva_mi.body.smplx import BodyModel, load_body
-from gva_mi.subject.fingerprint import (
-    fingerprint,
-    prepared_from,
-    require_listed,
-    require_same_body,
-)
+from gva_mi.subject.fingerprint import fingerprint, prepared_from, require_listed, require_same_body
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.video import load_video
 

@@ -88,12 +88,9 @@ def draw_person(folder, frames, body):
 def solved(folder, frames, body):
     draw_person(folder, frames, body)
     few_steps = ["--steps", 2, "--avatar.seed.count", 2000]
-    return {
-        "check": measured(COMMAND, "check", folder),
-        "opening": measured(OPEN, folder),
+    return {"check": measured(COMMAND, "check", folder), "opening": measured(OPEN, folder),
         "refine": measured(SPILLS, "refine", folder, "--passes", 1, "--workers", WORKERS),
-        "fit": measured(SPILLS, "fit", folder, "--out", folder / "run", *few_steps),
-    }
+        "fit": measured(SPILLS, "fit", folder, "--out", folder / "run", *few_steps)}  # fmt: skip
 
 
 def require_flat(few, many, fewer, more, kept=0):

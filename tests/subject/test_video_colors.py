@@ -61,19 +61,12 @@ def seen(path, count):
                      for k in range(count)])  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name, codec, more",
-    [
-        ("a.mp4", "libx264", {}),
-        ("a.mp4", "libx264", {"matrix": 601}),
-        ("a.mp4", "libx264", {"full": True}),
-        ("a.mov", "libx265", {"bits": 10}),
-        ("a.mkv", "libx265", {"bits": 10, "full": True}),
-        ("a.webm", "libvpx-vp9", {}),
-        ("a.mp4", "libx264", {"matrix": 601, "tagged": False}),
-        ("a.mp4", "libx264", {"matrix": 709, "tagged": False, "size": (32, 1280)}),
-    ],
-)
+@pytest.mark.parametrize("name, codec, more",
+    [("a.mp4", "libx264", {}), ("a.mp4", "libx264", {"matrix": 601}),
+    ("a.mp4", "libx264", {"full": True}), ("a.mov", "libx265", {"bits": 10}),
+    ("a.mkv", "libx265", {"bits": 10, "full": True}), ("a.webm", "libvpx-vp9", {}),
+    ("a.mp4", "libx264", {"matrix": 601, "tagged": False}),
+    ("a.mp4", "libx264", {"matrix": 709, "tagged": False, "size": (32, 1280)})])  # fmt: skip
 def test_greys_and_colours_are_right_in_every_form(name, codec, more, tmp_path):
     true = np.concatenate([np.repeat(RAMP[:, None], 3, axis=1), COLORS])
     found = seen(write(tmp_path / name, codec, true / 255, **more), len(true))

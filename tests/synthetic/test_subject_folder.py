@@ -221,22 +221,17 @@ def test_other_folders_are_refused(noisy, body, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    "options, sentence",
-    [
-        ({"samples": 5}, "samples must be a square number, got 5"),
-        ({"samples": 9, "shutter": 0.05}, "4 times a square number with a shutter, got 9"),
-        ({"subject": "zoe"}, "amira, bruno"),
-        ({"motion": "crawl"}, "everyday"),
-        ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),
-        ({"error_model": "brown"}, "no error model 'brown'; there are: none, bursts, white"),
-        ({"error_seed": -1}, "error_seed must be from 0 to .*, got -1"),
-        ({"camera": "circles"}, "--camera circles needs --error-model none"),
-        (HELD | {"error_model": "white"}, "--camera held needs --error-model none"),
-        (HELD | {"scene": "white"}, "--camera held needs --scene room"),
-        (HELD | {"camera": "circles"}, "--camera circles needs --scene white"),
-    ],
-)
+@pytest.mark.parametrize("options, sentence",
+    [({"samples": 5}, "samples must be a square number, got 5"),
+    ({"samples": 9, "shutter": 0.05}, "4 times a square number with a shutter, got 9"),
+    ({"subject": "zoe"}, "amira, bruno"), ({"motion": "crawl"}, "everyday"),
+    ({"scene": "garden"}, "no scene 'garden'; there are: white, room"),
+    ({"error_model": "brown"}, "no error model 'brown'; there are: none, bursts, white"),
+    ({"error_seed": -1}, "error_seed must be from 0 to .*, got -1"),
+    ({"camera": "circles"}, "--camera circles needs --error-model none"),
+    (HELD | {"error_model": "white"}, "--camera held needs --error-model none"),
+    (HELD | {"scene": "white"}, "--camera held needs --scene room"),
+    (HELD | {"camera": "circles"}, "--camera circles needs --scene white")])  # fmt: skip
 def test_bad_options_are_refused(options, sentence):
     with pytest.raises(InputError, match=sentence):
         SynthOptions(**options)

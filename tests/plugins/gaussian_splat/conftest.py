@@ -24,13 +24,9 @@ def splats(scenes):  # whose fixture sets the variant and registers the plugins
 def arrays(n, degree, seed=0, scales=(0.08, 0.3), opacities=(0.3, 0.9)):
     """Make Gaussians about the origin, wxyz."""
     rng = np.random.default_rng(seed)
-    return {
-        "means": rng.uniform(-0.8, 0.8, (n, 3)),
-        "quats": rng.normal(size=(n, 4)),
-        "scales": rng.uniform(*scales, (n, 3)),
-        "opacities": rng.uniform(*opacities, n),
-        "sh": rng.normal(size=(n, (degree + 1) ** 2, 3)) * 0.4,
-    }
+    return {"means": rng.uniform(-0.8, 0.8, (n, 3)), "quats": rng.normal(size=(n, 4)),
+        "scales": rng.uniform(*scales, (n, 3)), "opacities": rng.uniform(*opacities, n),
+        "sh": rng.normal(size=(n, (degree + 1) ** 2, 3)) * 0.4}  # fmt: skip
 
 
 def unit(quats):
@@ -40,14 +36,10 @@ def unit(quats):
 def ellipsoids(g):
     """Convert to a Mitsuba shape, xyzw."""
     tensor = lambda x: mi.TensorXf(np.ascontiguousarray(x, np.float32))
-    return {
-        "type": "ellipsoids",
-        "centers": tensor(g["means"]),
-        "scales": tensor(g["scales"]),
+    return {"type": "ellipsoids", "centers": tensor(g["means"]), "scales": tensor(g["scales"]),
         "quaternions": tensor(unit(g["quats"])[:, [1, 2, 3, 0]]),
         "opacities": tensor(g["opacities"][:, None]),
-        "sh_coeffs": tensor(g["sh"].reshape(len(g["sh"]), -1)),
-    }
+        "sh_coeffs": tensor(g["sh"].reshape(len(g["sh"]), -1))}  # fmt: skip
 
 
 def scene(g, **others):
@@ -65,16 +57,9 @@ def sensor(kind="perspective", film=None, **parameters):
     if kind == "orthographic":
         to_world = to_world @ mi.ScalarTransform4f().scale([1.3, 1.1, 2.0])
     box = {"type": "box"}
-    return mi.load_dict(
-        {
-            "type": kind,
-            "to_world": to_world,
-            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": box}
-            | (film or {}),
-            "sampler": {"type": "independent", "sample_count": 1},
-        }
-        | parameters
-    )
+    return mi.load_dict({"type": kind, "to_world": to_world,
+        "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": box} | (film or {}),
+        "sampler": {"type": "independent", "sample_count": 1}} | parameters)  # fmt: skip
 
 
 SENSORS = {

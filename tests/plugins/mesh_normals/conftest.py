@@ -15,13 +15,9 @@ def references(scenes):
     """References of the derivative; imported once Mitsuba has its variant."""
     from gva_mi.gradcheck import moving_mesh, scanlines
 
-    return SimpleNamespace(
-        MovingMesh=moving_mesh.MovingMesh,
-        lens=MeasuredLens.of,
-        interior=moving_mesh.interior,
-        boundary=scanlines.boundary,
-        upper_envelope=scanlines.upper_envelope,
-    )
+    return SimpleNamespace(MovingMesh=moving_mesh.MovingMesh, lens=MeasuredLens.of,
+        interior=moving_mesh.interior, boundary=scanlines.boundary,
+        upper_envelope=scanlines.upper_envelope)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -283,12 +283,8 @@ def test_what_was_rendered_before_changes_no_bit(scenes, tmp_path, kind):
             return mi.load_dict(
                 {"type": "cube", "to_world": mi.ScalarTransform4f().scale([-0.4, 0.5, 0.5])}
             )
-        return cylinder(
-            tmp_path / "m.obj",
-            8,
-            normals="round" if kind == "smooth normals" else "flat",
-            caps=True,
-        )
+        return cylinder(tmp_path / "m.obj", 8,
+            normals="round" if kind == "smooth normals" else "flat", caps=True)  # fmt: skip
 
     load = lambda: mi.load_dict({"type": "scene", "m": made()})
     kept, integrator = load(), mi.load_dict({"type": "mesh_normals"})

@@ -7,12 +7,7 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.observe.landmark_noise import (
-    ALONG_LIMB,
-    LandmarkNoise,
-    correlated_frames,
-    person_sizes,
-)
+from gva_mi.observe.landmark_noise import ALONG_LIMB, LandmarkNoise, correlated_frames, person_sizes
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
@@ -97,13 +92,8 @@ def test_frames_that_look_alike_count_as_one(standing):
     pixels[3:, standing.names.index("left_wrist"), 0] += 200  # a metre aside
     pixels[2] = 2 * pixels[2] - 150  # nearer, and at another place
     pixels[5] = np.nan
-    recording = replace(
-        standing,
-        pixels=pixels,
-        confidence=standing.confidence.repeat(2, 0),
-        spread=standing.spread.repeat(2, 0),
-        metric=standing.metric.repeat(2, 0),
-    )
+    recording = replace(standing, pixels=pixels, confidence=standing.confidence.repeat(2, 0),
+        spread=standing.spread.repeat(2, 0), metric=standing.metric.repeat(2, 0))  # fmt: skip
     alike = correlated_frames(recording, dt=1.0)
     assert alike[:3].numpy() == pytest.approx([3, 3, 3], abs=1e-3)
     assert alike[3:5].numpy() == pytest.approx([2, 2], abs=1e-3)

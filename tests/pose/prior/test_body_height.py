@@ -63,12 +63,6 @@ def test_a_body_of_one_height_keeps_its_shape_and_refuses_another(body, shape):
         one.nearest(shape, 1.93)
 
 
-@pytest.mark.parametrize("height", [178.0, 0.1, float("nan")])
-def test_a_height_that_is_not_in_metres_is_refused(height):
-    with pytest.raises(InputError, match="refine: height must be from .* metres, got"):
-        SequenceOptions(height=height)
-
-
 def test_hair_and_soles_do_not_bias_depth_if_the_height_is_known(stature, clip, body, scene):
     """Images show them, and the body does not have them."""
     pelvis, pictures = body.rest(clip.shape).joints[0], []

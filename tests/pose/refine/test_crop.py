@@ -38,14 +38,10 @@ def test_the_box_contains_mask_points_and_margin_and_ends_with_the_image():
     assert edges(box_around(*wide)) == (0, 0, 100, 80)
 
 
-@pytest.mark.parametrize(
-    ("mask", "points", "sentence"),
-    [
-        (MASK, at((150, 40)), "its avatar is out of view"),
-        (MASK, np.array([[0.0, 0, 6]]), "its avatar reaches behind the camera"),
-        (mask((0, 3), (0, 5)), at((50, 40)), "its mask is empty"),
-    ],
-)
+@pytest.mark.parametrize(("mask", "points", "sentence"),
+    [(MASK, at((150, 40)), "its avatar is out of view"),
+    (MASK, np.array([[0.0, 0, 6]]), "its avatar reaches behind the camera"),
+    (mask((0, 3), (0, 5)), at((50, 40)), "its mask is empty")])  # fmt: skip
 def test_frames_that_show_nothing_say_why(mask, points, sentence):
     with pytest.raises(NoEvidence, match=sentence):
         person_extent(mask, CAMERA, points, "its avatar")

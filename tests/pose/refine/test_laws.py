@@ -172,8 +172,7 @@ def test_a_camera_locked_tilt_of_the_legs_is_removed(person):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["hip", *(pytest.param(name, marks=pytest.mark.slow) for name in ("shoulder", "elbow"))],
+    "name", ["hip", *(pytest.param(name, marks=pytest.mark.slow) for name in ("shoulder", "elbow"))]
 )
 def test_a_gesture_once_per_turn_is_no_tilt(person, name):
     """A limb that moves toward the camera whenever the person faces it."""

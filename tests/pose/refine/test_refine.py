@@ -112,16 +112,3 @@ def test_a_frame_whose_loss_grew_keeps_its_pose(clip, coarse):
     assert refined.kept
     steps = 3 * 6  # a pass visits each of three frames six times
     assert calls == [(step, steps) for step in range(1, steps + 1)]
-
-
-def test_the_ground_truth_has_no_error(clip, body, true_pose, sequence):
-    perfect = replace(sequence, pose=true_pose, shape=clip.shape)
-    truth = GroundTruth(body, true_pose, clip.shape, clip.cameras)
-    found = measure(clip, body, perfect, truth)
-    errors = [x for (*_, metric), x in found.items() if metric == "refined error, mm"]
-    assert len(errors) == 8 and not torch.stack(errors).any()
-    assert torch.equal(found["", "", "refined IoU"], found["", "", "true IoU"])
-    assert not found["body", "absolute", "increased"].any()
-    unknown = measure(clip, body, perfect)
-    assert {metric for *_, metric in unknown} == {"stage 1 IoU", "refined IoU"}
-    assert torch.equal(unknown["", "", "refined IoU"], found["", "", "refined IoU"])

@@ -44,16 +44,10 @@ def numbers(found):
     return [number(picture) for picture in found.pictures]
 
 
-@pytest.mark.parametrize(
-    "name, codec, kind",
-    [
-        ("a.mp4", "libx264", "yuv420p"),
-        ("a.mov", "libx265", "yuv420p10le"),
-        ("a.avi", "mjpeg", "yuvj420p"),
-        ("a.webm", "libvpx-vp9", "yuv420p"),
-        ("a.gif", "gif", "gray"),
-    ],
-)
+@pytest.mark.parametrize("name, codec, kind",
+    [("a.mp4", "libx264", "yuv420p"), ("a.mov", "libx265", "yuv420p10le"),
+    ("a.avi", "mjpeg", "yuvj420p"), ("a.webm", "libvpx-vp9", "yuv420p"),
+    ("a.gif", "gif", "gray")])  # fmt: skip
 def test_every_picture_of_an_even_video_in_order(name, codec, kind, tmp_path):
     tick = 25 if name.endswith("avi") else 100
     found = even_pictures(

@@ -125,12 +125,9 @@ def without(landmarks, frames, prefix=""):
     gone = np.zeros(landmarks.confidence.shape, bool)
     some = [k for k, name in enumerate(landmarks.names) if name.startswith(prefix)]
     gone[np.ix_(frames, some)] = True
-    return replace(
-        landmarks,
-        pixels=np.where(gone[..., None], np.nan, landmarks.pixels),
+    return replace(landmarks, pixels=np.where(gone[..., None], np.nan, landmarks.pixels),
         metric=np.where(gone[..., None], np.nan, landmarks.metric),
-        confidence=np.where(gone, 0, landmarks.confidence),
-    )
+        confidence=np.where(gone, 0, landmarks.confidence))  # fmt: skip
 
 
 def solved(recording, body, landmarks=None, **options):

@@ -85,23 +85,15 @@ def test_small_numbers_of_other_programs_are_read(tmp_path):
         ("SCALE", 6, 5121, "VEC3"),
     ):
         numbers[f"{SPLATTING}:{name}"] = len(file.description["accessors"])
-        about = {
-            "bufferView": number,
-            "byteOffset": offset,
-            "componentType": kind,
-            "count": count,
-            "type": shape,
-        }
+        about = {"bufferView": number, "byteOffset": offset, "componentType": kind, "count": count,
+            "type": shape}  # fmt: skip
         file.description["accessors"].append(
             about | ({} if name == "SCALE" else {"normalized": True})
         )
     about = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
     attributes = {"POSITION": 0, f"{SPLATTING}:SH_DEGREE_0_COEF_0": constant} | numbers
-    found = load_gltf(
-        written(
-            tmp_path / "a.glb", {"attributes": attributes, "extensions": {SPLATTING: about}}, file
-        )
-    )
+    found = load_gltf(written(tmp_path / "a.glb",
+        {"attributes": attributes, "extensions": {SPLATTING: about}}, file))  # fmt: skip
     assert found.quats[0].tolist() == [0, 0, 0, -1] and found.scales[3].tolist() == [1, 2, 3]
     assert torch.allclose(found.opacities, torch.tensor(0.2)) and found.sh.shape == (5, 1, 3)
 

@@ -1,6 +1,5 @@
 """A tile's list holds exactly the Gaussians that one of its pixels shows, in depth order."""
 
-import drjit as dr
 import numpy as np
 import pytest
 import torch
@@ -61,17 +60,6 @@ def test_equal_depths_keep_their_order():
     inputs["means"] = torch.zeros(20, 3, dtype=torch.float64)
     for ids in lists_of(forward(scene.with_inputs(inputs))).values():
         assert ids == sorted(ids)
-
-
-def test_every_slot_has_one_writer():
-    saved = forward(random_scene(torch.Generator().manual_seed(0)))
-    slots = saved.lists.places().numpy()
-    assert sorted(slots.tolist()) == list(range(len(slots)))
-    order, first, counts = (getattr(saved.lists, k).numpy() for k in ("order", "first", "counts"))
-    owner = np.concatenate([slots[f : f + n] for f, n in zip(first, counts, strict=True)])
-    ids = saved.lists.ids.numpy()
-    assert (ids[owner] == np.repeat(order, counts)).all()
-    assert dr.width(saved.lists.ids) == tiles.capacity(int(counts.sum()))
 
 
 def test_lists_scheduled_again_are_the_same_lists_up_to_where_they_stopped(monkeypatch):

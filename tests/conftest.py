@@ -60,6 +60,11 @@ class CommandLine:
         assert code == 2, (out, err)
         return err
 
+    def refuses(self, sentence, *arguments):
+        """Assert that a command fails with one line that holds a sentence."""
+        err = self.fails(*arguments)
+        assert sentence in err and err.count("\n") == 1, err
+
 
 @pytest.fixture
 def cli(capsys, monkeypatch):

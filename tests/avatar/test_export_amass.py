@@ -11,8 +11,7 @@ def test_keys_and_order_are_those_of_amass(tmp_path):
     rotations = torch.arange(4 * 165, dtype=torch.float32).view(4, 55, 3) / 1000
     pose = Pose(rotations, torch.rand(4, 3), torch.rand(4, 10))
     save_amass(tmp_path / "a.npz", pose, Shape(torch.linspace(-1, 1, 10)), fps=30)
-    with np.load(tmp_path / "a.npz") as file:
-        data = dict(file)
+    data = dict(np.load(tmp_path / "a.npz"))
     named = {name: value.numpy() for name, value in pose.to_smplx().items()}
     assert data["poses"].shape == (4, 165)
     parts = {"global_orient": (0, 3), "body_pose": (3, 66), "jaw_pose": (66, 69),

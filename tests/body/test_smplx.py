@@ -83,8 +83,7 @@ def test_a_missing_file_is_explained(tmp_path):
 def test_a_pickled_body_is_the_same_body(tmp_path):
     """Like SMPL's files: sparse regressor, unsigned integers, protocol of Python 2."""
     sparse = pytest.importorskip("scipy.sparse")
-    with np.load(BUILT_IN_BODY) as file:
-        arrays = dict(file)
+    arrays = dict(np.load(BUILT_IN_BODY))
     path = tmp_path / "SMPLX_NEUTRAL.pkl"
     arrays["J_regressor"] = sparse.csc_matrix(arrays["J_regressor"])
     arrays["f"] = arrays["f"].astype(np.uint32)

@@ -33,19 +33,9 @@ def filmed(tmp_path_factory):
     from gva_mi.synthetic import SynthOptions, make_subject
 
     folder, body = tmp_path_factory.mktemp("filmed") / "subject", load_body()
-    make_subject(
-        folder,
-        SynthOptions(
-            seed=150,
-            frames=FRAMES,
-            size=256,
-            samples=4,
-            novel_poses=0,
-            novel_views=0,
-            error_model="none",
-        ),  # fmt: skip
-        body,
-    )
+    options = SynthOptions(seed=150, frames=FRAMES, size=256, samples=4, novel_poses=0,
+        novel_views=0, error_model="none")  # fmt: skip
+    make_subject(folder, options, body)
     video = load_video(folder)
     images = [np.round(frame.image * 255).astype(np.uint8) for frame in video.frames()]
     write_video(folder / "video.mp4", images, fps=10, way="playable")

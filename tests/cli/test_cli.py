@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from gva_mi import InputError, __version__
-from gva_mi.app.pipeline import Step, StepFolder
 from gva_mi.body.pose import Pose, Shape, save_poses
 from gva_mi.cli import VERBS, load
 from gva_mi.cli.parse import parse
@@ -76,8 +75,7 @@ def test_no_output_is_replaced_without_being_asked(subject, tmp_path, cli):
         ("fit", subject, "--out", tmp_path / "run"),
         ("synth", tmp_path / "run", *TINY),
     ):
-        err = cli.fails(*command)
-        assert "--overwrite" in err and err.count("\n") == 1, err
+        cli.refuses("--overwrite", *command)
     for command in (
         ("demo", "--out", tmp_path / "thesis", "--overwrite", *TINY),
         ("synth", tmp_path / "thesis", "--overwrite", *TINY),
@@ -92,10 +90,7 @@ BAD = (
     (("synth", "new", "--body", "nowhere.npz"), "nowhere.npz: no such file"),
     (("synth", "new", "--body", "body.npz"), "key 'f' is missing"),
     (("refine", "x", "--passes", "0"), "--passes must be a whole number from 1 to 10,000, got 0"),
-    (
-        ("fit", "nowhere", "--out", "new", "--loss.alpha", "-1"),
-        "--loss.alpha must be a number from 0 to 1,000,000, got -1",
-    ),
+    (("fit", "nowhere", "--out", "new", "--loss.alpha", "-1"), "from 0 to 1,000,000, got -1"),
     (("fit", "nowhere", "--out", "new", "--steps", "ten"), "--steps must be a whole"),
     (("render", "run", "--out", "new", "--size", "9", "1e9"), "--size must be a"),
     (("fitt", "nowhere"), "there is no command 'fitt'; expected one of demo, synth"),
@@ -107,9 +102,7 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     np.savez("body.npz", v_template=np.zeros((10, 3)))
     for command, sentence in BAD:
-        err = cli.fails(*command)
-        assert sentence in err, err
-        assert err.count("\n") == 1 and "Traceback" not in err
+        cli.refuses(sentence, *command)
         assert files(tmp_path) == ["body.npz"]
 
 
@@ -238,7 +231,6 @@ def test_every_number_outside_its_range_is_refused_under_its_name(verb, words, c
             parse(load(verb), verb, [*words.split(), option, bad])
         sentence = str(error.value)
         assert sentence.startswith(f"{option} must be a") and sentence.endswith(f", got {bad}")
-        assert "\n" not in sentence
 
 
 @pytest.mark.parametrize("stream, words, unbuffered, code", [
@@ -340,17 +332,3 @@ def test_what_beginners_mistake_for_another_thing_is_named(command, told, tmp_pa
     err = cli.fails(*command.format(tmp_path).split())
     assert told in err and err.count("\ngva-mi: ") + err.startswith("gva-mi: ") == 1, err
     assert files(tmp_path / "run") == before
-
-
-def test_a_folder_in_which_no_step_was_finished_takes_another_video(tmp_path):
-    made = tmp_path / "made.txt"
-
-    def follow(source, work):
-        step = Step("write", "avatar", None, [], [made], lambda begun: work())
-        StepFolder(tmp_path / "out", "steps.json", source, overwrite=False).follow([step])
-
-    with pytest.raises(ZeroDivisionError):
-        follow("mistyped", lambda: 1 / 0)
-    follow("the video", lambda: made.write_text("done"))
-    with pytest.raises(InputError, match="was made from another video"):
-        follow("another", lambda: None)

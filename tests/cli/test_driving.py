@@ -72,11 +72,9 @@ def test_own_poses_are_neither_turned_nor_resampled(run, turning, cli):
             assert len(file["poses"]) == 6
 
 
-BAD = (
-    ({"poses": np.zeros((3, 71)), "fps": 30}, "71"),
+BAD = (({"poses": np.zeros((3, 71)), "fps": 30}, "71"),
     ({"a": np.zeros(3), "fps": 30}, "holds no poses of one person; expected one of poses, pose"),
-    ({"mhr_model_params": np.zeros((3, 204))}, "found: mhr_model_params"),
-)
+    ({"mhr_model_params": np.zeros((3, 204))}, "found: mhr_model_params"))  # fmt: skip
 
 
 def test_an_unreadable_motion_is_one_sentence(run, cli):

@@ -133,8 +133,8 @@ def test_a_read_only_folder_is_reported_before_the_work(tmp_path, cli, subject, 
     for name, line in COMMANDS.items():
         out = tmp_path / name
         out.mkdir()
-        err = cli.fails(*line.replace("{}", str(out)).format(subject=subject, run=run).split())
-        assert "Read-only file system" in err and err.count("\n") == 1, (name, err)
+        cli.refuses("Read-only file system",
+            *line.replace("{}", str(out)).format(subject=subject, run=run).split())  # fmt: skip
         assert not list(out.rglob("*.*")), name
 
 

@@ -11,16 +11,12 @@ from gva_mi.study.cases import HELD_OUT, LIMITS, StudyCase
 from gva_mi.study.refine_study import RefineStudy
 from gva_mi.study.variants import VARIANTS
 
-REFINED = [
-    Figure(region="body", alignment="absolute", metric="change", value=-0.75),
+REFINED = [Figure(region="body", alignment="absolute", metric="change", value=-0.75),
     Figure(region="hands", alignment="absolute", metric="change", value=1.0),
     Figure(region="body", alignment="absolute", metric="stage 1 error, mm", value=80.0),
-    Figure(region="ankles", metric="refined depth, mm", value=-8.0),
-]
-FITTED = [
-    Figure(split="test", region="white", metric="PSNR, dB", value=30.0),
-    Figure(metric="seconds", value=60.0),
-]
+    Figure(region="ankles", metric="refined depth, mm", value=-8.0)]  # fmt: skip
+FITTED = [Figure(split="test", region="white", metric="PSNR, dB", value=30.0),
+    Figure(metric="seconds", value=60.0)]  # fmt: skip
 
 
 @dataclass

@@ -48,8 +48,7 @@ def test_tracking_moves_poses_to_the_pictures(person, avatar, cli, capsys):
     assert record["loss"] < record["loss_start"]
     video = load_video(person, person / "poses_photometric.npz")
     assert torch.equal(video.pose.transl, found.transl)
-    err = cli.fails("track", avatar, person, "--passes", 6)
-    assert "--overwrite" in err and err.count("\n") == 1
+    cli.refuses("--overwrite", "track", avatar, person, "--passes", 6)
 
 
 def test_trained_poses_of_another_video_are_not_used(person, avatar, cli):

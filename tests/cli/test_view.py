@@ -15,14 +15,12 @@ def run(known, turning, tmp_path):
     return tmp_path / "run"
 
 
-BAD = {
-    "no run": (("nowhere",), "nowhere: no such file"),
+BAD = {"no run": (("nowhere",), "nowhere: no such file"),
     "no poses": (("alone/avatar.npz",), "alone: holds no poses.npz"),
     "no subject": (("run", "--subject", "nowhere"), "nowhere: no such folder"),
     "other frames": (("run", "--subject", "SUBJECT", "--poses", "few.npz"), "holds 3 frames, but"),
     "no address": (("run", "--host", "203.0.113.9"), "cannot listen at 203.0.113.9, port 8080"),
-    "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0"),
-}
+    "no port": (("run", "--port", "eighty"), "--port must be a whole number from 0")}  # fmt: skip
 
 
 def test_bad_input_is_one_sentence(run, subject, turning, tmp_path, monkeypatch, cli):

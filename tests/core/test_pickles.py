@@ -176,9 +176,8 @@ HOSTILE = {
 @pytest.mark.parametrize("name", HOSTILE)
 def test_no_code_of_a_file_runs(read, name):
     data, match = HOSTILE[name]
-    with pytest.raises(InputError, match=match) as caught:
+    with pytest.raises(InputError, match=match):
         read(data)
-    assert "\n" not in str(caught.value)
 
 
 def test_nothing_that_is_allowed_reaches_further():

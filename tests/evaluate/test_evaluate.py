@@ -137,11 +137,9 @@ def test_ground_truth_masks_are_preferred(known, subject, tmp_path):
 
 
 def test_metrics_survive_a_round_trip(tmp_path):
-    figures = (
-        Figure(split="test", region="white", metric="PSNR, dB", value=30.125),
+    figures = (Figure(split="test", region="white", metric="PSNR, dB", value=30.125),
         Figure(split="test", region="white", metric="LPIPS", value=None),
-        Figure(metric="seconds", value=1.5),
-    )
+        Figure(metric="seconds", value=1.5))  # fmt: skip
     metrics = Metrics(figures=figures, size=(48, 32),
         protocol={"seen": {"test pictures": ["stage 1"]}}, options={"seed": 7, "steps": 3},
         versions={"python": "3.11"})  # fmt: skip

@@ -63,10 +63,8 @@ def test_figures_are_means_over_frames_and_changes(measured):
 
 def test_frames_whose_error_increased_are_counted(estimated, body, refined, truth):
     worse = replace(estimated, pose=refined.pose)  # found at stage 1, and lost again
-    found = where(
-        means(measure(worse, body, replace(refined, pose=estimated.pose), truth)),
-        metric="increased",
-    )
+    found = where(means(measure(worse, body, replace(refined, pose=estimated.pose), truth)),
+        metric="increased")  # fmt: skip
     assert [figure.value for figure in found] == pytest.approx(3 * [5 / 6])
 
 

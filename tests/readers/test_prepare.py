@@ -60,8 +60,7 @@ def test_later_steps_take_the_body_that_was_prepared_for(wham, tmp_path, cli, se
     file, subject = wham(_0=seen), tmp_path / "s"
     err = cli.fails("prepare", "wham", file, subject, *footage[2:])
     assert "--body" in err and not subject.exists()
-    with np.load(BUILT_IN_BODY) as arrays:
-        other = dict(arrays)
+    other = dict(np.load(BUILT_IN_BODY))
     np.savez(tmp_path / "taller.npz", **other | {"v_template": 1.02 * other["v_template"]})
     taller = ["--body", tmp_path / "taller.npz"]
     said = cli.works("prepare", "wham", file, subject, *taller, *footage[2:])

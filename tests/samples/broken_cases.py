@@ -15,8 +15,7 @@ FRAME, MASK = "frames/000002.png", "masks/000002.png"
 
 
 def arrays(path):
-    with np.load(path) as file:
-        return dict(file)
+    return dict(np.load(path))
 
 
 def with_arrays(path, **changes):

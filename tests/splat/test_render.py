@@ -6,10 +6,10 @@ import drjit as dr
 import numpy as np
 import pytest
 import torch
-from samples.scenes import double, draw, scene
+from samples.scenes import draw, scene
 
 from gva_mi.gradcheck import tangent_image
-from gva_mi.splat import Screen, reference, render
+from gva_mi.splat import Screen, render
 from gva_mi.splat.kernels import passes
 
 
@@ -22,38 +22,11 @@ def assert_same(a, b, atol=1e-12):
         torch.testing.assert_close(getattr(a, name), getattr(b, name), atol=atol, rtol=0)
 
 
-def test_background_is_weighted_by_the_last_transmittance():
-    s = scene()
-    black = draw(changed(s, background=double(0, 0, 0)))
-    image = draw(changed(s, background=double(0.2, 0.5, 0.9)))
-    expected = black.color + (1 - black.alpha)[..., None] * double(0.2, 0.5, 0.9)
-    torch.testing.assert_close(image.color, expected, atol=1e-14, rtol=0)
-    assert_same(black, render(s.gaussians, s.camera), atol=0)
-
-
 def test_order_of_the_input_is_irrelevant():
     s = scene()
     shuffle = torch.randperm(40, generator=torch.Generator().manual_seed(1))
     shuffled = {k: v if k == "background" else v[shuffle] for k, v in s.inputs().items()}
     assert_same(draw(s), draw(s.with_inputs(shuffled)), atol=0)
-
-
-def test_a_rigid_motion_of_world_and_camera_changes_nothing():
-    s = scene()
-    quat = double(0.3, -0.5, 0.7, 0.4)
-    R, t = reference.rotation(quat), double(0.3, -2.0, 1.0)
-    T_new_old = np.eye(4)
-    T_new_old[:3, :3], T_new_old[:3, 3] = R.numpy(), t.numpy()
-    camera = replace(s.camera, T_camera_world=s.camera.T_camera_world @ np.linalg.inv(T_new_old))
-    moved = changed(s, means=s.gaussians.means @ R.T + t, quats=product(quat, s.gaussians.quats))
-    assert_same(draw(s), draw(replace(moved, camera=camera)))
-
-
-def product(a, b):
-    """Products of a quaternion with many."""
-    w, v = b[:, :1], b[:, 1:]
-    cross = torch.linalg.cross(a[1:].expand_as(v), v)
-    return torch.cat([a[0] * w - v @ a[1:, None], a[0] * v + w * a[1:] + cross], dim=1)
 
 
 def test_the_quaternions_length_and_sign_are_irrelevant():

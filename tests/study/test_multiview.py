@@ -110,10 +110,8 @@ def test_a_video_of_another_size_than_its_calibration_is_refused(
     (tmp_path / "a.toml").write_text(text)
     for name in "ab":
         (tmp_path / f"{name}.mp4").touch()
-    found = SimpleNamespace(
-        solved=SimpleNamespace(camera=SimpleNamespace(width=160)),
-        pictures=SimpleNamespace(scale=0.5, numbers=[0]),
-    )
+    found = SimpleNamespace(solved=SimpleNamespace(camera=SimpleNamespace(width=160)),
+        pictures=SimpleNamespace(scale=0.5, numbers=[0]))  # fmt: skip
     monkeypatch.setattr("gva_mi.study.multiview.motion_of_video", lambda *given, **named: found)
     given = tmp_path, tmp_path / "a.toml", built_in_body, PrepareVideoOptions(), np.zeros(3), False
     with pytest.raises(InputError, match="a.mp4: 320 pixels wide, calibrated with 640"):

@@ -111,9 +111,8 @@ def test_anything_else_is_refused(name, tmp_path):
         np.save(tmp_path / "000000.npy", given)
     else:
         given.save(tmp_path / "000000.png")
-    with pytest.raises(InputError, match=sentence) as error:
+    with pytest.raises(InputError, match=sentence):
         read_mask(tmp_path, 0)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("value", [-4.0, np.nan, 300.0])

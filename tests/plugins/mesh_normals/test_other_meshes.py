@@ -328,10 +328,8 @@ def test_a_seam_that_opens_is_a_border(scenes):
     sensor = mi.load_dict({"type": "orthographic", "to_world": look, "film": film})
     as_3d = lambda x: np.pad(x, ((0, 0), (0, 1)))
     scene = mi.load_dict({"type": "scene", "m": scenes.mesh("m", as_3d(whole), faces)})
-    integrator, ones = (
-        mi.load_dict({"type": "mesh_normals", "channels": "mask"}),
-        mi.TensorXf(np.ones((size, size, 1), np.float32)),
-    )
+    integrator, ones = (mi.load_dict({"type": "mesh_normals", "channels": "mask"}),
+        mi.TensorXf(np.ones((size, size, 1), np.float32)))  # fmt: skip
     for apart in (0.0, 0.25, 0.0):
         x = whole + apart * np.array([[0, 0]] * 3 + [[-0.8, 1.0]] * 3)
         show(scene, as_3d(x))

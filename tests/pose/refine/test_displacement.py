@@ -43,10 +43,8 @@ def test_only_inward_displacement_costs_by_the_outward_term(cloth, body, weights
 
 
 def test_hands_stay_bare(body):
-    cloth, hands = (
-        Displacement(body.v_template, body.faces, body.weights),
-        hand_vertices(body.weights),
-    )
+    cloth, hands = (Displacement(body.v_template, body.faces, body.weights),
+        hand_vertices(body.weights))  # fmt: skip
     with torch.no_grad():
         cloth.raw.fill_(1.0)
     assert hands.any() and not cloth.offsets[hands].any() and (cloth.offsets[~hands] == 1).all()

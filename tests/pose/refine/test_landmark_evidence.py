@@ -73,10 +73,8 @@ def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
         rotations[:, 0] = torch.tensor(root)
         pose = replace(true_pose, rotations=rotations)
         plain = seen_of(body, pose, camera)
-        pixels, ones = (
-            np.zeros((len(pose), len(FACE_LANDMARKS), 2)),
-            np.ones((len(pose), len(FACE_LANDMARKS))),
-        )
+        pixels, ones = (np.zeros((len(pose), len(FACE_LANDMARKS), 2)),
+            np.ones((len(pose), len(FACE_LANDMARKS))))  # fmt: skip
         unknown = np.full((*ones.shape, 3), np.nan)
         face = Landmarks(FACE_LANDMARKS, pixels, ones, 0 * ones, unknown)
         both = Landmarks(

@@ -126,6 +126,6 @@ def test_what_is_no_video_is_refused_in_a_sentence(tmp_path):
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=words) as caught:
             even_pictures(tmp_path / name)
-        assert name in str(caught.value) and "\n" not in str(caught.value)
+        assert name in str(caught.value)
     with pytest.raises(InputError, match="lasts 0.76 s, and has no picture from"):
         even_pictures(good, start=5)

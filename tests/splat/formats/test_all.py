@@ -20,10 +20,8 @@ def test_plain_colours_and_covariances_come_back(tmp_path, count):
     covars = torch.zeros(count, 6)
     covars[:, [0, 3, 5]] = (0.01 + 0.02 * draw(3)) ** 2
     colors = draw(3)
-    save_ply(
-        tmp_path / "a",
-        Gaussians(draw(3), None, None, 0.1 + 0.8 * draw(), colors=colors, covars=covars),
-    )
+    save_ply(tmp_path / "a", Gaussians(draw(3), None, None, 0.1 + 0.8 * draw(), colors=colors,
+        covars=covars))  # fmt: skip
     found = load_ply(tmp_path / "a")
     assert len(found) == count
     torch.testing.assert_close(found.sh[:, 0] * C0 + 0.5, colors, atol=1e-5, rtol=0)

@@ -14,11 +14,9 @@ from gva_mi.splat.scene import Scene
 
 
 def written(path, primitive, file, **node):
-    file.description |= {
-        "meshes": [{"primitives": [primitive]}],
+    file.description |= {"meshes": [{"primitives": [primitive]}],
         "nodes": [{"children": [1], "translation": [0, 0, 5]}, {"mesh": 0} | node],
-        "scenes": [{"nodes": [0]}],
-    }
+        "scenes": [{"nodes": [0]}]}  # fmt: skip
     file.save(path)
     return path
 
@@ -38,10 +36,8 @@ def whole():
 
 @pytest.mark.parametrize("coefficients", [1, 16])
 def test_gaussians_come_back_where_their_node_is(whole, tmp_path, coefficients):
-    exact, found = (
-        some_gaussians(coefficients),
-        load_gltf(whole(tmp_path / "a.glb", coefficients=coefficients)),
-    )
+    exact, found = (some_gaussians(coefficients),
+        load_gltf(whole(tmp_path / "a.glb", coefficients=coefficients)))  # fmt: skip
     torch.testing.assert_close(found.means, exact.means + torch.tensor([0.0, 0, 5]))
     same = lambda q: torch.nn.functional.normalize(q, dim=1)
     torch.testing.assert_close((same(found.quats) * same(exact.quats)).sum(1).abs(), torch.ones(20))

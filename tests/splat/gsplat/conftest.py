@@ -16,10 +16,8 @@ def arguments():
 
     def made(dtype=torch.float64, **kwargs):
         g = random_scene(torch.Generator().manual_seed(3), N, W, H, **kwargs).gaussians
-        views = [
-            look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0)),
-            look_at((-0.9, 0.2, 2.5), (0.0, 0.1, 0.0)),
-        ]
+        views = [look_at((0.6, 0.4, 2.9), (0.0, 0.0, 0.0)),
+            look_at((-0.9, 0.2, 2.5), (0.0, 0.1, 0.0))]  # fmt: skip
         K = np.array([[40.0, 0, 12.3], [0, 42, 8.1], [0, 0, 1]])
         out = {"means": g.means, "quats": g.quats, "scales": g.scales, "opacities": g.opacities}
         out |= {"colors": g.colors if g.sh is None else g.sh, "viewmats": np.stack(views)}

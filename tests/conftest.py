@@ -114,12 +114,11 @@ def true_pose():
 
     from gva_mi.body.pose import JOINTS, Pose
 
-    rotations = torch.zeros(3, 55, 3)
-    time = torch.tensor([0.0, 1.0, 2.0])
-    rotations[:, 0, 1] = 0.15 * time
-    rotations[:, JOINTS.index("left_shoulder"), 2] = -0.5 - 0.1 * time
-    rotations[:, JOINTS.index("right_shoulder"), 2] = 0.5 + 0.1 * time
-    return Pose(rotations, torch.zeros(3, 3), torch.zeros(3, 10))
+    pose, time = Pose.rest(3), torch.tensor([0.0, 1.0, 2.0])
+    pose.rotations[:, 0, 1] = 0.15 * time
+    pose.rotations[:, JOINTS.index("left_shoulder"), 2] = -0.5 - 0.1 * time
+    pose.rotations[:, JOINTS.index("right_shoulder"), 2] = 0.5 + 0.1 * time
+    return pose
 
 
 # A tiny subject rendered from a known avatar: the built-in body in colours, turning before a
@@ -170,12 +169,10 @@ def turning():
     from gva_mi.body.pose import Pose, Shape
 
     def motion(frames, start=0.0):
-        rotations = torch.zeros(frames, 55, 3)
-        turn = torch.arange(frames) / frames
-        rotations[:, 0, 1] = start + 2 * torch.pi * turn
-        rotations[:, 16, 2] = -0.6 + 0.3 * torch.sin(7 * turn)
-        rotations[:, 17, 2] = 0.6 + 0.3 * torch.sin(5 * turn)
-        pose = Pose(rotations, torch.zeros(frames, 3), torch.zeros(frames, 10))
+        pose, turn = Pose.rest(frames), torch.arange(frames) / frames
+        pose.rotations[:, 0, 1] = start + 2 * torch.pi * turn
+        pose.rotations[:, 16, 2] = -0.6 + 0.3 * torch.sin(7 * turn)
+        pose.rotations[:, 17, 2] = 0.6 + 0.3 * torch.sin(5 * turn)
         return pose, Shape(torch.zeros(10))
 
     return motion

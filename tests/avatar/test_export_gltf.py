@@ -212,9 +212,8 @@ def test_without_a_motion_there_is_no_animation(known, tmp_path):
 
 
 def test_consecutive_rotations_take_the_short_way(known, tmp_path):
-    rotations = torch.zeros(8, 55, 3)
-    rotations[:, 0, 1] = torch.linspace(-6, 6, 8)
-    spin = Pose(rotations, torch.zeros(8, 3), torch.zeros(8, 10))
+    spin = Pose.rest(8)
+    spin.rotations[:, 0, 1] = torch.linspace(-6, 6, 8)
     save_gltf(tmp_path / "a.glb", known, [NamedMotion("spin", spin, 25)])
     read = Read(tmp_path / "a.glb")
     found = [{(n, path): x for n, path, x in read.moves(k)}[0, "rotation"] for k in range(8)]

@@ -63,9 +63,7 @@ def test_coefficients_beyond_the_file_must_be_zero(body):
 @pytest.mark.parametrize(
     "columns, betas, expressions", [(400, 300, 100), (20, 10, 10), (16, 10, 6), (10, 10, 0)]
 )
-def test_shape_directions_are_split_as_in_the_files(
-    random_arrays, tmp_path, columns, betas, expressions
-):
+def test_shapes_are_split_as_in_the_files(random_arrays, tmp_path, columns, betas, expressions):
     directions = np.broadcast_to(np.arange(columns, dtype=np.float32), (90, 3, columns))
     path = tmp_path / "body.npz"
     np.savez(path, **(random_arrays | {"shapedirs": directions}))

@@ -107,9 +107,7 @@ def test_what_is_taken_is_refined_to_its_end(name, copied, refused_or_taken):
     for part in parts
     for name in cases.RUNS[part]
 ])  # fmt: skip
-def test_commands_take_a_broken_run_or_say_why(
-    verb, part, name, run, subject, refused_or_taken, tmp_path
-):
+def test_commands_take_a_run_or_say_why(verb, part, name, run, subject, refused_or_taken, tmp_path):
     cases.RUNS[part][name](run)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     if verb == "fit":  # which goes on only if no avatar is there yet

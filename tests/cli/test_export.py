@@ -130,9 +130,7 @@ def test_a_glb_with_gaussians_is_drawn_again(run, cli):
     assert len(list((run / "again").glob("*.png"))) == 120  # of the walk
     assert len(Scene.load(run / "a.glb").gaussians) == 600
     cli.works("export", run, "--out", run / "mesh.glb")
-    cli.refuses(
-        "mesh.glb: holds no Gaussians", "render", run / "mesh.glb", "--out", run / "none", *size
-    )
+    cli.refuses("holds no Gaussians", "render", run / "mesh.glb", "--out", run / "none", *size)
 
 
 def test_what_is_no_avatar_of_today_is_one_sentence(run, scene, cli):
@@ -187,9 +185,7 @@ def test_a_person_who_lies_is_doubted(run, turning, tmp_path, cli):
         save_poses(tmp_path / "p.npz", replace(pose, rotations=rotations), shape, stage=1)
         given = ("--poses", tmp_path / "p.npz", "--overwrite")
         said = cli.works("export", run, "--out", run / "lies.ply", *given)
-        assert (
-            said.count("doubtful: the person lies; expected poses in a world with y up") == doubts
-        )
+        assert said.count("doubtful: the person lies; expected poses in a world with") == doubts
 
 
 def test_harmonics_have_the_degree_that_is_asked_for(run, cli):

@@ -161,9 +161,7 @@ def test_overwriting_a_folder_does_not_cost_an_input_that_lies_in_it(tmp_path, c
     assert (out / "poses.npz").read_bytes() == (subject / "poses.npz").read_bytes()
 
 
-@pytest.mark.parametrize(
-    "verb, told", [("fit", "with --resume to continue"), ("synth", "are complete")]
-)
+@pytest.mark.parametrize("verb, told", [("fit", "--resume to continue"), ("synth", "are complete")])
 def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     def stopped():
         raise KeyboardInterrupt
@@ -177,9 +175,7 @@ def test_ctrl_c_tells_how_to_continue(verb, told, cli, monkeypatch):
     (KeyboardInterrupt(), 130, "stopped; all files"), (InputError("x.npz: cut"), 2, "x.npz: cut"),
     (MemoryError(), 2, "not enough memory"), (OSError(28, "No space left", "x"), 2, "No space"),
 ])  # fmt: skip
-def test_what_happens_while_dr_jit_records_is_told_as_elsewhere(
-    cause, code, told, cli, monkeypatch
-):
+def test_what_happens_while_dr_jit_records_is_told_alike(cause, code, told, cli, monkeypatch):
     """Dr.Jit makes a RuntimeError of what a function raises that it records."""
     import drjit as dr
     from drjit.llvm import Float

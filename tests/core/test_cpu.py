@@ -151,9 +151,7 @@ def test_the_command_line_pins_libraries_before_they_are_imported():
     ("x86_64", "fpu avx avx2 fma", True, False), ("x86_64", "avx2 fma avx512f", True, True),
     ("x86_64", "fpu avx fma", False, False), ("aarch64", "avx2 fma", False, False),
 ))  # fmt: skip
-def test_all_that_is_wider_than_avx2_is_left_out(
-    machine, flags, pinned, wide, tmp_path, monkeypatch
-):
+def test_what_is_wider_than_avx2_is_left_out(machine, flags, pinned, wide, tmp_path, monkeypatch):
     from numpy._core._multiarray_umath import __cpu_dispatch__
 
     monkeypatch.setattr(platform, "machine", lambda: machine)

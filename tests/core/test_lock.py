@@ -57,14 +57,10 @@ def test_the_folder_may_be_replaced_meanwhile(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-@pytest.mark.parametrize(
-    "number, call", [(errno.ENOSPC, "os.write"), (errno.ENOLCK, "fcntl.flock")]
-)
-def test_a_full_disk_and_a_file_system_without_locks_stop_nobody(
-    number, call, tmp_path, monkeypatch
-):
+@pytest.mark.parametrize("code, call", [(errno.ENOSPC, "os.write"), (errno.ENOLCK, "fcntl.flock")])
+def test_a_full_disk_and_a_disk_without_locks_stop_nobody(code, call, tmp_path, monkeypatch):
     def fails(*_):
-        raise OSError(number, os.strerror(number))
+        raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(f"gva_mi.core.atomic.{call}", fails)
     with folder_lock(tmp_path / "run", "gva-mi fit"):

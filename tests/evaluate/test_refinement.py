@@ -125,9 +125,7 @@ def test_the_record_holds_figures_by_split(estimated, body, refined, truth, tmp_
         load_refinement(tmp_path)
 
 
-def test_the_uncertainty_lies_beside_the_poses_and_goes_with_them(
-    estimated, body, refined, tmp_path
-):
+def test_the_uncertainty_lies_beside_the_poses_and_goes_too(estimated, body, refined, tmp_path):
     shutil.copytree(estimated.folder, tmp_path, dirs_exist_ok=True)
     video = replace(estimated, folder=tmp_path)
     covariances = 1e-4 * torch.eye(3).expand(6, 55, 3, 3).double()

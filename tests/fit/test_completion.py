@@ -22,7 +22,7 @@ from gva_mi.fit.completion import (
 )
 from gva_mi.fit.samples import FrameSampler
 from gva_mi.mesh.surface import vertex_normals
-from gva_mi.splat import Camera, render
+from gva_mi.splat import render
 from gva_mi.subject.video import load_video
 
 NOISE = 2.0  # of colours that no frame shows
@@ -43,9 +43,8 @@ def alike(known):
 
 def completed(avatar, hidden, turn, camera, folder):
     """Colours (N, 3) after completion by one frame; before it, those of ``hidden`` are noise."""
-    rotations = torch.zeros(1, 55, 3)
-    rotations[:, 0, 1] = turn
-    pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+    pose = Pose.rest()
+    pose.rotations[:, 0, 1] = turn
     video = load_video(write_subject(folder, avatar, camera, pose, Shape(torch.zeros(10))))
     found, generator = copy.deepcopy(avatar), torch.Generator().manual_seed(3)
     with torch.no_grad():
@@ -88,23 +87,8 @@ HAIR, SKIN, CLOTH, PRINT = np.eye(4)
 ARMS_AT_THE_SIDES = 1.45  # radians below the T-pose
 
 
-def hanging(lowered):
-    """A pose with arms so many radians below the T-pose."""
-    rotations = torch.zeros(1, 55, 3)
-    for side, sign in (("left", 1), ("right", -1)):
-        rotations[:, JOINTS.index(f"{side}_shoulder"), 2] = -sign * lowered
-    return Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
-
-
-@pytest.fixture
-def sharp(camera):
-    """The camera with pixels of 7 mm."""
-    lens = (6 * x for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Camera(*lens, camera.T_camera_world, 6 * camera.width, 6 * camera.height)
-
-
 @torch.no_grad()
-def test_a_contact_is_where_places_meet_in_the_picture_that_lie_apart_at_rest(alike, sharp):
+def test_a_contact_is_where_places_meet_that_lie_apart_at_rest(alike, sharp, hanging):
     avatar, _ = alike
     G = avatar.canonical
     clear = lambda lowered: clearance(avatar(hanging(lowered)), G.means, sharp)
@@ -118,7 +102,7 @@ def test_a_contact_is_where_places_meet_in_the_picture_that_lie_apart_at_rest(al
 
 
 @torch.no_grad()
-def test_the_opposite_edges_of_a_picture_do_not_touch(alike, sharp):
+def test_the_opposite_edges_of_a_picture_do_not_touch(alike, sharp, hanging):
     """A picture of the trunk alone is cut by its upper and lower edge, and has no contact."""
     avatar, _ = alike
     means = avatar.canonical.means
@@ -130,8 +114,8 @@ def test_the_opposite_edges_of_a_picture_do_not_touch(alike, sharp):
     assert clearance(avatar(hanging(0.0)), means, cut).isinf().all()
 
 
-def test_an_arm_that_hangs_on_the_trunk_does_not_keep_the_colors_of_the_contact(
-    alike, sharp, tmp_path, monkeypatch
+def test_an_arm_on_the_trunk_keeps_no_colors_of_the_contact(
+    alike, sharp, hanging, tmp_path, monkeypatch
 ):
     """The true colour of arms is that of their outer sides; the inner ones have another one."""
     avatar, _ = alike

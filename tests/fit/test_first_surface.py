@@ -17,7 +17,6 @@ from gva_mi.fit.first_surface import (
     seen_colors,
 )
 from gva_mi.mesh.surface import as_scipy, uniform_laplacian, vertex_normals
-from gva_mi.splat import Camera
 from gva_mi.subject.splits import Splits
 
 
@@ -49,9 +48,12 @@ SKIN, CLOTH = torch.tensor([0.8, 0.58, 0.47]), torch.tensor([0.15, 0.3, 0.5])
 
 def _turned(camera, turn):
     """Return a video of one frame, turned by so many radians away from the camera."""
-    rotations = torch.zeros(1, 55, 3)
-    rotations[:, 0, 1] = turn
-    pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+    pose = Pose.rest()
+    pose.rotations[:, 0, 1] = turn
+    return _video(pose, camera)
+
+
+def _video(pose, camera):
     shape, splits = Shape(torch.zeros(10)), Splits([0], [])
     return SimpleNamespace(pose=pose, cameras=[camera], shape=shape, splits=splits)
 
@@ -98,21 +100,9 @@ def test_a_short_stretch_in_the_color_of_skin_is_a_pattern(body, facing):
     assert not bare_skin(colors, facing, body).any()
 
 
-@pytest.fixture
-def arms_at_sides(camera):
-    """A video of one frame, from the front, in which hands hide the sides of the hips."""
-    rotations = torch.zeros(1, 55, 3)
-    for side, sign in (("left", 1), ("right", -1)):
-        rotations[:, JOINTS.index(f"{side}_shoulder"), 2] = -sign * 1.4
-    pose = Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
-    lens = (6 * x for x in (camera.fx, camera.fy, camera.cx, camera.cy))
-    sharp = Camera(*lens, camera.T_camera_world, 6 * camera.width, 6 * camera.height)
-    return SimpleNamespace(
-        pose=pose, cameras=[sharp], shape=Shape(torch.zeros(10)), splits=Splits([0], [])
-    )
-
-
-def test_clothes_stay_where_outlines_tell_them_and_give_way_beside_a_contact(arms_at_sides, body):
+def test_clothes_stay_where_outlines_tell_them_and_give_way_beside_a_contact(sharp, hanging, body):
+    """From the front, in a frame in which hands hide the sides of the hips."""
+    arms_at_sides = _video(hanging(1.4), sharp)
     normals = vertex_normals(body.v_template, body.faces)
     offsets = 0.01 * normals
     hip = body.weights[:, [JOINTS.index(k) for k in ("left_hip", "pelvis")]].sum(1) > 0.5

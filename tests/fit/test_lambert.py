@@ -22,9 +22,9 @@ def avatar(known):
 
 def turned(*axis_angle):
     """A pose at rest, turned as a whole."""
-    rotations = torch.zeros(1, 55, 3)
-    rotations[0, 0] = torch.tensor(axis_angle)
-    return Pose(rotations, torch.zeros(1, 3), torch.zeros(1, 10))
+    pose = Pose.rest()
+    pose.rotations[0, 0] = torch.tensor(axis_angle)
+    return pose
 
 
 def test_without_differences_a_colour_depends_on_the_angle_between_light_and_normal(avatar):

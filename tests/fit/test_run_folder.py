@@ -50,9 +50,7 @@ def test_trained_poses_stay_with_their_video(video, tmp_path):
 
 def test_trained_poses_that_got_lost_or_are_of_another_person_are_refused(video, tmp_path):
     run_folder.prepare(tmp_path, {"poses": {"trained": True}}, video, resume=True)
-    with pytest.raises(
-        InputError, match="poses.npz: no such file; restore the run's trained poses"
-    ):
+    with pytest.raises(InputError, match="poses.npz: no such file; restore the run's trained"):
         run_folder.under_trained_poses(video, tmp_path)
     path, other = tmp_path / run_folder.TRAINED_POSES, Shape(video.shape.betas + 0.1)
     save_poses(path, video.pose, other, stage=2)
@@ -79,9 +77,7 @@ def test_a_run_names_the_files_of_its_poses_and_body(video, tmp_path):
     assert run_folder.load_options(run)["sources"]["poses"] == "poses.npz"
     found = run_folder.source_of(run, "poses", video.folder)
     assert found == video.folder / "poses.npz"
-    with pytest.raises(
-        InputError, match=r"b.npz, which does not exist any more; give it with --body$"
-    ):
+    with pytest.raises(InputError, match=r"b.npz, which does not exist any more; .* --body$"):
         run_folder.source_of(run, "body", video.folder)
     assert run_folder.sources_of(body, None, video.folder) == {"poses": str(body), "body": None}
     assert run_folder.source_of(tmp_path, "poses", video.folder) is None  # an older run

@@ -78,9 +78,7 @@ def test_a_fit_comes_closer_to_frames_it_has_not_seen(video, body, tmp_path):
     assert loss[-20:].mean() < 0.8 * loss[:20].mean()
 
 
-def test_a_fit_goes_on_where_too_few_gaussians_are_opaque_for_a_surface(
-    video, body, tmp_path, monkeypatch
-):
+def test_a_fit_goes_on_where_too_few_gaussians_are_opaque(video, body, tmp_path, monkeypatch):
     said = []
     monkeypatch.setattr("gva_mi.fit.train.say", said.append)
     faint = replace(OPTIONS.avatar, seed=SeedOptions(count=400, opacity=1e-3))
@@ -195,9 +193,7 @@ def test_every_parameter_is_trained(video, body, tmp_path):
         assert after[name].isfinite().all() and not torch.equal(before[name], after[name]), name
 
 
-def test_the_same_seed_gives_the_same_bits_on_any_number_of_torch_threads(
-    fitted, video, body, tmp_path
-):
+def test_a_seed_gives_the_same_bits_on_any_number_of_threads(fitted, video, body, tmp_path):
     before = torch.get_num_threads()
     torch.set_num_threads(1 if before > 1 else 2)
     try:

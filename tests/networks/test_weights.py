@@ -47,9 +47,7 @@ def small_wheel(tmp_path, monkeypatch):
     return path
 
 
-def test_missing_files_are_fetched_by_pip_once_with_licence_and_notice(
-    small_wheel, tmp_path, monkeypatch
-):
+def test_missing_files_are_fetched_once_with_licence_and_notice(small_wheel, tmp_path, monkeypatch):
     monkeypatch.delenv(mediapipe.WEIGHTS_VARIABLE, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folder = tmp_path / f"cache/gva_mi/mediapipe-{mediapipe.MEDIAPIPE_VERSION}"

@@ -65,9 +65,7 @@ def test_the_examples_of_mesh_normals_run(scenes):
 
 
 @pytest.mark.parametrize("samples", [1, pytest.param(64, marks=pytest.mark.slow)])
-def test_the_example_of_gaussian_splat_makes_its_picture_and_its_figure(
-    samples, scenes, tmp_path, monkeypatch
-):
+def test_the_example_of_gaussian_splat_makes_its_picture(samples, scenes, tmp_path, monkeypatch):
     """With one sample the part that has no noise."""
     monkeypatch.chdir(tmp_path)
     (program,) = re.findall(r"```python\n(.*?)```", SPLATS, re.DOTALL)

@@ -62,25 +62,21 @@ def test_wham_in_its_world_from_a_dump_of_joblib(tmp_path, walk):
         assert len(read_motion(tmp_path / name, TargetBody.read(None), options).pose) == 3
 
 
-def romp(rotations, places):
-    thetas, transl = of_smpl(rotations).reshape(6, 72), places - SMPL
-    results = {
+def test_without_a_world_the_camera_stands_still(tmp_path, before_camera):
+    rotations, places, seen, pelvis = before_camera
+    thetas, transl = of_smpl(seen).reshape(6, 72), pelvis - SMPL
+    romp = {
         f"{k}.png": {"smpl_thetas": thetas[k : k + 1], "smpl_betas": np.zeros((1, 10)),
                      "cam_trans": transl[k : k + 1]}
         for k in range(6)
     }  # fmt: skip
-    return "romp.pkl", {"results": results}
-
-
-def test_without_a_world_the_camera_stands_still(tmp_path, before_camera):
-    rotations, places, seen, pelvis = before_camera
-    name, value = romp(seen, pelvis)
-    motion = read_motion(dumped(tmp_path / name, value), TargetBody.read(None), OF_ESTIMATORS)
+    file = dumped(tmp_path / "romp.pkl", {"results": romp})
+    motion = read_motion(file, TargetBody.read(None), OF_ESTIMATORS)
     moves_alike(motion, rotations, places)
     assert "-y up" in motion.notes[0]
     assert any("the camera, which is taken to stand still" in n for n in motion.notes)
     with pytest.raises(InputError, match="holds no frame rate.*--source-fps of gva-mi motion"):
-        read_motion(tmp_path / name, TargetBody.read(None), MotionOptions())
+        read_motion(file, TargetBody.read(None), MotionOptions())
 
 
 def test_parameters_a_file_a_frame_are_a_motion(tmp_path, walk):

@@ -11,7 +11,6 @@ from gva_mi.readers.estimator_layouts import VideoInfo, people_by_name, wham_len
 from gva_mi.readers.estimators import KINDS, Estimator, read_estimator
 from gva_mi.readers.people import follow
 from gva_mi.readers.source_files import has_one
-from gva_mi.subject.lens import rescaled
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -94,10 +93,3 @@ def test_a_skew_ends_prepare(tmp_path, refused, seen):
     K = CENTRED(80) + [[0, 3, 0], [0, 0, 0], [0, 0, 0]]
     np.savez(tmp_path / "p.npz", **named(*seen, K=K))
     refused(r"K must be .*, got \[80.0, 3.0, 32.0.*without skew", tmp_path / "p.npz")
-
-
-def test_a_lens_of_another_size_is_scaled():
-    K = rescaled("x", CENTRED(10), (WIDTH, HEIGHT), (2 * WIDTH, 2 * HEIGHT))
-    assert np.allclose(K, [[20, 0, WIDTH], [0, 20, HEIGHT], [0, 0, 1]])
-    with pytest.raises(InputError, match="expected the same shape"):
-        rescaled("x", CENTRED(10), (0, 0), (WIDTH, HEIGHT))

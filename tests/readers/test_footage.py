@@ -3,7 +3,6 @@
 import json
 import shutil
 import zipfile
-from fractions import Fraction
 
 import av
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from PIL import Image
 from samples.data_sets import MASK, shots
 from samples.estimates import dumped, named
+from samples.recordings import write_recording
 
 from gva_mi import InputError
 from gva_mi.core.files import read_arrays
@@ -40,21 +40,11 @@ def shown(k=0):
     return np.stack([x * 4 + k, y * 6 + k, 0 * x + 20 + 5 * k], axis=-1).astype(np.uint8)
 
 
-def recording(path, count=4, codec="libx264rgb", form="rgb24", moments=None, key=12, aspect=1):
+def recording(path, count=4, codec="libx264rgb", form="rgb24", moments=None, aspect=1):
     """Pictures without loss, at so many milliseconds each."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=25)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], form
-        stream.options = {"crf": "0", "g": str(key)}
-        stream.codec_context.time_base = Fraction(1, 1000)
-        stream.codec_context.sample_aspect_ratio = Fraction(aspect)
-        for k in range(count):
-            picture = av.VideoFrame.from_ndarray(shown(k), "rgb24")
-            picture.pts = 40 * k if moments is None else moments[k]
-            picture.time_base = stream.codec_context.time_base
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    return path
+    times, options = moments or range(0, 40 * count, 40), {"crf": "0", "g": "12"}
+    shots = map(shown, range(count))
+    return write_recording(path, shots, codec, form, options, times=times, aspect=aspect)
 
 
 def turn(path, matrix):
@@ -86,7 +76,7 @@ def test_a_video_is_rotated_and_mirrored_as_its_metadata_say(matrix, tmp_path):
     path = recording(tmp_path / "video.mp4")
     turn(path, matrix)
     expected = [moved(shown(k), matrix) for k in range(4)]
-    for found in (list(pictures(path, 3)), list(VideoFile(path)), list(VideoFile(path, kept=0))):
+    for found in (list(pictures(path, 3)), list(VideoFile(path)), even_pictures(path).pictures):
         assert len(found) == 4
         for image, wanted in zip(found, expected, strict=True):
             assert image.shape == wanted.shape and np.array_equal(image, wanted)
@@ -119,15 +109,8 @@ def test_pixels_that_are_not_square_are_said(tmp_path):
 @pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
 def test_an_interlaced_video_is_said(codec, tmp_path):
     """Cameras of broadcast write two moments into each picture."""
-    path = tmp_path / "a.mkv"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=25)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
-        stream.options = {"x264-params": "tff=1:interlaced=1", "flags": "+ildct+ilme", "top": "1"}
-        for k in range(4):
-            frame = av.VideoFrame.from_ndarray(shown(k), "rgb24")
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    options = {"x264-params": "tff=1:interlaced=1", "flags": "+ildct+ilme", "top": "1"}
+    path = write_recording(tmp_path / "a.mkv", map(shown, range(4)), codec, options=options)
     (note,) = notes_of(path)
     assert "interlaced (4 of 4 pictures)" in note and "bwdif" in note
 
@@ -141,9 +124,7 @@ def test_a_varying_rate_is_reported_and_every_picture_is_a_frame(tmp_path):
     assert "rate varies: its pictures are 33 to 150 ms apart" in notes_of(uneven)[0]
     even = recording(tmp_path / "even.mkv", 6, moments=[0, 33, 67, 100, 133, 167])  # 30 a second
     assert notes_of(even) == []
-    between = recording(
-        tmp_path / "b.mp4", 12, codec="libx264", form="yuv420p"
-    )  # decoded out of order
+    between = recording(tmp_path / "b.mp4", 12, "libx264", "yuv420p")  # decoded out of order
     assert notes_of(between) == notes_of(recording(tmp_path / "a.mp4", 1)) == []
     (tmp_path / "a.mp4").write_bytes(b"none")
     with pytest.raises(InputError, match="cannot be decoded as a video"):

@@ -67,7 +67,7 @@ def alphapose(path, points):
 
 
 @pytest.mark.parametrize(
-    ("write", "layout", "hands"), [(openpose, 25, 0.7), (mmpose, 133, 0.8), (alphapose, 26, 0)]
+    "write, layout, hands", [(openpose, 25, 0.7), (mmpose, 133, 0.8), (alphapose, 26, 0)]
 )
 def test_points_lie_where_the_file_says(tmp_path, person, write, layout, hands):
     points, network = person

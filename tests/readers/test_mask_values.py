@@ -80,14 +80,10 @@ def test_masks_with_an_axis_of_channels_are_a_stack(tmp_path):
 def test_labels_of_several_people_are_refused(container, tmp_path):
     """Also where one of them is alone in the picture, and the largest value is 1."""
     given = stored(tmp_path / "m", [2 * ME + OTHER, 1 * OTHER], container)
-    with pytest.raises(
-        InputError, match="the masks hold the labels 0-2, and which one is the person is"
-    ):
+    with pytest.raises(InputError, match="the masks hold the labels 0-2, and which one is the"):
         list(masks(given))
     if container == "palettes":
-        with pytest.raises(
-            InputError, match="the masks hold the labels 0-2, and which one is the person is"
-        ):
+        with pytest.raises(InputError, match="the masks hold the labels 0-2, and which one is the"):
             read_mask(given, 0)
 
 

@@ -68,11 +68,6 @@ def test_amass_in_parts(read, walk):
         "pose_hand": flat(slice(25, 55)), "trans": transl, "mocap_frame_rate": 30,
     }  # fmt: skip
     assert same(read(**parts).pose.rotations, rotations)
-    names = {"global_orient": flat(slice(0, 1)), "body_pose": flat(slice(1, 22)), "transl": transl}
-    assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
-    turned = matrices(rotations[:, 1:22])
-    names |= {"body_pose": turned, "global_orient": matrices(rotations[:, :1])}
-    assert same(read(**names, fps=30).pose.rotations[:, :22], rotations[:, :22])
 
 
 def test_aist_counts_in_centimetres_at_60_frames_a_second(read, walk):

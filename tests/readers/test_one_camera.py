@@ -15,7 +15,8 @@ WIDTH, HEIGHT, FRAMES = 64, 48, 5
 
 @pytest.mark.parametrize("form", ["thetas", "parts"])
 def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
-    source = tmp_path / "male-3-casual"
+    """In one form with pictures of half the calibration's size, by which K is scaled."""
+    source, larger = tmp_path / "male-3-casual", 1 if form == "thetas" else 2
     for k, shot in enumerate(filmed.shots()):
         write_image(source / f"images/image_{k:04d}.png", shot)
         if form == "thetas":
@@ -28,7 +29,9 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
         path.unlink()  # poses beyond the pictures with masks are left out
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = filmed.matrices(filmed.TURN), filmed.MOVE
-    np.savez(source / "cameras.npz", intrinsic=filmed.K, extrinsic=T, height=HEIGHT, width=WIDTH)
+    size = {"height": larger * HEIGHT, "width": larger * WIDTH}
+    K = filmed.K * [[larger], [larger], [1]]
+    np.savez(source / "cameras.npz", intrinsic=K, extrinsic=T, **size)
     poses = {"thetas": thetas} if form == "thetas" else {
         "global_orient": thetas[:, :3], "body_pose": thetas[:, 3:]
     }  # fmt: skip
@@ -39,20 +42,6 @@ def test_instantavatar(tmp_path, seen, thetas, world, prepared, stands, form):
     assert ("5 poses, but 4 pictures with masks" in said) == (form == "parts")
     video = stands(folder, *(x[:count] for x in seen), filmed.K)
     assert np.array_equal(video[1].mask > 0.5, filmed.MASK > 0)
-
-
-def test_pictures_of_half_the_calibrations_size(tmp_path, seen, thetas, world, prepared, stands):
-    """InstantAvatar's cameras.npz records the size; K is scaled with the pictures."""
-    source, T = tmp_path / "x", np.eye(4)
-    for k, shot in enumerate(filmed.shots()):
-        write_image(source / f"images/{k:04d}.png", shot)
-        write_image(source / f"masks/{k:04d}.png", filmed.MASK)
-    T[:3, :3], T[:3, 3] = filmed.matrices(filmed.TURN), filmed.MOVE
-    double = filmed.K * [[2], [2], [1]]
-    size = {"height": 2 * HEIGHT, "width": 2 * WIDTH}
-    np.savez(source / "cameras.npz", intrinsic=double, extrinsic=T, **size)
-    np.savez(source / "poses.npz", betas=np.zeros(10), transl=world[1] - filmed.SMPL, thetas=thetas)
-    stands(prepared(source)[0], *seen, filmed.K)
 
 
 def test_a_camera_without_distortion_is_a_pinhole(tmp_path, seen, thetas, world, prepared, stands):

@@ -27,10 +27,6 @@ def joints():
     return load_body().j_template.view(-1, 3).double().numpy()
 
 
-def votes(tracks, cut_outs, joints):
-    return joints_in_masks(tracks, cut_outs, joints)
-
-
 def share(pair):
     return pair[0] / pair.sum()
 
@@ -44,7 +40,9 @@ def cut_outs(count, left, right):
 def test_the_person_in_the_masks_wins_over_the_person_seen_longest(joints):
     short, long = track("short", 0.6, range(6)), track("long", -0.6, range(9))
     by = track("by", 0.0, range(9))  # inside some frames
-    found = votes([long, by, short], cut_outs(9, 32, 64), joints)  # the right half of each picture
+    found = joints_in_masks(
+        [long, by, short], cut_outs(9, 32, 64), joints
+    )  # the right half of each picture
     assert share(found[2]) > 0.9 and share(found[0]) < 0.1 and 0.2 < share(found[1]) < 0.8
     chosen, notes = choose("x.pkl", [long, by, short], None, lambda: found)
     assert chosen is short
@@ -54,7 +52,7 @@ def test_the_person_in_the_masks_wins_over_the_person_seen_longest(joints):
 def test_with_nobody_in_the_masks_the_person_seen_longest_is_taken(joints):
     tracks = [track("a", -0.6, range(2)), track("b", -0.7, range(5))]
     for empty in (cut_outs(5, 32, 64), cut_outs(5, 0, 0)):
-        found = votes(tracks, empty, joints)
+        found = joints_in_masks(tracks, empty, joints)
         chosen, notes = choose("x.pkl", tracks, None, lambda found=found: found)
         assert (
             chosen.person == "b"
@@ -68,7 +66,7 @@ def test_a_joint_behind_the_camera_or_beyond_the_border_has_no_vote(joints):
     behind, beside = track("behind", 0.0, [0], z=-4.0), track("beside", 50.0, [0])
     nothing = track("nothing", np.nan, [0])
     full = cut_outs(1, 0, 64)
-    assert not votes([behind, beside, nothing], full, joints).any()
+    assert not joints_in_masks([behind, beside, nothing], full, joints).any()
 
 
 def test_a_name_decides_without_reading_the_masks():

@@ -15,9 +15,7 @@ from gva_mi.subject.video import load_video
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 
 
-def test_the_folder_says_what_it_was_made_of_and_is_not_replaced(
-    wham, tmp_path, cli, seen, footage
-):
+def test_the_folder_says_what_it_was_made_of_and_stays(wham, tmp_path, cli, seen, footage):
     file = wham(_0=seen)
     said = cli.works("prepare", "auto", file, tmp_path / "s", *footage)
     assert "wham, SMPL, 5 frames of 64x48" in said and "betas of SMPL do not carry over" in said
@@ -90,9 +88,7 @@ def test_bad_sources_are_refused_in_one_sentence(wham, tmp_path, cli, seen, foot
     file.write_bytes(pickle.dumps({"a": 1}))
     refused("unknown estimator format, holds a; expected one of wham: people with", "auto", file,
         out, *footage)  # fmt: skip
-    refused(
-        "not a source of gvhmr, holds a; expected smpl_params_incam", "gvhmr", file, out, *footage
-    )
+    refused("not a source of gvhmr, holds a; expected smpl_params", "gvhmr", file, out, *footage)
     refused("kind must be auto, video, wham", "mystery", file, out, *footage)
     file = wham(_0=seen)
     few = [*footage[:4], "--masks", tmp_path / "few.npy"]

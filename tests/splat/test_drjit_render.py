@@ -16,7 +16,7 @@ from gva_mi.splat.scene import random_scene
 
 
 @pytest.mark.parametrize(
-    ("dtype", "kind"), [(torch.float32, ad.TensorXf), (torch.float64, ad.TensorXf64)]
+    "dtype, kind", [(torch.float32, ad.TensorXf), (torch.float64, ad.TensorXf64)]
 )
 @pytest.mark.parametrize("degree", [None, 2])
 def test_same_bits_as_torch(dtype, kind, degree):

@@ -23,7 +23,7 @@ from gva_mi.synthetic.errors.models import ERROR_MODELS
 from gva_mi.synthetic.person.identity import NAMED
 
 BOTH = pytest.mark.parametrize(
-    "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuning", "held out", "set 2"]
+    "some", [TUNING, HELD_OUT, held_out(2)], ids=["tuned", "held out", "set 2"]
 )
 
 

@@ -102,9 +102,7 @@ def test_a_camera_without_a_video_is_named(tmp_path, built_in_body):
         multiview(tmp_path, tmp_path / "a.toml", built_in_body, None, None, False)
 
 
-def test_a_video_of_another_size_than_its_calibration_is_refused(
-    tmp_path, built_in_body, monkeypatch
-):
+def test_a_video_of_another_size_than_calibrated_is_refused(tmp_path, built_in_body, monkeypatch):
     """Half as large, of which every second pixel is used."""
     text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
     (tmp_path / "a.toml").write_text(text)

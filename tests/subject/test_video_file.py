@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from av.stream import Disposition
 from PIL import Image
+from samples.recordings import write_recording
 
 from gva_mi.core.errors import InputError
 from gva_mi.stage1.pictures import even_pictures
@@ -35,15 +36,8 @@ def path(request, tmp_path):
         write_video(path, (shown(k) for k in range(COUNT)))
         return path
     path = path if request.param == "between" else tmp_path / "video.h264"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=25)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "yuv420p"
-        stream.options = {"g": "12", "bf": "3", "crf": "5"}
-        for k in range(COUNT):
-            picture = av.VideoFrame.from_ndarray(shown(k), "rgb24")
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode())
-    return path
+    options = {"g": "12", "bf": "3", "crf": "5"}
+    return write_recording(path, map(shown, range(COUNT)), options=options)
 
 
 def test_pictures_are_the_same_in_any_order_and_memory(path):
@@ -66,13 +60,8 @@ def test_pictures_are_the_same_in_any_order_and_memory(path):
 
 
 def test_writing_into_a_picture_does_not_change_the_video(tmp_path):
-    path = tmp_path / "video.mov"
-    with av.open(str(path), "w") as container:  # decoded to RGB, so that nothing is converted
-        stream = container.add_stream("png", rate=25)
-        stream.width, stream.height, stream.pix_fmt = SIZE[1], SIZE[0], "rgb24"
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(shown(3), "rgb24")))
-        container.mux(stream.encode())
-    recording = VideoFile(path)
+    path = write_recording(tmp_path / "video.mov", [shown(3)], "png", "rgb24")
+    recording = VideoFile(path)  # decoded to RGB, so that nothing is converted
     recording[0][:] = 0
     assert np.array_equal(recording[0], shown(3))
 
@@ -122,15 +111,8 @@ def scrolled(path, codec, size, options, count=90):
     """Write a texture that moves, which no decoder can guess."""
     texture = np.random.default_rng(0).integers(0, 255, (size[0] // 8, 60, 3), dtype=np.uint8)
     texture = texture.repeat(8, axis=0).repeat(8, axis=1)
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream(codec, rate=30)
-        (stream.height, stream.width), stream.options = size, options
-        stream.pix_fmt = "yuv420p"
-        for k in range(count):
-            picture = np.ascontiguousarray(texture[:, 2 * k : 2 * k + size[1]])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "rgb24")))
-        container.mux(stream.encode())
-    return path
+    shots = (np.ascontiguousarray(texture[:, 2 * k : 2 * k + size[1]]) for k in range(count))
+    return write_recording(path, shots, codec, options=options, rate=30)
 
 
 def indexed(path, count=12):

@@ -190,9 +190,7 @@ def degraded(noisy, body, tmp_path_factory):
     return made
 
 
-def test_it_equals_make_subject_and_links_frames_and_ground_truth(
-    noisy, degraded, body, bare, files, tmp_path
-):
+def test_it_equals_make_subject_and_links_its_frames(noisy, degraded, body, bare, files, tmp_path):
     make_subject(tmp_path / "made", replace(bare, error_model="normals", error_seed=7), body)
     assert files(tmp_path / "made") == files(degraded("normals"))
     for path in sorted(noisy.rglob("*")):

@@ -38,7 +38,7 @@ def test_the_nearest_shape_has_the_height(stature, shape):
     assert abs(float(step @ slope)) == pytest.approx(1, abs=1e-5)
 
 
-def test_a_taller_person_stands_farther_away_and_looks_the_same(
+def test_a_taller_person_is_farther_away_and_looks_the_same(
     stature, body, shape, camera, true_pose
 ):
     height = 1.15 * float(stature.height(shape))

@@ -1,16 +1,12 @@
 """The pictures of a video at an even rate: which, how many, how large, in which order."""
 
-import struct
-from fractions import Fraction
-
-import av
 import numpy as np
 import pytest
 from PIL import Image
+from samples.recordings import write_recording
 
 from gva_mi.core.errors import InputError
 from gva_mi.stage1.pictures import even_pictures
-from gva_mi.subject.video_file import write_video
 
 HEIGHT, WIDTH = 48, 64
 
@@ -26,18 +22,9 @@ def number(picture):
 
 def recording(path, moments, codec="libx264", tick=1000, kind="yuv420p"):
     """Write pictures shown at moments, seconds."""
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream(codec, rate=30)
-        stream.time_base = stream.codec_context.time_base = Fraction(1, tick)
-        stream.height, stream.width = HEIGHT, WIDTH
-        stream.pix_fmt = kind
-        stream.options = {"crf": "1", "x265-params": "log-level=none:lossless=1"}
-        for k, moment in enumerate(moments):
-            frame = av.VideoFrame.from_ndarray(shown(k), "rgb24").reformat(format=kind)
-            frame.pts, frame.time_base = round(moment * tick), Fraction(1, tick)
-            out.mux(stream.encode(frame))
-        out.mux(stream.encode())
-    return path
+    options = {"crf": "1", "x265-params": "log-level=none:lossless=1"}
+    times, shots = [round(x * tick) for x in moments], map(shown, range(len(moments)))
+    return write_recording(path, shots, codec, kind, options, rate=30, times=times, tick=tick)
 
 
 def numbers(found):
@@ -81,21 +68,6 @@ def test_a_varying_rate_becomes_even(tmp_path):
     # Moments in whole milliseconds are not a rate that varies.
     even = even_pictures(recording(tmp_path / "b.mp4", np.round(np.arange(30) / 30, 3)))
     assert even.notes == () and len(even.pictures) == 30
-
-
-def test_a_video_held_upright_is_turned(tmp_path):
-    """As phones record it: pictures on their side, and the turn in the track's header."""
-    path = tmp_path / "a.mp4"
-    sideways = np.full((HEIGHT, WIDTH, 3), 40, np.uint8)
-    sideways[:, :16] = 220  # the left is to be the top
-    write_video(path, [sideways] * 3)
-    held = bytearray(path.read_bytes())
-    at = held.index(b"tkhd") + 44  # its matrix, in 16.16, here a quarter turn clockwise
-    held[at : at + 20] = struct.pack(">5i", 0, 1 << 16, 0, -1 << 16, 0)
-    path.write_bytes(held)
-    found = even_pictures(path)
-    assert found.pictures[1].shape == (WIDTH, HEIGHT, 3)
-    assert found.pictures[1][:12].min() > 200 and found.pictures[1][20:].max() < 60
 
 
 def test_a_folder_in_natural_order_turned_upright(tmp_path):

@@ -228,9 +228,7 @@ def test_a_video_of_nobody_is_refused(known_recording, built_in_body):
         solved(known_recording, built_in_body, without(known_recording.landmarks, range(12)))
 
 
-def test_the_order_of_names_does_not_matter_nor_do_unknown_ones(
-    found, known_recording, built_in_body
-):
+def test_the_order_of_names_and_unknown_ones_do_not_matter(found, known_recording, built_in_body):
     recording = known_recording.landmarks
     order = [*np.random.default_rng(0).permutation(len(recording.names)), 0]
     arrays = ("pixels", "confidence", "spread", "metric")

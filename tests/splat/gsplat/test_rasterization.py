@@ -30,7 +30,7 @@ def test_parameters_are_gsplats():
     (None, "pinhole", "classic"), (1, "pinhole", "antialiased"), (1, "ortho", "classic"),
     (None, "fisheye", "antialiased"),
 ])  # fmt: skip
-def test_pictures_and_gradients_match_the_reference(
+def test_pictures_match_the_reference(
     arguments, gradients, sh_degree, camera_model, rasterize_mode
 ):
     a = arguments(degree=None if sh_degree is None else 2)  # more coefficients than are used

@@ -26,14 +26,13 @@ def quiet(one_thread):
 
 def motion():
     """A turn of a quarter in steps to the side, one arm up: no frame like another or mirrored."""
-    rotations, transl = torch.zeros(FRAMES, 55, 3), torch.zeros(FRAMES, 3)
-    time = torch.linspace(0, 1, FRAMES)
-    rotations[:, 0, 1] = 0.3 + 1.5 * time
-    rotations[:, 16, 2] = -1.2 + 2.0 * time
-    rotations[:, 17, 2] = 1.2
-    rotations[:, 1, 0] = -0.6 * torch.sin(6 * time)
-    transl[:, 0] = 0.5 - 0.8 * time
-    return Pose(rotations, transl, torch.zeros(FRAMES, 10))
+    pose, time = Pose.rest(FRAMES), torch.linspace(0, 1, FRAMES)
+    pose.rotations[:, 0, 1] = 0.3 + 1.5 * time
+    pose.rotations[:, 16, 2] = -1.2 + 2.0 * time
+    pose.rotations[:, 17, 2] = 1.2
+    pose.rotations[:, 1, 0] = -0.6 * torch.sin(6 * time)
+    pose.transl[:, 0] = 0.5 - 0.8 * time
+    return pose
 
 
 @pytest.fixture(scope="session")

@@ -23,11 +23,10 @@ def body():
 
 def pose_with(**rotations):
     """Return a pose of one frame from rotations (3,) by joint."""
-    all_of_them = torch.zeros(1, 55, 3, dtype=F64)
+    pose = Pose.rest(dtype=F64)
     for name, rotation in rotations.items():
-        all_of_them[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=F64)
-    zero = torch.zeros(1, 10, dtype=F64)
-    return Pose(all_of_them, zero[:, :3], zero)
+        pose.rotations[0, JOINTS.index(name)] = torch.tensor(rotation, dtype=F64)
+    return pose
 
 
 def volume(vertices, faces):

@@ -58,8 +58,6 @@ def test_a_motion_in_a_scene_is_resumed_and_follows_its_files(run, cli):
 
 
 def test_the_person_stands_on_the_ground_and_turns(run, turning):
-    from pathlib import Path
-
     from gva_mi.app.scenes import SceneOptions, StagedMotion
     from gva_mi.fit.run_folder import load_avatar
 

@@ -134,8 +134,6 @@ def test_names_that_no_case_has_are_refused(done, tmp_path, cli):
         assert f"no '{name}'" in err and "these cases have:" in err
     err = cli.fails(*refine, "--subjects", "bruno", "--error-models", "focal")
     assert "no case has both" in err
-    err = cli.fails("study", "avatar", "--out", tmp_path, "--rows", "best")
-    assert "no 'best'; there are: as printed, " in err
 
 
 def test_a_case_that_lacks_a_package_is_left_out_with_a_line(done, tmp_path, cli, monkeypatch):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from samples.bent import bent
 
 from gva_mi.avatar import skin_gaussians
 from gva_mi.avatar.avatar import Avatar
@@ -17,22 +18,6 @@ from gva_mi.jit.frozen import Frozen
 SMALL = {"gaussians": 150, "size": 24}
 GAUSSIANS = {"means", "quats", "log_scales", "logit_opacities", "sh"}
 INPUTS = {"rotations", "transl", "expression", "betas", "light"} | GAUSSIANS
-
-
-class Slanted(torch.autograd.Function):
-    """The identity with a gradient that is 0.1 % too long."""
-
-    @staticmethod
-    def forward(ctx, x):
-        return x.clone()
-
-    @staticmethod
-    def backward(ctx, g):
-        return 1.001 * g
-
-    @staticmethod
-    def jvp(ctx, t):
-        return t.clone()
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +57,7 @@ def test_no_comparison_is_of_nothing(scene):
 
 def _plant(monkeypatch, link):
     """Plant a small error in the avatar's own code of one part of the chain."""
-    bend = Slanted.apply
+    bend = bent(gradient=1.001)
     if link == "shape":
         rest = BodyModel.rest
         bent = lambda self, shape: rest(self, type(shape)(bend(shape.betas)))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from samples.bent import bent
 
 from gva_mi.gradcheck import gradcheck
 from gva_mi.splat import reference, render
@@ -112,7 +113,7 @@ def test_neighbours_in_depth_that_may_swap_are_a_step():
 
 def test_a_wrong_adjoint_is_found():
     def wrong(gaussians, camera, options, background):
-        gaussians = replace(gaussians, scales=_Doubled.apply(gaussians.scales))
+        gaussians = replace(gaussians, scales=bent(gradient=2.0)(gaussians.scales))
         return Image(**vars(render(gaussians, camera, options, background)))
 
     report = gradcheck(wrong, scene(gaussians=12, width=16, height=16))
@@ -151,33 +152,9 @@ def test_what_a_renderer_lacks_is_noted():
 
 def test_a_wrong_tangent_is_found():
     def wrong(gaussians, camera, options, background):
-        opacities = _Stretched.apply(gaussians.opacities)
+        opacities = bent(tangent=1.001)(gaussians.opacities)
         return render(replace(gaussians, opacities=opacities), camera, options, background)
 
     report = gradcheck(wrong, scene(gaussians=12, width=16, height=16))
     failed = {(row.method, row.name) for row in report.rows if not row.passed}
     assert failed == {("tangent f32", "opacities"), ("tangent f64", "opacities")}
-
-
-class _Doubled(torch.autograd.Function):
-    """The identity with twice its gradient."""
-
-    @staticmethod
-    def forward(ctx, x):
-        return x.clone()
-
-    @staticmethod
-    def backward(ctx, g):
-        return 2 * g
-
-
-class _Stretched(_Doubled):
-    """The identity with a tangent that is 0.1 % too long."""
-
-    @staticmethod
-    def backward(ctx, g):
-        return g
-
-    @staticmethod
-    def jvp(ctx, t):
-        return 1.001 * t

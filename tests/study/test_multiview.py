@@ -33,6 +33,7 @@ distortions = [0.1, -0.05, 0.002, -0.001]
 rotation = [0.0, 3.141592653589793, 0.0]
 translation = [0.0, 1.0, 3.0]
 """
+PAIR = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
 
 
 @pytest.fixture
@@ -65,7 +66,7 @@ def test_points_are_found_although_one_camera_is_far_off(cameras):
 
 def test_a_calibration_is_read_and_its_distortion_undone(tmp_path):
     path = tmp_path / "calibration.toml"
-    path.write_text(TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b"))
+    path.write_text(PAIR)
     one, two = read_calibration(path)
     assert (one.name, two.name, one.size) == ("a", "b", (640, 480))
     np.testing.assert_allclose(one.R, np.diag([-1.0, 1, -1]), atol=1e-12)
@@ -96,16 +97,14 @@ def test_a_camera_without_a_video_is_named(tmp_path, built_in_body):
         multiview(tmp_path / "nowhere", tmp_path / "a.toml", built_in_body, None, None, False)
     with pytest.raises(InputError, match="none.toml: no such file; expected a camera's name"):
         multiview(tmp_path, tmp_path / "none.toml", built_in_body, None, None, False)
-    text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
-    (tmp_path / "a.toml").write_text(text)
+    (tmp_path / "a.toml").write_text(PAIR)
     with pytest.raises(InputError, match="one video of the camera a, of that name, found 0"):
         multiview(tmp_path, tmp_path / "a.toml", built_in_body, None, None, False)
 
 
 def test_a_video_of_another_size_than_calibrated_is_refused(tmp_path, built_in_body, monkeypatch):
     """Half as large, of which every second pixel is used."""
-    text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
-    (tmp_path / "a.toml").write_text(text)
+    (tmp_path / "a.toml").write_text(PAIR)
     for name in "ab":
         (tmp_path / f"{name}.mp4").touch()
     found = SimpleNamespace(solved=SimpleNamespace(camera=SimpleNamespace(width=160)),
@@ -172,8 +171,7 @@ def test_the_command_prints_a_row_for_each_camera(tmp_path, built_in_body):
     recordings.mkdir()
     for name in "ab":
         (recordings / f"{name}.mp4").write_bytes((tmp_path / "take/video.mp4").read_bytes())
-    text = TABLE.format(name="a") + TABLE.replace("[one]", "[two]").format(name="b")
-    (tmp_path / "cameras.toml").write_text(text.replace("640.0, 480.0", "256.0, 256.0"))
+    (tmp_path / "cameras.toml").write_text(PAIR.replace("640.0, 480.0", "256.0, 256.0"))
     main(["study", "multiview", str(recordings), str(tmp_path / "cameras.toml"), "--height", "1.7",
         "--json", str(tmp_path / "a.json")])  # fmt: skip
     figures = json.loads((tmp_path / "a.json").read_text())["figures"]

@@ -136,14 +136,10 @@ def test_lit_colours_are_albedo_times_light(splats, proxy):
     assert np.abs(image - expected).max() < 0.03
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"meshes": "lit"}, "needs proxy"),
-        ({"proxy": "proxy"}, "need meshes"),
-        ({"meshes": "lit", "proxy": "bal"}, "id of a mesh .* got 'bal'; its shapes are .*proxy"),
-    ],
-)
+@pytest.mark.parametrize("parameters, message", [
+    ({"meshes": "lit"}, "needs proxy"), ({"proxy": "proxy"}, "need meshes"),
+    ({"meshes": "lit", "proxy": "bal"}, "id of a mesh .* got 'bal'; its shapes are .*proxy"),
+])  # fmt: skip
 def test_errors(splats, proxy, parameters, message):
     with pytest.raises((RuntimeError, ValueError), match=message):
         method = splats.integrator(**parameters)

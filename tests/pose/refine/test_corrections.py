@@ -16,10 +16,6 @@ from gva_mi.refine.corrections import Corrections
 ELBOW = JOINTS.index("left_elbow")
 
 
-def at_rest(frames=7):
-    return Pose.rest(frames)
-
-
 @pytest.fixture
 def make(camera, body):
     anatomy = Anatomy.of(body.j_template)
@@ -46,7 +42,7 @@ def with_turns(camera, body):
 
 def turning_round(frames, rounds):
     """A person at rest who turns about the vertical."""
-    pose = at_rest(frames)
+    pose = Pose.rest(frames)
     pose.rotations[:, 0] = 0
     pose.rotations[:, 0, 1] = 2 * torch.pi * rounds * torch.arange(frames) / frames
     return pose
@@ -84,7 +80,7 @@ def test_turns_and_shifts_are_in_the_axes_of_the_camera(make, camera, true_pose)
 
 def test_a_tilt_of_the_person_costs_in_every_frame_and_one_of_a_limb_once(with_turns):
     """Clothes would tilt the person a little in every image."""
-    nats = lambda joint, n: float(with_turns(at_rest(n), same_turn(n, joint)).energy().detach())
+    nats = lambda joint, n: float(with_turns(Pose.rest(n), same_turn(n, joint)).energy().detach())
     few, many = 8, 64
     assert nats("pelvis", many) > 0.9 * nats("pelvis", few) > 0.1
     assert nats("left_hip", many) < 0.3 * nats("left_hip", few)
@@ -126,7 +122,7 @@ def test_the_error_model_is_inferred_from_corrections(make):
     rng, frames = np.random.default_rng(0), 120
     errors = gaussian_filter1d(rng.normal(size=(frames + 40, 2, 3)), 6.0, axis=0)[20:-20]
     errors = torch.from_numpy(0.2 * errors / errors.std()).float()
-    corrections = make(at_rest(frames))
+    corrections = make(Pose.rest(frames))
     with torch.no_grad():
         corrections.start[0][:, list(GROUPS["elbows"])] = -errors
     updated = corrections.with_updated_prior(*corrections.found())

@@ -103,7 +103,7 @@ VIDEO_NAMES = (
 )  # fmt: skip
 LIMIT_NAMES = (
     "as usual: one turn", "half a turn", "no turn", "everyday motion", "30 frames", "120 frames",
-    "300 frames", "256², a person of 160 pixels", "1024²", "other clothes: thick soles, hood",
+    "256², a person of 160 pixels", "1024²", "other clothes: thick soles, hood",
     "camera held by hand", "motion blur, the shutter open half of the time",
 )  # fmt: skip
 LIMIT_ROWS = dict(zip(LIMIT_NAMES, (case.row for case in LIMITS), strict=True))

@@ -335,9 +335,11 @@ def measure_run(
         if view.split == "novel_pose":
             true = ground_truth_video(video, view.split)
             figures += foreign_figures(avatar, video.folder, body, true, view.video, ALIGNED)
-    seconds = float(history["milliseconds"].sum() / 1e3)
     figures.append(Figure(metric="Gaussians", value=int(history["gaussians"][-1])))
-    figures.append(Figure(metric="steps", value=len(history["loss"])))
+    first = run / run_folder.FIRST_FIT
+    both = [history, *([run_folder.load_history(first)] if first.exists() else [])]
+    figures.append(Figure(metric="steps", value=sum(len(fit["loss"]) for fit in both)))
+    seconds = sum(float(fit["milliseconds"].sum()) for fit in both) / 1e3
     figures.append(Figure(metric="seconds", value=seconds))
     subject = video.folder.resolve().name
     metrics = Metrics(

@@ -179,7 +179,7 @@ LIMITS = tuple(
     StudyCase(replace(_USUAL, **changed), VIDEO_KIND, draw)
     for draw, changed in {
         60: {}, 61: {"motion": "half"}, 62: {"motion": "still"}, 63: {"motion": "everyday"},
-        64: {"frames": 30}, 65: {"frames": 120}, 66: {"frames": 300}, 67: {"size": 256},
+        64: {"frames": 30}, 65: {"frames": 120}, 67: {"size": 256},
         68: {"size": 1024}, 69: {"outfit": "foreign"}, 70: {"camera": "held"},
         72: {"shutter": 0.5},
     }.items()

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -44,6 +45,7 @@ from gva_mi.splat import Camera
 from gva_mi.stage1.prepare import PrepareVideoOptions, SolvedMotion, motion_of_video
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
+from gva_mi.subject.video_file import decoded, open_stream, size_of
 
 CALIBRATION = (
     "a camera's name, size, matrix, distortions, rotation and translation, as in Pose2Sim's, "
@@ -51,6 +53,9 @@ CALIBRATION = (
 )
 ITERATIONS = 10  # of reweighting, and of undoing the distortion; chosen: both have settled
 OUTLIER_SCALE = 0.01  # τ, share of a person's height; chosen: about the error of a landmark
+# Pixels: codecs pad pictures to whole blocks on the right and below. A calibration of 1088 pixels
+# holds for the 1080 that are shown.
+CODEC_BLOCK = 16
 LEAST_CONFIDENCE = 0.5  # of a landmark that counts; chosen: likelier right than wrong
 COMPARED_JOINTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 
@@ -219,13 +224,10 @@ def multiview(
     videos = [_video_of(folder, camera) for camera in cameras]
     motions: list[SolvedMotion] = []
     for k, (video, camera) in enumerate(zip(videos, cameras, strict=True)):
-        scale = min(1.0, options.side / min(camera.size))
+        scale = min(1.0, options.side / min(_size_of(video, camera)))
         lens = str(scale * camera.K[0, 0]) if known_lens else None
         part = part_of_progress(progress, k, 1, len(videos))
         motions.append(motion_of_video(video, options, body, lens=lens, progress=part))
-        width = motions[-1].solved.camera.width / motions[-1].pictures.scale
-        if round(width / camera.size[0], 2) != 1:
-            raise InputError(f"{video}: {width:.0f} pixels wide, calibrated with {camera.size[0]}")
         if motions[-1].pictures.numbers != motions[0].pictures.numbers:
             raise InputError(
                 f"{video}: its pictures have other times than {videos[0]}; "
@@ -250,6 +252,17 @@ def _video_of(folder: Path, camera: CalibratedCamera) -> Path:
             f"found {len(videos)}"
         )
     return videos[0]
+
+
+def _size_of(video: Path, camera: CalibratedCamera) -> tuple[int, int]:
+    """Return a video's size, pixels; refuse one that the calibration does not hold for."""
+    with closing(decoded(open_stream(video))) as frames:
+        size = size_of(next(frames))
+    padding = [of_camera - side for of_camera, side in zip(camera.size, size, strict=True)]
+    if not all(0 <= pixels < CODEC_BLOCK for pixels in padding):
+        shown, calibrated = ("{} x {}".format(*sides) for sides in (size, camera.size))
+        raise InputError(f"{video}: {shown} pixels, calibrated with {calibrated}")
+    return size
 
 
 class SeenRays(NamedTuple):

@@ -1,7 +1,6 @@
 """Points that calibrated cameras see together, and one camera's poses against them."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from gva_mi.study.multiview import (
     triangulate,
 )
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
+from gva_mi.subject.video_file import write_video
 
 EYES = (3, 1.5, 0), (0, 1.2, 3), (-3, 2, 0), (0, 0.5, -3)
 NAMES = [f"{side}_{name}" for side in ("left", "right") for name in COMPARED_JOINTS]
@@ -103,16 +103,24 @@ def test_a_camera_without_a_video_is_named(tmp_path, built_in_body):
 
 
 def test_a_video_of_another_size_than_calibrated_is_refused(tmp_path, built_in_body, monkeypatch):
-    """Half as large, of which every second pixel is used."""
+    """Half as large; a calibration of the codec's whole blocks holds."""
     (tmp_path / "a.toml").write_text(PAIR)
+    given = tmp_path, tmp_path / "a.toml", built_in_body, PrepareVideoOptions(), np.zeros(3), True
     for name in "ab":
-        (tmp_path / f"{name}.mp4").touch()
-    found = SimpleNamespace(solved=SimpleNamespace(camera=SimpleNamespace(width=160)),
-        pictures=SimpleNamespace(scale=0.5, numbers=[0]))  # fmt: skip
-    monkeypatch.setattr("gva_mi.study.multiview.motion_of_video", lambda *given, **named: found)
-    given = tmp_path, tmp_path / "a.toml", built_in_body, PrepareVideoOptions(), np.zeros(3), False
-    with pytest.raises(InputError, match="a.mp4: 320 pixels wide, calibrated with 640"):
+        write_video(tmp_path / f"{name}.mp4", [np.zeros((240, 320, 3), np.uint8)], 30)
+    with pytest.raises(InputError, match="a.mp4: 320 x 240 pixels, calibrated with 640 x 480"):
         multiview(*given)
+    lenses = []
+
+    def solve(*_, lens, **__):
+        lenses.append(float(lens))
+        raise InputError("solved")
+
+    monkeypatch.setattr("gva_mi.study.multiview.motion_of_video", solve)
+    write_video(tmp_path / "a.mp4", [np.zeros((470, 632, 3), np.uint8)], 30)
+    with pytest.raises(InputError, match="solved"):
+        multiview(*given)
+    assert lenses == [600.0]  # pixels of the video, which is smaller than the side asked for
 
 
 @pytest.fixture

@@ -420,7 +420,7 @@ def pages() -> list[Path]:
 def unequal(figures: Sequence[Row]) -> list[str]:
     """Return the studies whose variants were measured on different cases: means would mislead."""
     cases: dict[str, dict[str, set[tuple[str, str]]]] = {}
-    for figure in figures:
+    for figure in (figure for figure in figures if figure["row"]):  # of the studies of cases
         of_study = cases.setdefault(figure["study"], {})
         of_study.setdefault(figure["variant"], set()).add((figure["row"], figure["subject"]))
     return [name for name, of in cases.items() if any(x != y for x, y in pairwise(of.values()))]

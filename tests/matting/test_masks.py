@@ -13,9 +13,9 @@ from gva_mi.matting.odds import (
     Shadows,
     log_odds,
 )
-from gva_mi.matting.plate import Plate
+from gva_mi.matting.plate import Plate, overlay_of
 from gva_mi.subject.folder import SubjectWriter
-from gva_mi.subject.pictures import read_image
+from gva_mi.subject.pictures import in_8_bits, read_image
 
 H, W, T = 96, 80, 10
 
@@ -90,6 +90,22 @@ def test_a_caption_over_the_feet_is_found_and_masks_continue_beneath(
         for name in ("found", "ignored")
     }
     assert off["found"] < 0.1 < 0.2 < off["ignored"], off
+
+
+def test_clothes_that_agree_with_the_background_by_chance_are_no_caption():
+    """A shirt's stripes, with folds, are as high as the shelves behind."""
+    random = np.random.default_rng(0)
+    y, x = np.mgrid[:120, :80]
+    stripes, shelves = y // 4 % 2, (abs(y - 50) < 10) & (abs(x - 38) < 8)
+    seen = []
+    for k in range(24):
+        person = (abs(y - 60) < 40) & (abs(x - 20 - k % 13 * 3) < 11)
+        shirt = 0.4 + 0.2 * stripes + random.normal(0, 0.05, y.shape)
+        grey = np.where(person, shirt, 0.5 + 0.2 * stripes * shelves)
+        seen.append((in_8_bits(np.repeat(grey[..., None], 3, 2)), person.astype(float)))
+    assert overlay_of(seen, 80.0) is None
+    captioned = [(np.where(shelves[..., None], 255 * stripes[..., None], i), P) for i, P in seen]
+    assert overlay_of(captioned, 80.0)[shelves].mean() > 0.95
 
 
 def test_what_the_plate_does_not_explain_is_judged_by_the_colours_of_the_background():

@@ -84,6 +84,7 @@ def test_an_array_of_another_form_is_named():
         (good.astype(int), {}, "must be floating point, got int64"),
         (good, {"kind": "iu"}, "must be whole numbers, got float32"),
         (good + 2, {"largest": 1}, r"holds 2 at \[0, 0\], expected finite numbers of at most 1$"),
+        (good - 2, {"largest": 1}, r"holds -2 at \[0, 0\]"),
         (good * np.nan, {"largest": 1}, r"holds nan at \[0, 0\]"),
     ):
         with pytest.raises(InputError, match=f"^a.npz: 'x' {sentence}"):

@@ -68,6 +68,7 @@ def test_the_chance_level_follows_what_images_show_sideways():
     for joint in range(1, 22, 2):
         pose = leaning(pose, np.radians(4), SIDEWAYS, joint)
     assert nats(tilt_of(pose), leaning(pose, np.radians(4))) < 0.5
+    assert nats(tilt_of(pose), pose) == 0  # below the level nothing costs
 
 
 def test_twice_the_frames_do_not_weigh_more():

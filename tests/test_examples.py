@@ -10,10 +10,8 @@ import pytest
 
 from gva_mi.mesh.mesh_scene import load_plugins
 
-PACKAGES = (
-    "gva_mi.splat", "gva_mi.body", "gva_mi.mesh", "gva_mi.avatar", "gva_mi.app",
-    "gva_mi.gradcheck", "gva_mi_plugins",
-)  # fmt: skip
+PACKAGES = ("gva_mi.splat", "gva_mi.body", "gva_mi.mesh", "gva_mi.avatar", "gva_mi.app",
+    "gva_mi.gradcheck", "gva_mi_plugins")  # fmt: skip
 
 
 def public_names(source):

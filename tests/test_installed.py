@@ -46,10 +46,8 @@ def run(*command, cwd=None):
 
 @pytest.mark.slow
 def test_a_wheel_is_complete_and_its_command_works_elsewhere(tmp_path):
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT, capture_output=True, text=True,
-    )  # fmt: skip
+    listed = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True)  # fmt: skip
     if listed.returncode:
         pytest.skip("no checkout of git")
     sources, elsewhere = tmp_path / "sources", tmp_path / "elsewhere"

@@ -21,11 +21,9 @@ from gva_mi.fit.renders import CameraPath
 from gva_mi.refine import SequenceOptions, SingleFrameOptions
 from gva_mi.splat import SplatOptions
 
-KINDS = (
-    CameraPath, DensifyOptions, FitOptions, LossOptions, PhotometricOptions, PoseOptions, Rates,
-    ReinitOptions, ResidualOptions, Schedule, SeedOptions, SequenceOptions, SingleFrameOptions,
-    SkinningOptions, SplatOptions,
-)  # fmt: skip
+KINDS = (CameraPath, DensifyOptions, FitOptions, LossOptions, PhotometricOptions, PoseOptions,
+    Rates, ReinitOptions, ResidualOptions, Schedule, SeedOptions, SequenceOptions,
+    SingleFrameOptions, SkinningOptions, SplatOptions)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,8 @@ def test_agrees_with_the_reference_implementation(body, person, random_arrays, r
     for t in range(3):
         shaped = random_arrays["v_template"] + directions[..., :10] @ shape.betas.numpy()
         shaped = shaped + directions[..., 10:] @ pose.expression[t].numpy()
-        vertices, joints = reference(
-            random_arrays, SMPLX, pose.rotations[t].numpy(), pose.transl[t].numpy(), shaped,
-            offsets.numpy(),
-        )  # fmt: skip
+        vertices, joints = reference(random_arrays, SMPLX, pose.rotations[t].numpy(),
+            pose.transl[t].numpy(), shaped, offsets.numpy())  # fmt: skip
         np.testing.assert_allclose(posed.vertices[t], vertices, atol=1e-12)
         np.testing.assert_allclose(posed.joints[t], joints, atol=1e-12)
 

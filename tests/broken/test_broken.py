@@ -21,10 +21,8 @@ COMMANDS = {  # what of a run's folder each reads
     "evaluate": ("evaluate {run} {subject}", ("poses", "records")),
     "track": ("track {run} {subject}", ("poses", "records")),
 }
-WORK = (
-    "app.steps.fit_avatar", "app.driving.render_shots", "cli.view.serving",
-    "app.steps.fit_poses", "app.steps.measure_run",
-)  # fmt: skip
+WORK = ("app.steps.fit_avatar", "app.driving.render_shots", "cli.view.serving",
+    "app.steps.fit_poses", "app.steps.measure_run")  # fmt: skip
 
 
 @pytest.fixture

@@ -36,13 +36,11 @@ def read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("protocol", range(6))
 def test_every_protocol(read, protocol):
-    value = {
-        "c": ARRAY, "f": np.asfortranarray(ARRAY), "none": None, "again": ARRAY,
+    value = {"c": ARRAY, "f": np.asfortranarray(ARRAY), "none": None, "again": ARRAY,
         "scalar": np.int64(7), "text": np.array(["male", "x"]), "bytes": np.array(b"male"),
         "bool": np.array([True, False]), "empty": np.zeros((0, 3)), "zero": np.array(2.5),
         "ordered": OrderedDict(a=1), "default": defaultdict(list, b=[2]), "set": {1, "a"},
-        np.int64(3): (1, 2.5, "ü", b"\xff\x00", b"", 10**30, 1j, True),
-    }  # fmt: skip
+        np.int64(3): (1, 2.5, "ü", b"\xff\x00", b"", 10**30, 1j, True)}  # fmt: skip
     found = read(pickle.dumps(value, protocol))
     assert list(found) == list(value)
     for key, wanted in value.items():
@@ -136,13 +134,11 @@ def named(module, name, *args, op=b"R"):
     return b"c" + f"{module}\n{name}\n".encode() + pickle.dumps(args, 2)[2:-1] + op + b"."
 
 
-CALLS = (
-    ("posix", "system", "touch ran"), ("__builtin__", "exec", "open('ran', 'w')"),
+CALLS = (("posix", "system", "touch ran"), ("__builtin__", "exec", "open('ran', 'w')"),
     ("builtins", "getattr", "a", "upper"), ("torch", "load", "x.pt"),
     ("numpy.testing._private.utils", "runstring", "open('ran', 'w')", {}),
     ("builtins", "object.__class__", "x"), ("builtins", "open", "ran", "w"),
-    ("gva_mi.core.pickles", "read_objects", "x", "y"),
-)  # fmt: skip
+    ("gva_mi.core.pickles", "read_objects", "x", "y"))  # fmt: skip
 DTYPE = b"cnumpy\ndtype\n"
 HOSTILE = {
     **{f"{module}.{name} by {op}": (named(module, name, *args, op=op), f"holds {module}.{name}, ")

@@ -33,10 +33,8 @@ if __name__ == "__main__":
 def holder(tmp_path):
     """A process with two busy workers, in one process group as under a terminal."""
     (tmp_path / "holds.py").write_text(HOLDS)
-    process = subprocess.Popen(
-        [sys.executable, tmp_path / "holds.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True, start_new_session=True,
-    )  # fmt: skip
+    process = subprocess.Popen([sys.executable, tmp_path / "holds.py"], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, start_new_session=True)  # fmt: skip
     with process:
         lines = iter(process.stdout.readline, "")
         at_work = (line for line in lines if line.startswith("at work"))

@@ -18,10 +18,8 @@ def pictures(height, width, dtype=torch.float64):
 @pytest.mark.parametrize("shape", [(11, 11), (16, 20), (33, 12)])
 def test_it_is_scikit_images(shape):
     a, b = pictures(*shape)
-    _, full = structural_similarity(
-        a.numpy(), b.numpy(), channel_axis=-1, data_range=1.0, gaussian_weights=True, sigma=1.5,
-        use_sample_covariance=False, full=True,
-    )  # fmt: skip
+    _, full = structural_similarity(a.numpy(), b.numpy(), channel_axis=-1, data_range=1.0,
+        gaussian_weights=True, sigma=1.5, use_sample_covariance=False, full=True)  # fmt: skip
     inside = full[5:-5, 5:-5]
     np.testing.assert_allclose(float(ssim(a, b)), inside.mean(), rtol=1e-9)
 

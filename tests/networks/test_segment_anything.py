@@ -22,10 +22,8 @@ def tiny_sam(tmp_path, one_thread):
     prompts = transformers.SamPromptEncoderConfig(
         hidden_size=32, image_size=64, patch_size=4, mask_input_channels=4
     )
-    masks = transformers.SamMaskDecoderConfig(
-        hidden_size=32, num_hidden_layers=1, num_attention_heads=2, mlp_dim=32,
-        iou_head_hidden_dim=16,
-    )  # fmt: skip
+    masks = transformers.SamMaskDecoderConfig(hidden_size=32, num_hidden_layers=1,
+        num_attention_heads=2, mlp_dim=32, iou_head_hidden_dim=16)  # fmt: skip
     transformers.SamModel(transformers.SamConfig(
         vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
     )).save_pretrained(tmp_path)  # fmt: skip
@@ -58,10 +56,8 @@ def test_inputs_equal_those_of_the_processor_of_transformers(tiny_sam):
             size=size[0], pad_size=size[1]
         )
     )
-    given = processor(
-        image, input_points=[[(points - 0.5).tolist()]], input_labels=[[[1, 1]]],
-        input_boxes=[[(box - 0.5).tolist()]], return_tensors="pt",
-    )  # fmt: skip
+    given = processor(image, input_points=[[(points - 0.5).tolist()]], input_labels=[[[1, 1]]],
+        input_boxes=[[(box - 0.5).tolist()]], return_tensors="pt")  # fmt: skip
     with torch.no_grad():
         wanted = sam.network(**{k: given[k].float() if given[k].is_floating_point() else given[k]
                                 for k in ("pixel_values", "input_points", "input_labels",
@@ -160,10 +156,8 @@ def test_sam_2_answers_in_the_same_form(tmp_path):
     prompts = transformers.Sam2PromptEncoderConfig(
         hidden_size=16, image_size=64, patch_size=16, mask_input_channels=4
     )
-    masks = transformers.Sam2MaskDecoderConfig(
-        hidden_size=16, num_hidden_layers=1, num_attention_heads=2, mlp_dim=32,
-        iou_head_hidden_dim=16,
-    )  # fmt: skip
+    masks = transformers.Sam2MaskDecoderConfig(hidden_size=16, num_hidden_layers=1,
+        num_attention_heads=2, mlp_dim=32, iou_head_hidden_dim=16)  # fmt: skip
     transformers.Sam2Model(transformers.Sam2Config(
         vision_config=vision, prompt_encoder_config=prompts, mask_decoder_config=masks
     )).save_pretrained(tmp_path / "sam2")  # fmt: skip

@@ -29,10 +29,8 @@ from gva_mi.subject.video_file import VideoFile
 SIZE = (32, 48)  # H, W
 # The first four numbers of a track's matrix, 16.16 fixed point: x' = a x + c y, y' = b x + d y.
 # The rotations of a phone, and the same mirrored, as front cameras write them.
-MATRICES = [
-    (1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0),
-    (-1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, -1, -1, 0),
-]  # fmt: skip
+MATRICES = [(1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0), (-1, 0, 0, 1),
+    (1, 0, 0, -1), (0, 1, 1, 0), (0, -1, -1, 0)]  # fmt: skip
 
 
 def shown(k=0):

@@ -53,11 +53,9 @@ def recording(path, *, of_video=b"", of_track=b"", size=SIZE):
     return path
 
 
-TYPES = {
-    "text": (1, b"27"), "signed": (21, struct.pack(">i", 27)), "byte": (22, b"\x1b"),
+TYPES = {"text": (1, b"27"), "signed": (21, struct.pack(">i", 27)), "byte": (22, b"\x1b"),
     "short": (66, struct.pack(">h", 27)), "long": (78, struct.pack(">Q", 27)),
-    "single": (23, struct.pack(">f", 27)), "double": (24, struct.pack(">d", 27)),
-}  # fmt: skip
+    "single": (23, struct.pack(">f", 27)), "double": (24, struct.pack(">d", 27))}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", TYPES)

@@ -62,20 +62,16 @@ def test_amass_in_every_width(read, walk):
 def test_amass_in_parts(read, walk):
     rotations, transl = walk(5)
     flat = lambda part: rotations[:, part].reshape(5, -1)
-    parts = {
-        "root_orient": flat(slice(0, 1)), "pose_body": flat(slice(1, 22)),
+    parts = {"root_orient": flat(slice(0, 1)), "pose_body": flat(slice(1, 22)),
         "pose_jaw": flat(slice(22, 23)), "pose_eye": flat(slice(23, 25)),
-        "pose_hand": flat(slice(25, 55)), "trans": transl, "mocap_frame_rate": 30,
-    }  # fmt: skip
+        "pose_hand": flat(slice(25, 55)), "trans": transl, "mocap_frame_rate": 30}  # fmt: skip
     assert same(read(**parts).pose.rotations, rotations)
 
 
 def test_aist_counts_in_centimetres_at_60_frames_a_second(read, walk):
     rotations, transl = walk(7)
-    found = read(
-        MotionOptions(fps=60), pickled=True, smpl_poses=rotations[:, :24].reshape(7, 72),
-        smpl_trans=transl * 98.0, smpl_scaling=np.array([98.0]), smpl_loss=0.1,
-    )  # fmt: skip
+    found = read(MotionOptions(fps=60), pickled=True, smpl_poses=rotations[:, :24].reshape(7, 72),
+        smpl_trans=transl * 98.0, smpl_scaling=np.array([98.0]), smpl_loss=0.1)  # fmt: skip
     assert np.allclose(found.pose.transl, transl - transl[0], atol=1e-6)
     assert "7 frames at 60 a second" in found.notes[0]
     assert "the source has no hands; they are relaxed" in found.notes

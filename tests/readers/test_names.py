@@ -177,11 +177,9 @@ def test_the_face_is_kept_for_smplx_and_named_for_other_bodies(name, tmp_path, m
                for n in other.notes)  # fmt: skip
 
 
-ROWS = {
-    (72,): None, (165,): None, (156,): None, (24, 3): None, (52, 3): None, (55, 3): None,
+ROWS = {(72,): None, (165,): None, (156,): None, (24, 3): None, (52, 3): None, (55, 3): None,
     (24, 3, 3): None, (322,): "any parameters in any order",
-    (22, 3): "legs change their lengths or differ",
-}  # fmt: skip
+    (22, 3): "legs change their lengths or differ"}  # fmt: skip
 
 
 @pytest.mark.parametrize("shape", ROWS, ids=str)

@@ -7,8 +7,7 @@ from gva_mi.subject.footage import first_number, frames_named
 
 # Names of six pictures, or None: a video file has none.
 UNNAMED, NAMED = None, [f"shot_{k}.png" for k in range(8, 14)]
-CASES = {
-    "from 0, as WHAM": ([0, 1, 5], 0, UNNAMED, 0),
+CASES = {"from 0, as WHAM": ([0, 1, 5], 0, UNNAMED, 0),
     "from 0, the first frames without anybody": ([1, 2, 3], 0, UNNAMED, 0),
     "from 1, as HybrIK, nobody in the last": ([1, 2, 5], 1, UNNAMED, 1),
     "from 1, as SMPLer-X": ([1, 2, 3, 6], 1, UNNAMED, 1),
@@ -17,10 +16,8 @@ CASES = {
     "from 0, since 1 does not fit": ([0, 5], 1, UNNAMED, 0),
     "by the pictures' names": ([9, 10], None, NAMED, 8),
     "not by the pictures' names": ([0, 1, 2], None, NAMED, 0),
-    "as many as pictures": ([100, 105], 0, UNNAMED, 100),
-    "in no way": ([100, 104], 0, UNNAMED, 0),
-    "too many": ([0, 6], 0, UNNAMED, 0),
-}  # fmt: skip
+    "as many as pictures": ([100, 105], 0, UNNAMED, 100), "in no way": ([100, 104], 0, UNNAMED, 0),
+    "too many": ([0, 6], 0, UNNAMED, 0)}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CASES)

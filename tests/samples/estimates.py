@@ -55,11 +55,9 @@ def with_mean_hands(rotations):
 
 
 def wham(folder, rotations, transl):
-    person = {
-        "pose": of_smpl(rotations).reshape(-1, 72), "trans": transl,
+    person = {"pose": of_smpl(rotations).reshape(-1, 72), "trans": transl,
         "betas": np.zeros((FRAMES, 10)), "verts": np.zeros((FRAMES, 9, 3), "f4"),
-        "frame_ids": np.arange(FRAMES),
-    }  # fmt: skip
+        "frame_ids": np.arange(FRAMES)}  # fmt: skip
     source = dumped(folder / "wham_output.pkl", {np.int64(0): person})
     return source, "wham, SMPL", CENTRED(np.hypot(WIDTH, HEIGHT)), SMPL + transl
 
@@ -132,12 +130,10 @@ def smplerx(folder, rotations, transl):
     (folder / "run/smplx").mkdir(parents=True)
     for k in range(FRAMES):
         name, r = f"{k + 1:05}_0", rotations[k]
-        np.savez(
-            folder / f"run/smplx/{name}.npz", global_orient=r[:1], body_pose=r[1:22],
+        np.savez(folder / f"run/smplx/{name}.npz", global_orient=r[:1], body_pose=r[1:22],
             left_hand_pose=r[25:40], right_hand_pose=r[40:], jaw_pose=r[22:23],
             leye_pose=np.zeros((1, 3)), reye_pose=np.zeros((1, 3)), betas=np.zeros((1, 10)),
-            expression=np.zeros((1, 10)), transl=transl[k : k + 1],
-        )  # fmt: skip
+            expression=np.zeros((1, 10)), transl=transl[k : k + 1])  # fmt: skip
         meta = {"focal": [80.0, 80.0], "princpt": [WIDTH / 2, HEIGHT / 2], "bbox": [0, 0, 9, 9]}
         written(folder / f"run/meta/{name}.json", meta)
     expected = SMPLX + transl, with_mean_hands(rotations), 55
@@ -176,12 +172,10 @@ def parameters_a_frame(folder, rotations, transl):
     """AGORA's form: each (1, J, 3, 3)."""
     R = matrices(rotations)
     for k in range(FRAMES):
-        frame = {
-            "global_orient": R[k : k + 1, :1], "body_pose": R[k : k + 1, 1:22],
+        frame = {"global_orient": R[k : k + 1, :1], "body_pose": R[k : k + 1, 1:22],
             "left_hand_pose": R[k : k + 1, 25:40], "right_hand_pose": R[k : k + 1, 40:],
             "transl": transl[k : k + 1], "betas": np.zeros((1, 10)), "gender": "neutral",
-            "K": LENSES[k],
-        }  # fmt: skip
+            "K": LENSES[k]}  # fmt: skip
         dumped(folder / f"agora/{k}.pkl", frame)
     rotations = rotations.copy()
     rotations[:, 22:25] = 0

@@ -18,10 +18,8 @@ def onnx_file(path, sides=("h", "w"), channels=3, kind="normals"):
         ("Sub", ["seen", "seen"], ["nothing"], {}),
         ("Div", ["nothing", "nothing"], ["unknown"], {})]  # fmt: skip
     number = np.float32
-    constants = {
-        "zero": [0], "two": [2], "one": [1], "least": number(-0.6), "most": number(0.6),
-        "unit": number(1), "half": number(0.5),
-    }  # fmt: skip
+    constants = {"zero": [0], "two": [2], "one": [1], "least": number(-0.6), "most": number(0.6),
+        "unit": number(1), "half": number(0.5)}  # fmt: skip
     return onnx_graph(path, nodes, {"seen": ("FLOAT", [1, channels, *sides])}, [kind], constants)
 
 

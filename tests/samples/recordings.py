@@ -5,10 +5,8 @@ from fractions import Fraction
 import av
 
 
-def write_recording(
-    path, pictures, codec="libx264", form="yuv420p", options=None, rate=25, times=None, tick=1000,
-    aspect=1,
-):  # fmt: skip
+def write_recording(path, pictures, codec="libx264", form="yuv420p", options=None, rate=25,
+    times=None, tick=1000, aspect=1):  # fmt: skip
     """Write pictures (H, W, 3) at an even rate, or at times in parts of a second; return the path.
 
     There are ``tick`` parts in a second.

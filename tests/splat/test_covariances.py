@@ -118,10 +118,8 @@ def test_rasterization_reads_only_the_upper_triangle(scene):
     covars = sigma(g)
     lower = (covars + torch.tril(torch.ones(3, 3), -1).double()).requires_grad_()
     view = torch.tensor(camera.T_camera_world)[None], torch.tensor(camera.K)[None]
-    color = rasterization(
-        g.means, None, None, g.opacities, g.colors, *view, camera.width, camera.height,
-        covars=lower,
-    )[0]  # fmt: skip
+    color = rasterization(g.means, None, None, g.opacities, g.colors, *view, camera.width,
+        camera.height, covars=lower)[0]  # fmt: skip
     torch.testing.assert_close(color[0], render(by_covars(g), camera).color, atol=0, rtol=0)
     (grad,) = torch.autograd.grad(color.sum(), lower)
     assert (grad.tril(-1) == 0).all() and (grad[..., 0, 1] != 0).any()

@@ -186,10 +186,8 @@ def test_known_height_and_focal_length_fix_the_depth(tmp_path, body):
     assert depth["refined depth, mm"] < 0.5 * depth["stage 1 depth, mm"]
 
 
-OPTIONS = FitOptions(
-    steps=2, window=16, avatar=AvatarOptions(seed=SeedOptions(count=300)),
-    schedule=Schedule(reinit_at=()),
-)  # fmt: skip
+OPTIONS = FitOptions(steps=2, window=16, avatar=AvatarOptions(seed=SeedOptions(count=300)),
+    schedule=Schedule(reinit_at=()))  # fmt: skip
 
 
 @pytest.fixture

@@ -14,10 +14,8 @@ LUMA = {601: (0.299, 0.114), 709: (0.2126, 0.0722), 2020: (0.2627, 0.0593)}
 H273 = {601: 6, 709: 1, 2020: 9}  # numbers of matrix and primaries
 
 
-def write(
-    path, codec, colors, matrix=709, full=False, bits=8, transfer=1, tagged=True, size=(32, 128),
-    primaries=None,
-):  # fmt: skip
+def write(path, codec, colors, matrix=709, full=False, bits=8, transfer=1, tagged=True,
+    size=(32, 128), primaries=None):  # fmt: skip
     """Write two frames of vertical bars of R'G'B' in [0, 1], without any converter of colours."""
     height, width = size
     kr, kb = LUMA[matrix]

@@ -17,10 +17,8 @@ from gva_mi.synthetic.person.surface import creases as place_creases
 
 RADIUS = 0.5
 HIP, KNEE = np.array([0.1, 0.9, 0.0]), np.array([0.1, 0.5, 0.0])
-PLACES = {
-    "pelvis": np.array([0.0, 0.95, 0.0]), "left_hip": HIP, "right_hip": HIP * [-1, 1, 1],
-    "left_knee": KNEE, "right_knee": KNEE * [-1, 1, 1],
-}  # fmt: skip
+PLACES = {"pelvis": np.array([0.0, 0.95, 0.0]), "left_hip": HIP, "right_hip": HIP * [-1, 1, 1],
+    "left_knee": KNEE, "right_knee": KNEE * [-1, 1, 1]}  # fmt: skip
 
 
 JOINT_POSITIONS = dict(zip(JOINTS, np.random.default_rng(0).normal(0, 0.4, (55, 3)), strict=True))

@@ -34,10 +34,8 @@ from gva_mi.synthetic.errors.poses import (
 
 FRAMES = 600
 STILL_MASK = MaskErrors(wobble=0.0, notches=0)
-NOTHING = PoseErrors(
-    sizes=JointFactors(0, 0, 0, 0, 0), depth=0, aside=0, betas=0, expression=0,
-    outliers=Outliers(lost=0),
-)  # fmt: skip
+NOTHING = PoseErrors(sizes=JointFactors(0, 0, 0, 0, 0), depth=0, aside=0, betas=0, expression=0,
+    outliers=Outliers(lost=0))  # fmt: skip
 
 
 @pytest.fixture(scope="session")

@@ -148,10 +148,8 @@ def test_a_room_is_behind_the_person_and_does_not_change_the_silhouette(renderer
 def test_the_person_throws_a_shadow_on_the_floor(ball):
     plain = Finish((0.5, 0.5, 0.5), rough=0.0)
     nothing = np.zeros((0, 3), np.float32)
-    bare = Room(
-        np.array([-3, 0, -3.0]), np.array([3, 3, 4.0]), nothing, nothing[:, :2],
-        np.zeros((0, 3), int), np.zeros(0, int), (plain,) * 6, (1.0, 1.0, 1.0),
-    )  # fmt: skip
+    bare = Room(np.array([-3, 0, -3.0]), np.array([3, 3, 4.0]), nothing, nothing[:, :2],
+        np.zeros((0, 3), int), np.zeros(0, int), (plain,) * 6, (1.0, 1.0, 1.0))  # fmt: skip
     render = Renderer(ball, bare)
     at = lambda y: Moment(ball.vertices + [0, y, 0], PHONE)
     near, far = (render.expose([at(y)], 16, 0).color for y in (0.51, 9))

@@ -177,12 +177,9 @@ def test_ellipsoids_are_not_looked_at(scenes, integrator):
     """One scene feeds both plugins: also where its mesh has moved, or stands behind them."""
     v, f = scenes.torus()
     tensor = lambda *rows: mi.TensorXf(np.array(rows, np.float32))
-    before_it = {
-        "type": "ellipsoids", "centers": tensor([0, 0, 1], [0.2, 0, 1]),
-        "scales": tensor([0.3] * 3, [0.3] * 3),
-        "quaternions": tensor([0, 0, 0, 1], [0, 0, 0, 1]), "opacities": tensor([1], [1]),
-        "sh_coeffs": tensor([1, 1, 1], [1, 1, 1]),
-    }  # fmt: skip
+    before_it = {"type": "ellipsoids", "centers": tensor([0, 0, 1], [0.2, 0, 1]),
+        "scales": tensor([0.3] * 3, [0.3] * 3), "quaternions": tensor([0, 0, 0, 1], [0, 0, 0, 1]),
+        "opacities": tensor([1], [1]), "sh_coeffs": tensor([1, 1, 1], [1, 1, 1])}  # fmt: skip
     sensor, weight = scenes.camera(), mi.TensorXf(scenes.weights(48))
     found = []
     for others in ({}, {"a": before_it}):

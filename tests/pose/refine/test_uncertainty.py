@@ -80,10 +80,8 @@ def moved(person, stage1, unknown, step):
     return body(turned, Shape(betas), offsets).vertices[0]
 
 
-UNKNOWNS = {
-    "pelvis": 1, "knee": 3 * JOINTS.index("left_knee"), "elbow": 3 * JOINTS.index("left_elbow") + 2,
-    "depth": TURNS + 2, "beta": TURNS + 3,
-}  # fmt: skip
+UNKNOWNS = {"pelvis": 1, "knee": 3 * JOINTS.index("left_knee"),
+    "elbow": 3 * JOINTS.index("left_elbow") + 2, "depth": TURNS + 2, "beta": TURNS + 3}  # fmt: skip
 
 
 @pytest.mark.parametrize("unknown", UNKNOWNS.values(), ids=UNKNOWNS)

@@ -37,12 +37,10 @@ def test_the_depth_is_that_of_landmarks_that_sit_beside_the_joints(built_in_body
     depths = X[:, j, 2] - X[:, i, 2]
     sure = torch.full(X.shape[:2], PIXELS**-2, dtype=torch.float64)
     gain = torch.full((len(bones),), GAIN, dtype=torch.float64)
-    evidence = LandmarkEvidence(
-        Unknowns([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure,
-        torch.eye(2).double().expand(*sure.shape, 2, 2), torch.tensor(bones), gain,
-        GAIN * depths, torch.full_like(depths, DEPTH**-2), X,
-        correlated=torch.ones(len(X), dtype=torch.float64),
-    )  # fmt: skip
+    evidence = LandmarkEvidence(Unknowns([0]), points, K, 500 * X[..., :2] / X[..., 2:], sure,
+        torch.eye(2).double().expand(*sure.shape, 2, 2), torch.tensor(bones), gain, GAIN * depths,
+        torch.full_like(depths, DEPTH**-2), X,
+        correlated=torch.ones(len(X), dtype=torch.float64))  # fmt: skip
     found = with_arm_depths(evidence, rig.names, state, 1 / 15)
     assert bool((found.gain == 1).all())
     errors = (found.depths - depths).abs()

@@ -27,14 +27,12 @@ def test_pulls_are_the_slopes_of_the_energy(built_in_body):
     )  # fmt: skip
     rig = LandmarkRig.of(built_in_body, NAMES)
     K = torch.diag(torch.tensor([500.0, 500, 1])).double()
-    evidence = LandmarkEvidence(
-        unknowns, landmark_points(built_in_body, rig, whole_body=True), K,
+    evidence = LandmarkEvidence(unknowns, landmark_points(built_in_body, rig, whole_body=True), K,
         30 * random(FRAMES, len(NAMES), 2), torch.full((FRAMES, len(NAMES)), 0.01).double(),
-        torch.eye(2) + 0.3 * random(FRAMES, len(NAMES), 2, 2),
-        torch.tensor(BONES), torch.ones(2).double(), 0.2 * random(FRAMES, 2),
-        torch.full((FRAMES, 2), 50.0).double(), random(FRAMES, len(NAMES), 3),
-        correlated=torch.tensor([1.0, 2.5, 7.0]).double(),
-    )  # fmt: skip
+        torch.eye(2) + 0.3 * random(FRAMES, len(NAMES), 2, 2), torch.tensor(BONES),
+        torch.ones(2).double(), 0.2 * random(FRAMES, 2), torch.full((FRAMES, 2), 50.0).double(),
+        random(FRAMES, len(NAMES), 3),
+        correlated=torch.tensor([1.0, 2.5, 7.0]).double())  # fmt: skip
     for terms in (evidence, replace(evidence, starting=True)):
         slopes = 0
         for row in terms.rows(state, derive=True):

@@ -19,10 +19,8 @@ PERSON = np.s_[20:300, 120:200]  # rows and columns
 # Shares of the person's box: columns of background between arms and trunk, in rows 0.3 to 0.6.
 BESIDE = (0.12, 0.38), (0.62, 0.88)
 # Landmarks that the check looks at: x, y.
-SEEN = {
-    "left_shoulder": (0.7, 0.25), "right_shoulder": (0.3, 0.25), "left_hip": (0.6, 0.6),
-    "right_hip": (0.4, 0.6), "left_wrist": (0.95, 0.5), "right_wrist": (0.05, 0.5),
-}  # fmt: skip
+SEEN = {"left_shoulder": (0.7, 0.25), "right_shoulder": (0.3, 0.25), "left_hip": (0.6, 0.6),
+    "right_hip": (0.4, 0.6), "left_wrist": (0.95, 0.5), "right_wrist": (0.05, 0.5)}  # fmt: skip
 
 
 @pytest.fixture

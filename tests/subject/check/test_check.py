@@ -100,10 +100,8 @@ def test_clothes_and_an_estimators_errors_are_no_error(tmp_path, built_in_body):
     """A clothed synthetic subject with the mixed error model, and the same with another focal."""
     from gva_mi.synthetic import SynthOptions, make_subject
 
-    options = SynthOptions(
-        seed=61, motion="walk", error_model="mixed", frames=16, size=128, samples=1,
-        novel_poses=0, novel_views=0,
-    )  # fmt: skip
+    options = SynthOptions(seed=61, motion="walk", error_model="mixed", frames=16, size=128,
+        samples=1, novel_poses=0, novel_views=0)  # fmt: skip
     make_subject(tmp_path / "walker", options, built_in_body)
     assert not check_subject(tmp_path / "walker", built_in_body).errors
     longer(1.5)(tmp_path / "walker")

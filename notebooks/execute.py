@@ -5,7 +5,8 @@
 
 Outputs are stale if a code cell, a file that a cell names, or the results version of a package that
 a cell imports (:data:`gva_mi.core.stamp.RESULTS_VERSIONS`) have changed since they were made.
-Of a page, only the tables count. ``tests/test_notebooks.py`` finds stale outputs without a kernel.
+Of a page, only the tables count; of figures.csv, only the studies that a cell names.
+``tests/test_notebooks.py`` finds stale outputs without a kernel.
 """
 
 import base64
@@ -39,7 +40,7 @@ def made_from(notebook, path):
     there = sorted(name for name in named if (path.parent / name).is_file())
     return {
         "cells": [_digest(source.encode()) for source in code],
-        "figures": {name: _digest(_figures_of(path.parent / name)) for name in there} or None,
+        "figures": {name: _digest(_figures_of(path.parent / name, code)) for name in there} or None,
         "results_versions": {
             kind: RESULTS_VERSIONS[kind]
             for kind, package in RESULTS.items()
@@ -52,8 +53,10 @@ def _digest(content):
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _figures_of(path):
+def _figures_of(path, code):
     lines = path.read_bytes().splitlines()
+    if path.suffix == ".csv":  # of the studies that the code names
+        lines = [x for x in lines if any(f'"{x.decode().split(",")[0]}"' in cell for cell in code)]
     return b"\n".join(x for x in lines if path.suffix != ".md" or x.startswith(b"|"))
 
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -104,9 +103,9 @@ class SeenBody:
 class BodyNetwork:
     """BlazePose."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """Open the network; ``folder`` holds the weights."""
-        self._network = TfliteNetwork(weights_file("pose_landmark_full.tflite", folder))
+    def __init__(self) -> None:
+        """Open the network."""
+        self._network = TfliteNetwork(weights_file("pose_landmark_full.tflite"))
 
     def see(self, image: np.ndarray, square: TurnedSquare, mirrored: bool = False) -> SeenBody:
         """See the person in a square of a picture (H, W, 3) 8-bit once."""

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -89,9 +88,9 @@ _LEAST_HAND_LENGTH = 0.08  # of a hand that points at the camera
 class HandNetwork:
     """MediaPipe's hand network."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """Open the network; ``folder`` holds the weights."""
-        self._network = TfliteNetwork(weights_file("hand_landmark_full.tflite", folder))
+    def __init__(self) -> None:
+        """Open the network."""
+        self._network = TfliteNetwork(weights_file("hand_landmark_full.tflite"))
 
     def find(
         self, image: np.ndarray, body: SeenBody, before: dict[str, SeenPart]
@@ -196,9 +195,9 @@ _FACE_DISTANCE = 0.06
 class FaceNetwork:
     """MediaPipe's face mesh."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """Open the network; ``folder`` holds the weights."""
-        self._network = TfliteNetwork(weights_file("face_landmark.tflite", folder))
+    def __init__(self) -> None:
+        """Open the network."""
+        self._network = TfliteNetwork(weights_file("face_landmark.tflite"))
 
     def find(self, image: np.ndarray, body: SeenBody, before: SeenPart | None) -> SeenPart | None:
         """Return the face of a body in a picture (H, W, 3) 8-bit, if the network sees it.

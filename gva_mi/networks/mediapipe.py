@@ -55,14 +55,9 @@ _PIP_DOWNLOAD = (
 )  # fmt: skip
 
 
-def weights_file(name: str, folder: Path | None = None) -> Path:
-    """Return a file of weights, checked; if it is missing, fetch all files first.
-
-    Args:
-        name: such as ``pose_detection.tflite``.
-        folder: where the files lie; see the module for the default.
-    """
-    path = _place(folder) / name
+def weights_file(name: str) -> Path:
+    """Return a file such as ``pose_detection.tflite``, checked; if missing, fetch all files."""
+    path = _place() / name
     if not path.is_file():
         require_writable(path.parent)
         _fetch(path.parent)
@@ -70,9 +65,9 @@ def weights_file(name: str, folder: Path | None = None) -> Path:
     return path
 
 
-def _place(folder: Path | None) -> Path:
+def _place() -> Path:
     """Return the folder of the weights: the first in the module's list."""
-    if given := folder or os.environ.get(WEIGHTS_VARIABLE):
+    if given := os.environ.get(WEIGHTS_VARIABLE):
         given = Path(given).expanduser()
         if not given.is_dir():  # perhaps mistyped: nothing is fetched into it
             raise InputError(f"{given}: no such folder; expected the folder of the networks")

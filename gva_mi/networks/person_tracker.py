@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -61,9 +60,9 @@ _TORSO = [BODY_LANDMARKS.index(f"{s}_{part}") for part in ("shoulder", "hip") fo
 class PersonDetector:
     """MediaPipe's pose detector."""
 
-    def __init__(self, folder: Path | None = None) -> None:
-        """Open the network; ``folder`` holds the weights."""
-        self._network = TfliteNetwork(weights_file("pose_detection.tflite", folder))
+    def __init__(self) -> None:
+        """Open the network."""
+        self._network = TfliteNetwork(weights_file("pose_detection.tflite"))
         self._anchors = _anchors(self._network.size)  # (2254, 2) in [0, 1]
 
     def find(self, image: np.ndarray, squares: Sequence[TurnedSquare]) -> list[TurnedSquare]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -34,7 +33,6 @@ def watch_video(
     pictures: Sequence[np.ndarray],
     on_silhouette: Callable[[int, np.ndarray], None] | None = None,
     person: int | None = None,
-    weights: Path | None = None,
     progress: Progress | None = None,
 ) -> WatchedVideo:
     """Find one person's landmarks in all pictures of a video, in their order.
@@ -44,12 +42,10 @@ def watch_video(
         on_silhouette: called with each picture's number and the probability (H, W) float32 that
             a pixel shows the person; all zero if the person is not found.
         person: the N-th from the left; None: the largest and most central.
-        weights: folder of the networks' files; None: ``GVA_MI_WEIGHTS`` or the cache.
         progress: called after every picture.
     """
-    body_network = BodyNetwork(weights)
-    hand_network, face_network = HandNetwork(weights), FaceNetwork(weights)
-    tracker = PersonTracker(PersonDetector(weights), body_network, person)
+    body_network, hand_network, face_network = BodyNetwork(), HandNetwork(), FaceNetwork()
+    tracker = PersonTracker(PersonDetector(), body_network, person)
 
     def bodies() -> Iterator[tuple[np.ndarray, SeenBody | None]]:
         body = None

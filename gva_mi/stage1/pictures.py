@@ -41,7 +41,6 @@ def even_pictures(
     path: Path,
     fps: float | None = None,
     side: int | None = None,
-    start: float = 0.0,
     end: float | None = None,
 ) -> EvenPictures:
     """Open a video, or a folder of pictures.
@@ -52,7 +51,6 @@ def even_pictures(
             n-th picture has. None: :data:`DEFAULT_FPS`, or fewer if there are fewer. For a folder,
             the rate of its pictures.
         side: largest shorter side of the pictures, pixels; None: as they are.
-        start: seconds; earlier pictures are left out.
         end: seconds; later pictures are left out; None: the end of the video.
     """
     path = Path(path)
@@ -75,13 +73,7 @@ def even_pictures(
             f"{path}: its pictures have several sizes, {first[0]}x{first[1]} and "
             f"{other[0]}x{other[1]}; expected one size"
         )
-    chosen, rate, more = _evenly(times, fps or DEFAULT_FPS, start, end)
-    if not len(chosen):
-        last = times[-1] if len(times) else 0.0
-        until = "its end" if end is None else f"{end:g} s"
-        raise InputError(
-            f"{path}: lasts {last:.3g} s, and has no picture from {start:g} s to {until}"
-        )
+    chosen, rate, more = _evenly(times, fps or DEFAULT_FPS, end)
     pictures = _Chosen(source, chosen, side)
     scale = min(1.0, side / min(sizes[0])) if side else 1.0
     recorded, numbers = recorded_35mm(path), tuple(chosen.tolist())
@@ -89,15 +81,14 @@ def even_pictures(
 
 
 def _evenly(
-    times: np.ndarray, fps: float, start: float, end: float | None
+    times: np.ndarray, fps: float, end: float | None
 ) -> tuple[np.ndarray, float, list[str]]:
     """Choose pictures at even times from those at ``times`` (n,), seconds, ascending.
 
     Returns:
         the numbers of the chosen pictures (T,), their rate, and notes.
     """
-    end = np.inf if end is None else end
-    within = np.flatnonzero((times >= start - 1e-6) & (times <= end + 1e-6))
+    within = np.flatnonzero(times <= (np.inf if end is None else end) + 1e-6)
     if len(within) < 2:
         return within, min(fps, DEFAULT_FPS), []
     times = times[within]

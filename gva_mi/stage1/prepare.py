@@ -23,7 +23,7 @@ from gva_mi.body.smplx import BUILT_IN_NAME, BodyModel, load_body
 from gva_mi.core.console import Progress, listed, part_of_progress
 from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json
-from gva_mi.core.options import PythonOnly, Within, from_json, options_of
+from gva_mi.core.options import Within, from_json, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.tasks import on_all_cores
 from gva_mi.matting.masks import video_masks
@@ -67,12 +67,8 @@ class VideoSource:
     height: Annotated[float, PERSON_HEIGHTS] | None = None
     # Height of the lens above the floor, metres: it shows how far the camera looks down.
     camera_height: Annotated[float, Within(0.05, 20, unit="metres")] | None = None
-    # Start of the part that is used, seconds.
-    start: PythonOnly[Annotated[float, Within(0, 86_400, unit="seconds")]] = 0.0
     # End of the part that is used, seconds, such as before a damaged picture.
     end: Annotated[float, Within(0, 86_400, "low", "seconds")] | None = None
-    # Folder of the networks' files; None: GVA_MI_WEIGHTS or the cache, which pip fills.
-    weights: PythonOnly[Path | None] = None
 
 
 @options_of("video")
@@ -168,19 +164,14 @@ def motion_of_video(
         on_silhouette: see :func:`watch_video`.
         progress: called as the work goes on.
     """
-    pictures = even_pictures(video, options.fps, options.side, options.start, options.end)
+    pictures = even_pictures(video, options.fps, options.side, options.end)
     size = pictures.pictures[0].shape[1::-1]
     recorded = in_pixels(pictures.focal35, size) if pictures.focal35 else None
     focal = recorded if lens is None else asked_for(lens, recorded, size)
     if options.keypoints is not None:
         read_keypoints(options.keypoints)  # a bad file is refused before the networks work
-    watched = watch_video(
-        pictures.pictures,
-        on_silhouette,
-        person,
-        options.weights,
-        part_of_progress(progress, 0, 4, 5),
-    )
+    part = part_of_progress(progress, 0, 4, 5)
+    watched = watch_video(pictures.pictures, on_silhouette, person, part)
     if options.keypoints is not None:
         landmarks, said = with_keypoints(
             watched.landmarks, options.keypoints, pictures.numbers, pictures.scale

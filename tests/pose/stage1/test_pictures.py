@@ -53,8 +53,8 @@ def test_a_fast_video_is_thinned(tmp_path):
     assert found.notes == ("of 60 pictures a second one in 2 is used",)
     small = even_pictures(path, side=24)
     assert small.pictures[1].shape == (24, 32, 3) and small.scale == 0.5
-    assert numbers(even_pictures(path, fps=15, start=0.5)) == list(range(30, 60, 4))
-    assert numbers(even_pictures(path, fps=60, start=0.25, end=0.5)) == list(range(15, 31))
+    assert numbers(even_pictures(path, fps=15)) == list(range(0, 60, 4))
+    assert numbers(even_pictures(path, fps=60, end=0.5)) == list(range(31))
 
 
 def test_a_varying_rate_becomes_even(tmp_path):
@@ -99,5 +99,3 @@ def test_what_is_no_video_is_refused_in_a_sentence(tmp_path):
         with pytest.raises(InputError, match=words) as caught:
             even_pictures(tmp_path / name)
         assert name in str(caught.value)
-    with pytest.raises(InputError, match="lasts 0.76 s, and has no picture from"):
-        even_pictures(good, start=5)

@@ -58,6 +58,7 @@ from gva_mi.body.skinning import strongest
 from gva_mi.body.so3 import to_quaternion, to_rotvec
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import write_arrays
+from gva_mi.core.srgb import decoded
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.formats.gltf import (
     SPLATTING,
@@ -65,7 +66,6 @@ from gva_mi.splat.formats.gltf import (
     VERTICES,
     Glb,
     OpenedGlb,
-    as_light,
     load_gltf,
 )
 from gva_mi.splat.formats.spz import plain_colors
@@ -157,7 +157,7 @@ def _surface(file: Glb, avatar: Avatar) -> dict:
     """Describe the primitive of the rest surface."""
     rig = avatar.rig
     vertices = rig.vertices.float()
-    colors = as_light(surface_colors(avatar, rig.vertices))
+    colors = decoded(surface_colors(avatar, rig.vertices))
     opaque = np.column_stack([colors, np.ones(len(colors))])
     attributes = {
         "POSITION": vertices.numpy(),

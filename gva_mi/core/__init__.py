@@ -12,5 +12,6 @@
 ``llvm``         the libLLVM that Dr.Jit loads
 ``pickles``      files of other programs, read without running their code
 ``spill_cache``  a cache in memory, then on disk
+``srgb``         the transfer function of sRGB
 ===============  ===================================================================
 """

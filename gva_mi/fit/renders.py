@@ -52,8 +52,6 @@ class CameraPath:
     turn: Annotated[float, Within(-3600, 3600, unit="degrees")] = 0.0
     # Angle of the cameras above the middle of the person.
     elevation: Annotated[float, Within(-89, 89, unit="degrees")] = 5.0
-    # Factor; 1: the whole motion fits.
-    distance: PythonOnly[Annotated[float, Within(0.01, 100)]] = 1.0
     size: tuple[PathSide, PathSide] = (512, 640)  # width and height, pixels
 
     def __post_init__(self) -> None:
@@ -84,7 +82,7 @@ def shots(options: CameraPath, rig: Rig, motion: Pose) -> list[CameraShot]:
     width, height = options.size
     focal = FOCAL_RATIO * max(width, height)
     fits = max(around.height / height, 2 * around.radius / width) * focal
-    distance = options.distance * (around.radius + ROOM_AROUND * fits)
+    distance = around.radius + ROOM_AROUND * fits
     angle = math.radians(options.turn)
     angles = angle + np.linspace(0, 2 * np.pi, count, endpoint=False)
     if options.path == "static":

@@ -36,6 +36,7 @@ from gva_mi.body.pose import Pose
 from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.core.options import PictureSide, PythonOnly, Within, options_of
+from gva_mi.core.srgb import decoded, encoded
 from gva_mi.core.tasks import Task
 from gva_mi.evaluate.figures import Figure
 from gva_mi.evaluate.scores import psnr_of
@@ -120,7 +121,7 @@ def lights_named(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _fit(run: VariantRun, progress: Progress | None = None) -> None:
-    run.fit(progress)
+    run.fit(progress)  # whose avatar is read again, and not sent between processes
 
 
 def relight_figures(
@@ -165,7 +166,7 @@ def relight_figures(
 @torch.no_grad()
 def own_colors(avatar: Avatar, pose: Pose) -> np.ndarray:
     """Return the avatar's own colours in a pose, linear (N, 3)."""
-    return linear((avatar(pose).sh[:, 0] * C0 + 0.5).numpy())
+    return decoded((avatar(pose).sh[:, 0] * C0 + 0.5).relu().numpy())
 
 
 def stage_colors(stage: Stage, pose: Pose) -> np.ndarray:
@@ -183,7 +184,7 @@ def _with_best_gain(
     """Draw frames in linear colours, times the gain of eq. 1, on white: (H, W, 3) in [0, 1]."""
 
     def pictures(gain: np.ndarray, background: float) -> list[np.ndarray]:
-        lit = [torch.from_numpy(encoded(gain * c)) for c in colors]
+        lit = [torch.from_numpy(encoded(gain * c).astype(np.float32)) for c in colors]
         parts, behind = zip(drawn, lit, cameras, strict=True), torch.full((3,), background)
         seen = (
             render(replace(g, sh=None, colors=c), camera, AVATAR_SPLATTING, behind)
@@ -193,19 +194,8 @@ def _with_best_gain(
 
     inside = [true.mask > 0.5 for true in truth]
     of_person = lambda images: np.concatenate(
-        [linear(image[chosen]) for image, chosen in zip(images, inside, strict=True)]
+        [decoded(image[chosen].clip(0)) for image, chosen in zip(images, inside, strict=True)]
     )
     on_black = [true.color - (1 - true.mask[..., None]) for true in truth]
     R, T = of_person(pictures(np.ones(3), 0.0)), of_person(on_black)
     return pictures((T * R).sum(0) / np.square(R).sum(0), 1.0)
-
-
-def linear(x: np.ndarray) -> np.ndarray:
-    """Decode sRGB; what is below 0 is black, and may be above 1."""
-    x = np.maximum(x, 0)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
-
-
-def encoded(x: np.ndarray) -> np.ndarray:
-    """Encode linear light as sRGB, float32: Gaussians may be brighter than white."""
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)

@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from gva_mi.core import srgb
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import MALFORMED, InputError, reason_of
 from gva_mi.core.files import require_file
@@ -416,8 +417,7 @@ def _light_of(transfer: int) -> tuple[np.ndarray, float]:
         a, b, c = 0.17883277, 0.28466892, 0.55991073
         light = np.where(value <= 0.5, value**2 / 3, (np.exp((value - c) / a) + b) / 12)
         return light.astype(np.float32), 1.2
-    light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return light.astype(np.float32), 1.0
+    return srgb.decoded(value).astype(np.float32), 1.0
 
 
 @lru_cache
@@ -425,6 +425,4 @@ def _in_8_bits(linear: bool) -> np.ndarray:
     """Return the 8-bit values (65536,) of sRGB's values, or of linear light, in 16 bits."""
     if not linear:
         return np.round(np.arange(65536) / 257).astype(np.uint8)
-    x = np.arange(65536) / 65535
-    value = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    return np.round(255 * value).astype(np.uint8)
+    return np.round(255 * srgb.encoded(np.arange(65536) / 65535)).astype(np.uint8)

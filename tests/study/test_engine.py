@@ -16,6 +16,7 @@ from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.body.pose import load_poses, save_poses
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import write_json
+from gva_mi.core.srgb import encoded
 from gva_mi.core.stamp import RESULTS_VERSIONS
 from gva_mi.evaluate import measure
 from gva_mi.evaluate.figures import Figure, where
@@ -296,8 +297,8 @@ def test_a_cast_of_all_frames_is_no_error_of_relighting(runs, monkeypatch):
         for k in frames:
             with torch.no_grad():
                 g = avatar(video.pose[k])
-            colors = relight.encoded(relight.own_colors(avatar, video.pose[k]) * [0.5, 0.7, 0.9])
-            g = replace(g, sh=None, colors=torch.from_numpy(colors))
+            colors = encoded(relight.own_colors(avatar, video.pose[k]) * [0.5, 0.7, 0.9])
+            g = replace(g, sh=None, colors=torch.from_numpy(colors).float())
             image = render(g, video.cameras[k], AVATAR_SPLATTING, torch.ones(3))
             yield Rendering(image.color.numpy(), image.alpha.numpy(), None, None)
 

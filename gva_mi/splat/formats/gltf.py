@@ -34,6 +34,7 @@ import torch
 from gva_mi.core.atomic import atomic_write
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import known_container, read_bytes
+from gva_mi.core.srgb import decoded
 from gva_mi.splat.axes import rotated, with_axes
 from gva_mi.splat.formats.stored import Stored, gaussians_of
 from gva_mi.splat.gaussians import Gaussians
@@ -103,7 +104,7 @@ class Glb:
         plain = np.clip(C0 * stored.sh[:, 0] + 0.5, 0, 1)
         arrays = {
             "POSITION": stored.means,
-            "COLOR_0": np.column_stack([as_light(plain), stored.opacities]),
+            "COLOR_0": np.column_stack([decoded(plain), stored.opacities]),
             f"{SPLATTING}:ROTATION": stored.unit_quats[:, [1, 2, 3, 0]],
             f"{SPLATTING}:SCALE": stored.scales,
             f"{SPLATTING}:OPACITY": stored.opacities,
@@ -128,16 +129,6 @@ class Glb:
             for kind, chunk in ((_JSON, text), (_BINARY, self._binary)):
                 file.write(struct.pack("<II", len(chunk), kind))
                 file.write(chunk)
-
-
-def as_light(colors: np.ndarray) -> np.ndarray:
-    """Convert colours in [0, 1] from sRGB to linear light, which glTF expects at vertices.
-
-    Example:
-        >>> as_light(np.array([0.0, 0.5, 1.0])).round(3)
-        array([0.   , 0.214, 1.   ])
-    """
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 @dataclass(frozen=True)

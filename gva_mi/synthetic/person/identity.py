@@ -14,6 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.random import Generator
 
+from gva_mi.core.srgb import decoded
+
 Color = tuple[float, float, float]  # linear albedo
 Pattern = Literal["smooth", "plain", "stripes", "plaid", "dots", "print"]
 HairStyle = Literal["short", "bob", "long"]
@@ -31,7 +33,7 @@ class Fabric:
 def linear(*srgb: int) -> Color:
     """Convert an 8-bit sRGB colour to linear albedo."""
     c = np.array(srgb, dtype=np.float64) / 255
-    return tuple(float(x) for x in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+    return tuple(map(float, decoded(c)))
 
 
 def palette(rng: Generator, colors: Sequence[Color]) -> Color:

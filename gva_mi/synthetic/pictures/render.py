@@ -27,6 +27,7 @@ import drjit as dr
 import numpy as np
 from drjit import ArrayBase as Array
 
+from gva_mi.core.srgb import encoded
 from gva_mi.splat import Camera
 from gva_mi.synthetic.person.level_sets import vertex_normals
 from gva_mi.synthetic.person.surface import PersonSurface
@@ -328,5 +329,4 @@ def beside(
 
 def encode(linear_rgb: np.ndarray) -> np.ndarray:
     """Encode linear light as sRGB in [0, 1], float32."""
-    x = np.clip(linear_rgb, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
+    return encoded(np.clip(linear_rgb, 0, 1)).astype(np.float32)

@@ -112,7 +112,7 @@ def _close_up(
     """Return the close-up of a part; None if the camera ``whole`` does not see the part."""
     camera = picture.camera
     points = vertices[part.vertices].double().numpy()
-    depth = points @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
+    depth = camera.depths(points)
     if depth.min() <= 0:
         return None
     pixels, per_metre = camera.project(points), camera.fx * camera.fy / depth.mean() ** 2

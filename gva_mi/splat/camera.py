@@ -212,6 +212,10 @@ class Camera:
             self, fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height, tensors=tensors
         )
 
+    def depths(self, points: np.ndarray) -> np.ndarray:
+        """Return the depths (...), metres, of world points (..., 3): negative behind the camera."""
+        return points @ self.T_camera_world[2, :3] + self.T_camera_world[2, 3]
+
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project world points (..., 3) to pixels (..., 2); meaningless behind the camera."""
         x = points @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]

@@ -126,14 +126,14 @@ class Scene:
         c, means = self.camera, self.gaussians.means.detach().numpy()
         size = 1.0
         if len(means) and (model == "ortho") != (c.model == "ortho"):  # px per metre, not per slope
-            middle = float(np.median(means @ c.T_camera_world[2, :3] + c.T_camera_world[2, 3]))
+            middle = float(np.median(c.depths(means)))
             size = 1 / middle if model == "ortho" else middle
         return replace(self, camera=replace(c, model=model, fx=c.fx * size, fy=c.fy * size))
 
     def windows(self, size: int, count: int) -> Iterator[tuple[str, Scene]]:
         """Yield ``count`` windows of ``size`` pixels, fullest to emptiest, named by place."""
-        means, T = self.gaussians.means.detach().numpy(), self.camera.T_camera_world
-        u = self.camera.project(means[means @ T[2, :3] + T[2, 3] > self.options.near])
+        means = self.gaussians.means.detach().numpy()
+        u = self.camera.project(means[self.camera.depths(means) > self.options.near])
         columns, rows = max(1, self.camera.width // size), max(1, self.camera.height // size)
         extent = [[0, columns * size], [0, rows * size]]
         crowd, _, _ = np.histogram2d(u[:, 0], u[:, 1], bins=(columns, rows), range=extent)

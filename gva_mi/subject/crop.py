@@ -208,8 +208,7 @@ def points_extent(points: np.ndarray, camera: Camera, shown: str) -> Extent:
     Raises:
         NoEvidence: the camera does not see the points.
     """
-    T = camera.T_camera_world
-    if (points @ T[2, :3] + T[2, 3]).min() <= 0:
+    if camera.depths(points).min() <= 0:
         raise NoEvidence(f"{shown} reaches behind the camera")
     pixels = camera.project(points)
     low, high = pixels.min(0), pixels.max(0)

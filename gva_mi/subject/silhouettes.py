@@ -114,9 +114,8 @@ def joints_in_world(rotations: np.ndarray, transl: np.ndarray, joints: np.ndarra
 
 def joints_seen(camera: Camera, places: np.ndarray) -> np.ndarray:
     """Project joints (J, 3), metres, world, to pixels (J, 2); infinite behind the camera."""
-    depth = places @ camera.T_camera_world[2, :3] + camera.T_camera_world[2, 3]
     with np.errstate(all="ignore"):
-        return np.where(depth[:, None] > 0, camera.project(places), np.inf)
+        return np.where(camera.depths(places)[:, None] > 0, camera.project(places), np.inf)
 
 
 def count_in_mask(pixels: np.ndarray, mask: np.ndarray) -> tuple[int, int]:

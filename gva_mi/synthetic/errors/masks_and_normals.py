@@ -206,5 +206,4 @@ def _bags(
 
 def _scale(camera: Camera, point: np.ndarray) -> float:
     """Return pixels per metre at the depth of a point."""
-    depth = camera.T_camera_world[2, :3] @ point + camera.T_camera_world[2, 3]
-    return float(camera.fx / depth)
+    return float(camera.fx / camera.depths(point))

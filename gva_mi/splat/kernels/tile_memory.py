@@ -200,7 +200,9 @@ def store_pixels(pixels: Rows, width: int = PART) -> Memory:
     memory = []
     for place in range(width):
         for field in zip(*pixels[place::width], strict=True):
-            local = dr.alloc_local(type(field[0]), len(field), field[0])
+            # Without first values: LLVM clears much memory by calling a function, where vectors
+            # are written by halves (Intel), and Dr.Jit's kernels cannot call one.
+            local = dr.alloc_local(type(field[0]), len(field))
             for part, number in enumerate(field):
                 local[part] = number
             memory.append(local)

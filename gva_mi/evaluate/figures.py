@@ -98,7 +98,7 @@ METRICS = {
     "steps": Metric(",.0f"),
     "seconds": Metric(",.0f"),
     "Gaussians": Metric(",.0f"),
-    "foreign": Metric(".1%"),  # not measured any more; earlier files have it
+    "foreign": Metric(".1%"),  # share of pixels in the colours of another part
     "opaque Gaussians": Metric(",.0f"),
     "spacing": Metric(".2f"),
     "bias, mm": Metric(".1f"),

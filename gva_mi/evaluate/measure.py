@@ -61,6 +61,7 @@ from gva_mi.core.errors import expecting
 from gva_mi.core.files import read_json, write_json
 from gva_mi.core.tasks import helper_processes
 from gva_mi.evaluate.figures import Figure, Table, figures_from, pivot, table, to_json, where
+from gva_mi.evaluate.foreign import foreign_figures
 from gva_mi.evaluate.refinement import error_figures, load_refinement, pose_tables
 from gva_mi.evaluate.regions import Detail, Details, person_box
 from gva_mi.evaluate.scores import Scorer, mean_figures
@@ -330,6 +331,10 @@ def measure_run(
         for stage, source in (("given", video), ("trained", trained)):
             figures += error_figures(body, (source.pose, source.shape), truth, stage)
     figures += surface_figures(run, avatar, video.folder, body)
+    for view in aligned:
+        if view.split == "novel_pose":
+            true = ground_truth_video(video, view.split)
+            figures += foreign_figures(avatar, video.folder, body, true, view.video, ALIGNED)
     figures.append(Figure(metric="Gaussians", value=int(history["gaussians"][-1])))
     first = run / run_folder.FIRST_FIT
     both = [history, *([run_folder.load_history(first)] if first.exists() else [])]

@@ -7,7 +7,7 @@ from gva_mi.mesh.mesh_scene import sensor_of
 from gva_mi.splat import Camera, look_at
 from gva_mi.synthetic.pictures.finishes import Finish
 from gva_mi.synthetic.pictures.lights import LIGHTS, Light
-from gva_mi.synthetic.pictures.render import Moment, Renderer
+from gva_mi.synthetic.pictures.render import Moment, Renderer, faces_seen
 from gva_mi.synthetic.pictures.room import Room, draw_room
 
 mi = pytest.importorskip("mitsuba")
@@ -168,3 +168,15 @@ def test_an_open_shutter_blurs_along_the_motion(renderer, ball):
     assert (across > 0).sum() <= (still.mask[:, 32] > 0).sum()
     assert (along > 0).sum() > (still.mask[32] > 0).sum() + 6
     assert {0.25, 0.5, 0.75, 1.0} <= set(np.round(along, 2))
+
+
+def test_each_pixel_names_the_face_that_its_centre_shows(ball, picture):
+    """The seen faces are those whose centre is where the pixel looks; the mask is where one is."""
+    face = faces_seen(ball.vertices, ball.faces, CAMERA)
+    assert ((face >= 0) == (picture.mask > 0.5))[np.abs(picture.mask - 0.5) > 0.4].all()
+    rows, columns = np.nonzero(face >= 0)
+    centres = ball.vertices[ball.faces[face[rows, columns]]].mean(1)
+    off = CAMERA.project(centres.astype(float)) - np.stack([columns, rows], 1) - 0.5
+    assert np.linalg.norm(off, axis=1).max() < 3
+    depth = (centres @ CAMERA.T_camera_world[:3, :3].T + CAMERA.T_camera_world[:3, 3])[:, 2]
+    assert (depth < np.linalg.norm(CAMERA.position)).all()  # the near half

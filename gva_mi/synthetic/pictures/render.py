@@ -268,6 +268,27 @@ class Renderer:
         return dr.select(blocked, emission, dr.lerp(below, above, 0.5 + n.y / 3))
 
 
+def faces_seen(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return which face of a mesh the centre of each pixel shows, (H, W) int64, -1: none.
+
+    ``vertices`` (N, 3) are metres in the world, ``faces`` (F, 3) integers.
+    """
+    import mitsuba as mi
+
+    mi.set_variant(VARIANT)
+    mesh = mi.Mesh("mesh", len(vertices), len(faces))
+    params = mi.traverse(mesh)
+    params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+    params["vertex_positions"] = mi.Float(vertices.astype(np.float32).ravel())
+    params.update()
+    pixel = dr.arange(mi.UInt32, camera.width * camera.height)
+    column, row = mi.Float(pixel % camera.width), mi.Float(pixel // camera.width)
+    ray, _ = primary_rays(camera, column + 0.5, row + 0.5)
+    at = mi.load_dict({"type": "scene", "mesh": mesh}).ray_intersect_preliminary(ray)
+    face = np.where(at.is_valid().numpy(), at.prim_index.numpy().astype(np.int64), -1)
+    return face.reshape(camera.height, camera.width)
+
+
 def primary_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
     """Return rays through image points (pixels), and their length per metre of depth."""
     import mitsuba as mi

@@ -48,10 +48,20 @@ from gva_mi.matting.camera import (
     moved,
     moved_pixels,
 )
-from gva_mi.matting.odds import ColorsByHeight, Shadows, count_shadows, log_odds
+from gva_mi.matting.hands import Bones
+from gva_mi.matting.odds import (
+    BONE_RADIUS,
+    HAND_RADIUS,
+    ColorsByHeight,
+    PersonColors,
+    Shadows,
+    count_shadows,
+    log_odds,
+)
 from gva_mi.matting.plate import MEAN_SQUARE, Plate, filled_in, mean_around, overlay_of
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import SubjectWriter
+from gva_mi.subject.landmarks import Landmarks
 from gva_mi.subject.splits import spread
 
 # All chosen. Pixels are those of the working grid, unless the picture's are named.
@@ -72,6 +82,7 @@ OUTLINE_PRICE, FLAT_OUTLINE_PRICE = 1.5, 4.0  # g of eq. 1: everywhere, and adde
 # Difference of colours that leaves 1 / e of what is added, in mean differences of neighbours in the
 # picture, as in GrabCut (Rother et al. 2004). Chosen on two rendered persons, by the face's masks.
 EDGE_CONTRAST = 2.0
+HAND_DISCOUNT = 0.5  # share of g that is saved at hands: fingers have much outline, little area
 LEAST_DIFFERENCE = 1 / 255  # of neighbours: a picture of one colour has none
 CUT_STEPS = 50  # iterations of eq. 2 and 3; later ones change few pixels
 SMALLEST_PIECE = 0.002  # share of the largest piece's area: smaller pieces are dropped
@@ -81,6 +92,7 @@ LEAST_PIECE_PROBABILITY = 0.3  # mean probability of a piece; with less the netw
 def video_masks(
     pictures: Sequence[np.ndarray],
     probabilities: Sequence[np.ndarray],
+    landmarks: Landmarks,
     writer: SubjectWriter,
     progress: Progress | None = None,
 ) -> list[str]:
@@ -91,6 +103,7 @@ def video_masks(
             that is worked on, and parts of some, stay in memory.
         probabilities: T probabilities of the person (H, W) 8-bit, 255 for certain; all zero where
             there is nobody.
+        landmarks: of the T pictures; those of elbows and hands are used, where there are any.
         writer: of the subject. A picture without a person gets an empty mask.
         progress: called after each picture.
     """
@@ -99,7 +112,7 @@ def video_masks(
     shown = np.flatnonzero(extents[:, 2] > 0)
     notes: list[str] = []
     if len(shown):
-        on_grid = _VideoOnGrid(pictures, probabilities, extents, shown)
+        on_grid = _VideoOnGrid(pictures, probabilities, landmarks, extents, shown)
         scene = VideoScene.gather([on_grid.view(k) for k in spread(shown, SCENE_PICTURES)])
         notes = on_grid.notes()
         if on_grid.overlay is not None:
@@ -147,6 +160,7 @@ class _VideoOnGrid:
 
     pictures: Sequence[np.ndarray]
     probabilities: Sequence[np.ndarray]
+    landmarks: Landmarks
     extents: np.ndarray  # (T, 4) of the person
     shown: np.ndarray  # numbers of the pictures that show the person
 
@@ -168,7 +182,8 @@ class _VideoOnGrid:
             image, P = (filled_in(x, self.overlay) for x in (image, P))
         A = np.eye(3) if self._motions is None else self._motions[k]
         motion = None if A is None else self.grid.in_shares(A)
-        return GridPicture(image, P, self.grid.heights(self.extents[k]), motion)
+        bones = Bones.of(self.landmarks, k, self.grid)
+        return GridPicture(image, P, self.grid.heights(self.extents[k]), motion, bones)
 
     def _read(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return a picture on the grid (h, w, 3) 8-bit, and the person's probability (h, w)."""
@@ -207,6 +222,12 @@ class GridPicture:
     probability: np.ndarray  # (h, w) float32 in [0, 1], of the person
     height: np.ndarray  # (h,) of each row: 0 at the person's highest pixel, 1 at the lowest
     motion: np.ndarray | None  # (3, 3) from the plate, as in camera.py; None: unknown
+    bones: Bones  # of hands and forearms
+
+    def near_bones(self, radius: float) -> np.ndarray:
+        """Return n (h, w) of a radius, a share of the person's height (:mod:`.hands`)."""
+        person = 1 / (self.height[1] - self.height[0])
+        return self.bones.near(self.probability.shape, radius * person)
 
 
 @dataclass(frozen=True)
@@ -215,7 +236,7 @@ class VideoScene:
 
     plate: Plate
     shadows: Shadows
-    person: ColorsByHeight
+    person: PersonColors
     background: ColorsByHeight
 
     @staticmethod
@@ -227,10 +248,10 @@ class VideoScene:
         possible = [view.probability > POSSIBLE_PERSON for view in views]
         for near in POSSIBLE_MARGINS:
             outside = [~binary_dilation(x, iterations=near) for x in possible]
-            person, background = ColorsByHeight(), ColorsByHeight()
+            person, background = PersonColors(), ColorsByHeight()
             for k, view in enumerate(views):
                 inner = binary_erosion(inside[k], iterations=INNER_MARGIN)
-                person.add(view.image, inner, view.height)
+                person.add(view.image, inner, view.height, view.near_bones(BONE_RADIUS))
                 background.add(view.image, outside[k], np.linspace(0, 1, len(view.image)))
             scene = VideoScene(_plate(views, outside), Shadows(), person, background)
             scene = replace(scene, shadows=scene._shadows_of(views, outside))
@@ -259,11 +280,12 @@ class VideoScene:
         image, P = view.image[part], view.probability[part]
         plate, rows = (plate or self._plate_in(view)).part(part), view.height[part[0]]
         grid_rows = np.linspace(0, 1, len(view.image))[part[0]]
-        person = self.person.density(image, rows)
+        at_bones, at_hands = (view.near_bones(r)[part] for r in (BONE_RADIUS, HAND_RADIUS))
+        person = self.person.density(image, rows, at_hands)
         background = self.background.density(image, grid_rows)
         image = image.astype(np.float32) / 255
-        odds = log_odds(image, P, rows, plate, self.shadows, person, background)
-        cut = smoothest_cut(odds, _prices(image), odds > 0, CUT_STEPS) > 0.5
+        odds = log_odds(image, P, rows, plate, self.shadows, person, background, at_bones)
+        cut = smoothest_cut(odds, _prices(image, at_hands), odds > 0, CUT_STEPS) > 0.5
         whole = np.zeros(view.probability.shape, bool)
         whole[part] = _person_alone(cut, P)
         return whole
@@ -314,14 +336,19 @@ def _looked_at(view: GridPicture) -> tuple[slice, slice]:
     return tuple(slice(max(0, x[0] - border), x[-1] + 1 + border) for x in (rows, columns))
 
 
-def _prices(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return g of eq. 1 between each pixel (h, w, 3) and its right and lower neighbour."""
+def _prices(image: np.ndarray, at_hands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return g of eq. 1 between each pixel (h, w, 3) and its right and lower neighbour.
+
+    ``at_hands`` (h, w) in [0, 1] is 1 at hands.
+    """
+    cheaper = 1 - HAND_DISCOUNT * at_hands
 
     def price(axis: int) -> np.ndarray:
         R, G, B = np.moveaxis(np.abs(np.diff(image, axis=axis)), -1, 0)
         differs = np.maximum(np.maximum(R, G), B)
         differs /= EDGE_CONTRAST * max(differs.mean(), LEAST_DIFFERENCE)
-        return OUTLINE_PRICE + FLAT_OUTLINE_PRICE * np.exp(-(differs**2))
+        price = OUTLINE_PRICE + FLAT_OUTLINE_PRICE * np.exp(-(differs**2))
+        return price * (cheaper[:, 1:] if axis else cheaper[1:])
 
     return price(axis=1), price(axis=0)
 

@@ -2,7 +2,7 @@
 
 A network's probability P, the densities of colours and the plate B decide together:
 
-1. ``L = a logit(P) + b + log p(I | person) - log p(I | background)``
+1. ``L = a logit(P) + b + f + log p(I | person) - log p(I | background)``
 2. ``p(I | background) = (1 - e) [(1 - c) t3(I - B) + c t2(I - s B) k(s) / |B|] + e h(I)``
 
 A share c of the background is in the person's shadow: s B is the nearest point to I on the line of
@@ -12,7 +12,7 @@ would be wood in a shadow. t3 and t2 are Student's densities in three dimensions
 across the line, since backgrounds are not quite still. h is the density of the background's colours
 at this height, which reflections on a floor have, too. e is small where the plate was seen, and
 large where it is a guess. The network errs at outlines and not in the middle of the person: b grows
-with the distance from where P says anything else.
+with the distance from where P says anything else. f is of hands.
 
 **Shadows.** A shadow multiplies the background by some s < 1 and leaves its hue. Under a sky or
 several lamps it is faint: 1 - s is distributed exponentially with a mean σ. The sun, or one lamp,
@@ -29,6 +29,14 @@ shares in deep and in faint shadow,
 **Colours.** A head and a shoe share few colours, and so do wall and floor. The density of a colour
 is counted in bins of RGB, once for all heights and once per band from top to bottom,
 and blurred, because few colours are seen exactly again.
+
+**Hands.** They are anywhere between knees and head, so their height says little of their colours,
+and P has few pixels for them. Landmarks show their bones. With the nearness n(r) to the bones
+(:mod:`gva_mi.matting.hands`), a thin line along each is of the person, also before a wall of the
+hand's colour, and around it the person has the colours of hands and forearms:
+
+5. ``f = f_0 n(r_f)``
+6. ``p(I | person) = (1 - q) p_height(I) + q p_hands(I)``,   ``q = q_0 n(r_q)``
 """
 
 from __future__ import annotations
@@ -86,6 +94,38 @@ class ColorsByHeight:
         same_height = 1 - ANY_HEIGHT_SHARE - ANY_COLOR_SHARE
         mixed = same_height * share(smooth) + ANY_HEIGHT_SHARE * share(every)
         return (mixed * bins + ANY_COLOR_SHARE).astype(np.float32)
+
+
+# Chosen on two rendered videos, by the masks of hands. Radii are shares of the person's height.
+BONE_BONUS, BONE_RADIUS = 6.0, 0.0035  # f_0, in the unit of L, and r_f: half a finger's width
+HAND_COLORS, HAND_RADIUS = 0.8, 0.02  # q_0 and r_q of eq. 6: half a palm's width
+NEAR_BONE = 0.5  # n(r_f) of pixels whose colours are counted as those of hands
+LEAST_HAND_PIXELS = 64  # pixels of a video; fewer do not show the colours of hands
+
+
+class PersonColors:
+    """How likely a colour is of the person: by the height, and near the bones of hands (eq. 6)."""
+
+    def __init__(self) -> None:
+        self._by_height, self._of_hands = ColorsByHeight(), ColorsByHeight()
+        self._hand_pixels = 0
+
+    def add(
+        self, image: np.ndarray, inside: np.ndarray, height: np.ndarray, at_bones: np.ndarray
+    ) -> None:
+        """Count the colours of a picture; ``at_bones`` (h, w) is n(r_f), the rest as above."""
+        self._by_height.add(image, inside, height)
+        hand = inside & (at_bones > NEAR_BONE)
+        self._of_hands.add(image, hand, np.zeros_like(height))
+        self._hand_pixels += int(hand.sum())
+
+    def density(self, image: np.ndarray, height: np.ndarray, at_hands: np.ndarray) -> np.ndarray:
+        """Return p(I | person) (h, w), relative to a uniform one; ``at_hands`` (h, w) is n(r_q)."""
+        by_height = self._by_height.density(image, height)
+        if self._hand_pixels < LEAST_HAND_PIXELS:
+            return by_height
+        q = HAND_COLORS * at_hands
+        return (1 - q) * by_height + q * self._of_hands.density(image, np.zeros_like(height))
 
 
 def _band(height: np.ndarray) -> np.ndarray:
@@ -187,6 +227,7 @@ def log_odds(
     shadows: Shadows,
     person: np.ndarray,
     background: np.ndarray,
+    at_bones: np.ndarray,
 ) -> np.ndarray:
     """Return L (h, w) float32, eq. 1.
 
@@ -198,6 +239,7 @@ def log_odds(
         shadows: of the video.
         person: p(I | person) (h, w), relative to a uniform density.
         background: h(I) (h, w), likewise.
+        at_bones: n(r_f) (h, w) of eq. 5.
     """
     from scipy.ndimage import distance_transform_edt
 
@@ -209,6 +251,7 @@ def log_odds(
     return (
         NETWORK_WEIGHT * np.log(P / (1 - P))
         + middle
+        + BONE_BONUS * at_bones
         + ratio.clip(-LARGEST_LOG_RATIO, LARGEST_LOG_RATIO)
     ).astype(np.float32)
 

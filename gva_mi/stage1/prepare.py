@@ -243,7 +243,7 @@ def prepare_video(
                 picture, prompts = stored.__getitem__, motion.prompts(model)
                 notes = write_masks(guesses, network, picture, prompts)
                 probabilities = WithMasks(rough, guesses.folder / MASKS)
-            notes += video_masks(stored, probabilities, writer, more)
+            notes += video_masks(stored, probabilities, motion.watched.landmarks, writer, more)
     solved, shown = motion.solved, np.isfinite(motion.watched.landmarks.pixels).any((1, 2))
     cameras = [solved.camera] * len(pictures)
     doubt = doubt_in(out, np.flatnonzero(shown), solved.pose, cameras, solved.shape, model)

@@ -164,7 +164,8 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
         pictures, solved = motion.pictures.pictures, motion.solved
         for k, picture in enumerate(pictures):
             writer.frame(k, picture)
-        video_masks(pictures, [seen[k] for k in range(len(pictures))], writer)
+        probabilities = [seen[k] for k in range(len(pictures))]
+        video_masks(pictures, probabilities, motion.watched.landmarks, writer)
         writer.landmarks(motion.watched.landmarks)
         pose = moved(solved.pose, solved.shape, body, solved.camera, camera)
         writer.poses(pose, solved.shape, stage=1)

@@ -119,7 +119,8 @@ STUDIES = {
     "--frames 40 --size 320 --known",
     "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
     '"without refinement" "without either" "without hand skeleton" "without re-initialisation"',
-    "ladder": f"avatar {_TWO} --frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
+    "ladder": "avatar --held-out-set 72 --subjects 7200 7202 7204 --error-models bursts white slow "
+    "--frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
     "videos": "avatar --held-out-set 72 --error-models video --frames 48 --steps 2000 --no-fitted "
     "--rows full",
     "relit": "relight --held-out-set 75 --error-models white bursts --steps 1600 "

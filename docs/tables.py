@@ -208,7 +208,7 @@ TABLES: dict[str, Table] = {
         EXPECTED,
         [
             part("`make demo`", study="demo"),
-            part("[four subjects, simulated errors](docs/paper.md#what-each-change-is-worth)",
+            part("[three subjects, simulated errors](docs/paper.md#what-each-change-is-worth)",
                  study="ladder", variant=FULL.name),
             part("[three rendered phone videos](docs/studies.md#avatars-of-videos)",
                  study="videos"),

@@ -27,7 +27,8 @@ SEARCH_DIRS = (
 )  # fmt: skip
 
 PATH = "DRJIT_LIBLLVM_PATH"  # an environment variable, which children inherit
-VERSION_IN_NAME = r"libLLVM(?:-|\.so\.)?(\d+)"  # libLLVM-19.so, libLLVM.so.19.1
+# libLLVM-19.so, libLLVM.so.19.1; not libLLVM.so.1, a link that Debian makes
+VERSION_IN_NAME = r"libLLVM(?:-|\.so\.)?(\d{2,})"
 
 problem: str | None = None  # why Dr.Jit cannot be used, once prepare() has run
 

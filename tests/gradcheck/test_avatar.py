@@ -60,8 +60,8 @@ def _plant(monkeypatch, link):
     bend = bent(gradient=1.001)
     if link == "shape":
         rest = BodyModel.rest
-        bent = lambda self, shape: rest(self, type(shape)(bend(shape.betas)))
-        monkeypatch.setattr(BodyModel, "rest", bent)
+        planted = lambda self, shape: rest(self, type(shape)(bend(shape.betas)))
+        monkeypatch.setattr(BodyModel, "rest", planted)
     elif link == "skeleton":
         vee = kinematics._vee
         monkeypatch.setattr(kinematics, "_vee", lambda x: 1.001 * vee(x))
@@ -72,8 +72,8 @@ def _plant(monkeypatch, link):
         monkeypatch.setattr(torch, "tanh", lambda x: bend(x.tanh()))
     elif link == "skinning":
         adjoint = skin_gaussians.stretch_adjoint
-        bent = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
-        monkeypatch.setattr(skin_gaussians, "stretch_adjoint", bent)
+        planted = lambda *lane: [[1.001 * g for g in grads] for grads in adjoint(*lane)]
+        monkeypatch.setattr(skin_gaussians, "stretch_adjoint", planted)
         again = Frozen(skin_gaussians._adjoint.function)  # records the planted one
         monkeypatch.setattr(skin_gaussians, "_adjoint", again)
     elif link == "activations":

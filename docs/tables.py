@@ -432,9 +432,7 @@ def main(study: Path | None) -> None:
     measured = {figure["study"] for figure in new}
     figures = [figure for figure in load() if figure["study"] not in measured] + new
     if unfinished := unequal(figures):
-        sys.exit(
-            f"{study}: not all cases have all variants: {', '.join(unfinished)}; run them again"
-        )
+        sys.exit(f"{study}: cases without some variants: {', '.join(unfinished)}; resume them")
     figures.sort(key=lambda figure: figure["study"])  # stable
     writer = Writer(figures)
     for path in pages():

@@ -104,8 +104,6 @@ class RelightChoice(_Choice):
     options: Flat[RelightStudyOptions] = field(default_factory=RelightStudyOptions)
 
 
-# Subjects of held-out set 72, each under another error model.
-_TWO = "--held-out-set 72 --subjects 7200 7202 --error-models bursts white"
 # The studies of the documents, by the names of their folders: `gva-mi study all` runs them.
 STUDIES = {
     "eq8": "refine --held-out-set 31 --subjects 3100 3102 3103 3104 3108 "
@@ -117,7 +115,8 @@ STUDIES = {
     'outliers focal masks normals anything "no normals" --frames 40 --size 320',
     "known": "refine --held-out-set 72 --error-models shape focal anything "
     "--frames 40 --size 320 --known",
-    "variants": f"avatar {_TWO} --frames 40 --size 256 --steps 1500 --no-fitted --rows full "
+    "variants": "avatar --held-out-set 72 --subjects 7200 7202 --error-models bursts white "
+    "--frames 40 --size 256 --steps 1500 --no-fitted --rows full "
     '"without refinement" "without either" "without hand skeleton" "without re-initialisation"',
     "ladder": "avatar --held-out-set 72 --subjects 7200 7202 7204 --error-models bursts white slow "
     "--frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",

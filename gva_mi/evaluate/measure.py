@@ -336,10 +336,8 @@ def measure_run(
             true = ground_truth_video(video, view.split)
             figures += foreign_figures(avatar, video.folder, body, true, view.video, ALIGNED)
     figures.append(Figure(metric="Gaussians", value=int(history["gaussians"][-1])))
-    first = run / run_folder.FIRST_FIT
-    both = [history, *([run_folder.load_history(first)] if first.exists() else [])]
-    figures.append(Figure(metric="steps", value=sum(len(fit["loss"]) for fit in both)))
-    seconds = sum(float(fit["milliseconds"].sum()) for fit in both) / 1e3
+    steps, seconds = run_folder.steps_and_seconds(run)
+    figures.append(Figure(metric="steps", value=steps))
     figures.append(Figure(metric="seconds", value=seconds))
     subject = video.folder.resolve().name
     metrics = Metrics(

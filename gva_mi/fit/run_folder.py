@@ -289,6 +289,13 @@ def load_history(out: Path) -> dict[str, np.ndarray]:
     return read_arrays(out / HISTORY, "the history of a finished fit")
 
 
+def steps_and_seconds(out: Path) -> tuple[int, float]:
+    """Return how many steps a finished run took, and how long they took, with its first fit."""
+    fits = [out, *([out / FIRST_FIT] if (out / FIRST_FIT).exists() else [])]
+    found = [load_history(fit)["milliseconds"] for fit in fits]
+    return sum(map(len, found)), float(sum(x.sum() for x in found) / 1e3)
+
+
 def load_avatar(run: Path, body: Path | None = None) -> Avatar:
     """Load the avatar of a finished run, given its folder, or of a file.
 

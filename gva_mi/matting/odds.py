@@ -12,7 +12,7 @@ would be wood in a shadow. t3 and t2 are Student's densities in three dimensions
 across the line, since backgrounds are not quite still. h is the density of the background's colours
 at this height, which reflections on a floor have, too. e is small where the plate was seen, and
 large where it is a guess. The network errs at outlines and not in the middle of the person: b grows
-with the distance from where P says anything else. f is of hands.
+with the distance from where P says anything else. f keeps hands (eq. 5).
 
 **Shadows.** A shadow multiplies the background by some s < 1 and leaves its hue. Under a sky or
 several lamps it is faint: 1 - s is distributed exponentially with a mean σ. The sun, or one lamp,

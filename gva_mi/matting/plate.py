@@ -180,8 +180,8 @@ STROKE = 0.01  # half a letter's stroke: a network may leave letters out of the 
 REACH = 0.05  # along steady edges, from pixels that are surely on an overlay
 FILLED = 0.015  # gaps between edges, such as the inside of a letter
 EDGE_MARGIN = 2  # pixels around the edges: codecs blur them
-# Pixels that are surely on an overlay, all together. Stripes of a shirt before shelves agree with
-# them by chance: in rendered videos without captions up to 0.06.
+# Pixels that are surely on an overlay, all together. Some stripes of a shirt lie where shelves are
+# behind it: in rendered videos without captions up to 0.06.
 SMALLEST_OVERLAY = 0.125
 LARGEST_OVERLAY = 0.15  # share of the picture: what covers more is no caption
 

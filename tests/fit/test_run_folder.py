@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from gva_mi.body.pose import Shape, save_poses
 from gva_mi.core.errors import InputError
+from gva_mi.core.files import write_arrays
 from gva_mi.fit import run_folder
 
 
@@ -115,3 +117,10 @@ def test_a_checkpoint_that_this_run_did_not_save_is_refused(change, tmp_path):
     change(tmp_path)
     with pytest.raises(InputError, match="not as this run saved it"):
         run_folder.load_state(tmp_path)
+
+
+def test_steps_and_seconds_are_those_of_both_fits(tmp_path):
+    for folder, milliseconds in ((tmp_path, [500.0, 1500.0]), (tmp_path / "first", [250.0] * 4)):
+        assert folder == tmp_path or run_folder.steps_and_seconds(tmp_path) == (2, 2.0)
+        write_arrays(folder / run_folder.HISTORY, milliseconds=np.array(milliseconds))
+    assert run_folder.steps_and_seconds(tmp_path) == (6, 3.0)

@@ -98,7 +98,7 @@ def test_a_caption_over_the_feet_is_found_and_masks_continue_beneath(
     assert off["found"] < 0.1 < 0.2 < off["ignored"], off
 
 
-def test_clothes_that_agree_with_the_background_by_chance_are_no_caption():
+def test_stripes_of_clothes_that_lie_where_shelves_are_behind_are_no_caption():
     """A shirt's stripes, with folds, are as high as the shelves behind."""
     random = np.random.default_rng(0)
     y, x = np.mgrid[:120, :80]

@@ -35,7 +35,6 @@ from gva_mi.body.so3 import turns_between
 from gva_mi.core.console import say
 from gva_mi.core.errors import InputError
 from gva_mi.prior.error_model import (
-    DEFAULT_FPS,
     GROUPS,
     STAGE1_MEMORY,
     STUDENT_DOF,
@@ -43,10 +42,11 @@ from gva_mi.prior.error_model import (
 )
 from gva_mi.prior.inference import PLACE_AXES
 from gva_mi.prior.stage1_poses import Stage1Poses
+from gva_mi.subject.fingerprint import prepared_from
 from gva_mi.subject.folder import POSES
 from gva_mi.subject.ground_truth import load_ground_truth
 
-LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l; chosen: up to 0.8 s
+LAGS = (0, 1, 2, 4, 8, 16, 24)  # frames between k and l; chosen: beyond the memory
 WEIGHT_ROUNDS = 12  # updates of the weights; chosen by eye
 SLOW_FLOOR = 0.2  # least slow part, relative to the whole error; chosen: a resting joint errs, too
 
@@ -56,6 +56,7 @@ class SolvedTrack(NamedTuple):
 
     errors: Tensor  # (T, C, d) radians or metres
     steps: Tensor  # (T - 1, C, d) of the stage-1 poses from frame to frame, radians or metres
+    seconds: Tensor  # (T,) times of the frames
 
 
 class Products(NamedTuple):
@@ -71,12 +72,15 @@ def solver_errors(subject: Path) -> dict[str, SolvedTrack]:
     """Return the errors of a video's poses by group, in the camera's axes.
 
     Raises:
-        InputError: the person does not have the built-in body.
+        InputError: the person does not have the built-in body, or no rate of the video is known.
     """
     body = load_body()
     truth = load_ground_truth(subject / "truth", body)
     if truth.foreign:
         raise InputError(f"{subject}: expected a person with the built-in body")
+    _, fps = prepared_from(subject)
+    if fps is None:
+        raise InputError(f"{subject}: prepare.json must hold the frames a second of its video")
     pose, shape = load_poses(subject / POSES)
     stage1 = Stage1Poses.of(pose, range(len(pose)), truth.cameras[0])
     turns = stage1.to_camera_axes(turns_between(pose.rotations, truth.pose.rotations))
@@ -85,7 +89,8 @@ def solver_errors(subject: Path) -> dict[str, SolvedTrack]:
     turned, moved = stage1.steps(pose)
     joints = {name: (turns[:, list(g)], turned[:, list(g)]) for name, g in GROUPS.items()}
     axes = {k: (moves[:, list(a), None], moved[:, list(a), None]) for k, a in PLACE_AXES.items()}
-    return {name: SolvedTrack(*tracks) for name, tracks in (joints | axes).items()}
+    seconds = torch.arange(len(pose)) / fps
+    return {name: SolvedTrack(*tracks, seconds) for name, tracks in (joints | axes).items()}
 
 
 def learn(videos: Iterable[Mapping[str, SolvedTrack]]) -> dict[str, Stage1ErrorModel]:
@@ -103,7 +108,7 @@ def _fit(tracks: list[SolvedTrack]) -> Stage1ErrorModel:
     squares, _ = nnls(products.terms * weights[:, None], products.values * weights)
     slow, lag, bias = np.sqrt(squares).tolist()
     slow = max(slow, SLOW_FLOOR * size)
-    return Stage1ErrorModel(0.0, slow, STAGE1_MEMORY, bias, lag / DEFAULT_FPS)
+    return Stage1ErrorModel(0.0, slow, STAGE1_MEMORY, bias, lag)
 
 
 def _weights(products: Products, videos: int) -> np.ndarray:
@@ -129,9 +134,8 @@ def _products(tracks: list[SolvedTrack]) -> Products:
     """Return the products of errors of several videos, at all :data:`LAGS`."""
     rows = []
     # With this model growth² - 1 is the square speed.
-    model = Stage1ErrorModel(0.0, 1.0, STAGE1_MEMORY * DEFAULT_FPS, 0.0, lag=1.0)
-    for number, (errors, steps) in enumerate(tracks):
-        times = torch.arange(len(errors))
+    model = Stage1ErrorModel(0.0, 1.0, STAGE1_MEMORY, 0.0, lag=1.0)
+    for number, (errors, steps, times) in enumerate(tracks):
         growth = torch.stack([model.growth(own, times) for own in steps.unbind(1)], 1)
         square_speed = growth.square() - 1
         kernel = model.covariance_without_white(times, torch.ones(len(times)))[0]

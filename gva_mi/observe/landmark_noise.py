@@ -14,6 +14,10 @@ hand errs by as much as its wrist is away from the body's, and the body's wrist 
 usual. So ``hand_offset`` is this distance, minus what the body's wrist may be off. It widens the
 errors of pixels and of depths.
 
+A face that is turned away is a guess, although the network says that it is sure: on rendered people
+its points err twice as much in profile as from the front, and from behind they err together. So
+their ``share`` grows by :func:`face_factors`.
+
 A knee may be taken for a point higher or lower on the leg, but hardly for a point beside the leg.
 On rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
 across it; shoulders and hips err equally in all directions. So with the direction ``u`` of the limb
@@ -58,6 +62,9 @@ from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks
 REFERENCE_HEIGHT = 1.7  # metres of a person, whose pixels are S; chosen: an average person
 # Error of a landmark of the body, and of a hand, as a share of S; chosen by eye.
 BODY_SHARE, HAND_SHARE = 0.012, 0.004
+# Factor on the share of a point of the face that is seen from behind; it grows from 1 on from this
+# cosine of the angle between face and camera. Chosen by the heads of six rendered videos.
+HIDDEN_FACE, SEEN_FACE = 4.0, 0.5
 SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen by eye
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
 # Least correlation time of the network's errors, seconds; chosen: three frames of 30 a second.
@@ -143,10 +150,12 @@ class LandmarkNoise:
         at = landmarks.indices(names)
         confidence = np.nan_to_num(landmarks.confidence[:, at])
         of_hand = np.array(["_hand_" in name for name in names], bool)
+        of_face = np.array([name in _FACE for name in names], bool)
         seen = np.isfinite(landmarks.pixels[:, at]).all(2)
         seen &= confidence >= np.where(of_hand, HAND_CONFIDENCE, SMALLEST_CONFIDENCE)
         sizes = person_sizes(landmarks)
         share = np.where(of_hand, HAND_SHARE, BODY_SHARE) * sizes[:, None]
+        share = np.where(of_face, share * face_factors(landmarks)[:, None], share)
         square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
         hand_offset = _hand_offsets(landmarks, names, sizes / REFERENCE_HEIGHT)
         square = square / np.clip(confidence, SMALLEST_CONFIDENCE, 1) ** 2
@@ -167,6 +176,22 @@ class LandmarkNoise:
             tensor([bone.bias for _, bone in known]),
             tensor(depth),
         )
+
+
+def face_factors(landmarks: Landmarks) -> np.ndarray:
+    """Return how many times as much points of the face err in each frame as from the front, (T,).
+
+    The network's metres tell where the face looks: from the middle of the ears to the nose. Without
+    them the factor is 1.
+    """
+    wanted = ("nose", "left_ear", "right_ear")
+    if not set(wanted) <= set(landmarks.names):
+        return np.ones(len(landmarks))
+    nose, *ears = landmarks.metric[:, landmarks.indices(wanted)].astype(float).swapaxes(0, 1)
+    ahead = nose - np.mean(ears, axis=0)
+    cosine = -ahead[:, 2] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
+    away = ((SEEN_FACE - cosine) / (1 + SEEN_FACE)).clip(0, 1)
+    return 1 + (HIDDEN_FACE - 1) * np.nan_to_num(away)
 
 
 def _whitening(x: np.ndarray, sigma: np.ndarray, names: Sequence[str]) -> np.ndarray:

@@ -150,15 +150,16 @@ class LandmarkRig:
 
 
 def face_weights(A: Tensor, a: Tensor) -> Tensor:
-    """Return ``f`` (T,), how well the face is seen: ``f = cos(angle to the camera)^8``.
+    """Return ``f`` (T,), how well the face is seen: ``f = cos(angle to the camera)^4``.
 
-    Landmarks of a face that is turned away are unreliable.
+    Landmarks of a face that is turned away are unreliable. The power is chosen by the heads of six
+    rendered videos.
 
     Args:
         A: (T, 3, 3) rotations of the head in the camera's axes.
         a: (T, 3) places of the head in the camera's axes, metres.
     """
-    return (-(A[:, :, 2] * normalize(a, dim=1)).sum(1)).clamp_min(0) ** 8
+    return (-(A[:, :, 2] * normalize(a, dim=1)).sum(1)).clamp_min(0) ** 4
 
 
 def _marked(name: str) -> tuple[float, float, float]:

@@ -67,15 +67,15 @@ STAGE1_MEMORY = 0.2  # seconds, memory of all joints
 STAGE1_PLACE_MEMORY = 0.4  # seconds, memory of the person's position
 # By group of joints: slow part and constant part (degrees), and lag (seconds).
 _STAGE1_DEGREES = {
-    "pelvis": (1.0, 0.0, 0.054),
-    "spine": (1.3, 0.3, 0.248),
-    "head": (3.0, 1.4, 0.0),
-    "shoulders": (5.3, 2.3, 0.094),
-    "elbows": (5.6, 1.7, 0.115),
-    "wrists": (4.1, 1.5, 0.122),
-    "hips": (3.1, 1.0, 0.097),
-    "knees": (1.4, 0.0, 0.187),
-    "feet": (0.8, 0.0, 0.337),
+    "pelvis": (2.8, 2.1, 0.069),
+    "spine": (1.0, 0.6, 0.267),
+    "head": (2.8, 1.6, 0.216),
+    "shoulders": (3.2, 2.3, 0.294),
+    "elbows": (5.0, 2.3, 0.224),
+    "wrists": (3.5, 2.0, 0.169),
+    "hips": (2.7, 1.2, 0.154),
+    "knees": (2.7, 1.2, 0.109),
+    "feet": (0.5, 0.1, 0.331),
 }
 _STAGE1_METRES = {"aside": (0.026, 0.008), "depth": (0.065, 0.028)}  # slow and constant part
 
@@ -232,9 +232,8 @@ def stage1_errors(fps: float) -> dict[str, Stage1ErrorModel]:
 
     A single video cannot show them: a constant error is invisible in a track, and a smooth error
     looks like motion. They were measured instead. ``python -m tools.stage1_errors`` printed the
-    rows of joints, from the solver's poses of nine rendered videos with ground truth: five in rooms
-    (turns, half a turn, a walk, everyday motion; seeds 120, 123, 125, 130, 131) and four before a
-    white wall (seeds 101, 103, 104, 106).
+    rows of joints, from the solver's poses of nine rendered videos of people in rooms: turns
+    (seeds 27 and 61), half a turn (29, 63), everyday motion (28, 62), and arms at the body (51-53).
 
     Two choices differ from what was measured. All joints have one memory: longer memories fit the
     errors of shoulders better, but made the refinement worse. The rows of the position are wider

@@ -76,7 +76,19 @@ class Corrections:
         stage1: Stage1Poses, anatomy: Anatomy, known: Mapping[str, Stage1ErrorModel] | None = None
     ) -> Corrections:
         """Start from the MAP estimate without any image; ``known`` errors are not inferred."""
-        prior = prior_from_stage1(stage1, known)
+        return Corrections._map_estimate(stage1, anatomy, prior_from_stage1(stage1, known))
+
+    def with_less_growth(self, shares: Tensor) -> Corrections:
+        """Return the MAP estimate of errors that grow less while a joint moves.
+
+        ``shares`` (n,) in [0, 1] of the growth beyond 1 that remain in each frame.
+        """
+        less = lambda process: process.with_less_growth(shares)
+        prior = replace(self.prior, pelvis=less(self.prior.pelvis), joints=less(self.prior.joints))
+        return Corrections._map_estimate(self._stage1, self._anatomy, prior)
+
+    @staticmethod
+    def _map_estimate(stage1: Stage1Poses, anatomy: Anatomy, prior: PosePrior) -> Corrections:
         given = stage1.pose.rotations
         joint_turns = torch.zeros(given.shape)
         joint_turns[:, PELVIS], pelvis = prior.pelvis.map_estimate()

@@ -38,7 +38,7 @@ from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 # Correlation time of a landmark's residual, seconds. Chosen longer than in stage 1, whose poses
 # already follow the landmarks' errors.
-RESIDUAL_CORRELATION_SECONDS = 0.2
+RESIDUAL_CORRELATION_SECONDS = 0.56
 HEAD_SIGMA = np.radians(4.5)  # σ_A, radians; chosen by eye
 # Metres in front of the camera; nearer points are projected as if there; chosen.
 NEAREST_DEPTH = 0.1

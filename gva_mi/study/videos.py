@@ -173,7 +173,7 @@ def watch_take(take: Path, out: Path, body: BodyModel, lens: bool = True) -> Non
             writer.truth.cameras([camera] * len(pictures))
         found = camera if lens else camera.zoomed(solved.camera.fx / camera.fx)
         writer.cameras([found] * len(pictures))
-        write_json(folder / PREPARED, {"kind": VIDEO_KIND})
+        write_json(folder / PREPARED, {"kind": VIDEO_KIND, "video": {"fps": motion.pictures.fps}})
 
 
 def moved(pose: Pose, shape: Shape, body: BodyModel, before: Camera, after: Camera) -> Pose:

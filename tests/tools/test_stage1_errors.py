@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from gva_mi.prior.error_model import DEFAULT_FPS, GROUPS, STAGE1_MEMORY
+from gva_mi.prior.error_model import GROUPS, STAGE1_MEMORY
 from gva_mi.prior.inference import PLACE_AXES
 from tools.stage1_errors import SolvedTrack, learn, table
 
 SLOW, LAG, BIAS = 0.05, 0.1, 0.04  # LAG in seconds
+FPS = 10.0  # frames a second of the videos
 
 
 def drawn(seed, joints=6, frames=60):
     """Errors of joints of which each moves at its own speed; every second one rests at first."""
-    rng, seconds = np.random.default_rng(seed), np.arange(frames) / DEFAULT_FPS
+    rng, seconds = np.random.default_rng(seed), np.arange(frames) / FPS
     x = 3**0.5 * np.abs(seconds[:, None] - seconds) / STAGE1_MEMORY
     root = np.linalg.cholesky((1 + x) * np.exp(-x) + 1e-9 * np.eye(frames))
     speed = rng.uniform(0, 2, joints) * np.ones((frames, 1))  # radians a second, of a coordinate
@@ -21,8 +22,8 @@ def drawn(seed, joints=6, frames=60):
     unit = np.einsum("kl,lcd->kcd", root, rng.normal(size=(frames, joints, 3)))
     size = np.hypot(SLOW, LAG * speed)[..., None]
     errors = size * unit + BIAS * rng.normal(size=(joints, 3))
-    steps = np.repeat(speed[1:, :, None] / DEFAULT_FPS, 3, 2)
-    return SolvedTrack(torch.from_numpy(errors).float(), torch.from_numpy(steps).float())
+    steps = np.repeat(speed[1:, :, None] / FPS, 3, 2)
+    return SolvedTrack(*(torch.from_numpy(x).float() for x in (errors, steps, seconds)))
 
 
 def test_the_law_of_the_errors_is_found_although_one_video_went_wrong():

@@ -36,9 +36,9 @@ from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.splat import Camera
 from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
-# Correlation time of a landmark's residual, seconds. Chosen longer than in stage 1, whose poses
-# already follow the landmarks' errors.
-RESIDUAL_CORRELATION_SECONDS = 0.56
+# m, frames. Chosen as 0.2 s of 30 frames a second; at another rate masks, which stand beside the
+# landmarks, repeat their errors as often, so m stays.
+CORRELATED_FRAMES = 6
 HEAD_SIGMA = np.radians(4.5)  # σ_A, radians; chosen by eye
 # Metres in front of the camera; nearer points are projected as if there; chosen.
 NEAREST_DEPTH = 0.1
@@ -61,7 +61,6 @@ class SeenLandmarks:
         point_weights: (P,) ``n``.
         K: (T, 3, 3) of the cameras.
         T_camera_world: (T, 4, 4).
-        correlated_frames: ``m``.
         head_rotations: (T, 3, 3) ``A^stage1``.
         face_weights: (T,) ``f``; zero without a face.
     """
@@ -73,7 +72,6 @@ class SeenLandmarks:
     point_weights: Tensor
     K: Tensor
     T_camera_world: Tensor
-    correlated_frames: float
     head_rotations: Tensor
     face_weights: Tensor
 
@@ -82,7 +80,6 @@ class SeenLandmarks:
         landmarks: Landmarks,
         body: BodyModel,
         cameras: Sequence[Camera],
-        fps: float,
         pose: Pose,
         shape: Shape,
     ) -> SeenLandmarks:
@@ -92,7 +89,6 @@ class SeenLandmarks:
             landmarks: of T frames.
             body: of the poses.
             cameras: T of them.
-            fps: frames a second.
             pose: T frames of stage 1, which was solved from the same landmarks.
             shape: of the person, by stage 1.
         """
@@ -109,7 +105,6 @@ class SeenLandmarks:
             point_weights=independent_points(rig.names, group_hands=True),
             K=torch.from_numpy(np.stack([c.K for c in cameras])).float(),
             T_camera_world=T_camera_world,
-            correlated_frames=max(1.0, RESIDUAL_CORRELATION_SECONDS * fps),
             head_rotations=head,
             face_weights=faces,
         )
@@ -137,9 +132,9 @@ class SeenLandmarks:
         found = image[..., :2] / image[..., 2:].clamp_min(NEAREST_DEPTH)
         off = (self.whitening[frames] @ (found - self.pixels[frames])[..., None])[..., 0]
         off = off.square().sum(-1) * self.precision[frames].square()
-        nats = (STUDENT_DOF + 2) / (2 * self.correlated_frames) * torch.log1p(off / STUDENT_DOF)
+        nats = (STUDENT_DOF + 2) / (2 * CORRELATED_FRAMES) * torch.log1p(off / STUDENT_DOF)
         turned = (T_world_rest[:, _HEAD, :3, :3] - self.head_rotations[frames]).square().sum((1, 2))
-        of_head = self.face_weights[frames] * turned / (4 * self.correlated_frames * HEAD_SIGMA**2)
+        of_head = self.face_weights[frames] * turned / (4 * CORRELATED_FRAMES * HEAD_SIGMA**2)
         return (self.point_weights * nats).sum(1) + of_head
 
     def energy(self, offsets: Tensor) -> Tensor:

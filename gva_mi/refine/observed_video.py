@@ -123,12 +123,12 @@ class ObservedVideo:
 
     def _with_landmarks(self, video: Video) -> ObservedVideo:
         """Add landmarks, if any, and the known errors of a video that our stage 1 solved."""
-        fps = video.fps or DEFAULT_FPS
-        errors = stage1_errors(fps) if video.kind == VIDEO_KIND else None
+        of_stage1 = video.kind == VIDEO_KIND
+        errors = stage1_errors(video.fps or DEFAULT_FPS) if of_stage1 else None
         if video.landmarks is None:
             return replace(self, known_errors=errors)
         body, cameras = self.coarse.body, video.cameras
-        seen = SeenLandmarks.of(video.landmarks, body, cameras, fps, self.pose, self.shape)
+        seen = SeenLandmarks.of(video.landmarks, body, cameras, self.pose, self.shape)
         return replace(self, landmarks=seen, known_errors=errors)
 
     def _with_swaps_fixed(self, video: Video) -> ObservedVideo:

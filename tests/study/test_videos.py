@@ -57,6 +57,7 @@ def test_a_watched_subject_stands_where_the_true_one_does(tmp_path, built_in_bod
     truth = load_ground_truth(video.truth, built_in_body)
     errors = means(pose_errors(built_in_body, (video.pose, video.shape), truth))
     assert video.kind == "video" and len(video) == len(video.landmarks) == 12
+    assert video.fps == 12 / 6.0  # one round takes six seconds
     assert video.normals is None
     assert errors["body"] < 150 and abs(errors["pelvis_depth"]) < 120
     watch_take(tmp_path / "take", tmp_path / "any", built_in_body, lens=False)

@@ -7,7 +7,13 @@ import pytest
 import torch
 
 from gva_mi.core.errors import InputError
-from gva_mi.observe.landmark_noise import ALONG_LIMB, LandmarkNoise, correlated_frames, person_sizes
+from gva_mi.observe.landmark_noise import (
+    ALONG_LIMB,
+    HIDDEN_FACE,
+    LandmarkNoise,
+    correlated_frames,
+    person_sizes,
+)
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
@@ -51,6 +57,24 @@ def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standin
     touching = (noise.bones == k).any(1)
     assert touching.sum() == 3
     assert torch.equal(noise.depth[1].isinf(), touching) and noise.depth[[0, 2]].isfinite().all()
+
+
+def test_a_face_that_is_turned_away_errs_more(standing):
+    """Frame 0 from the front, 1 from the side, 2 from behind; elsewhere nothing changes."""
+    turned = replace(standing, metric=standing.metric.copy())
+    face = np.arange(len(standing.names)) < BODY_LANDMARKS.index("left_shoulder")
+    x, y, z = np.moveaxis(standing.metric[:, face], -1, 0)
+    turned.metric[1, face] = np.stack([-z, y, x], -1)[1]
+    turned.metric[2, face] = np.stack([-x, y, -z], -1)[2]
+    factors = (
+        LandmarkNoise.of(turned, standing.names).pixels[:, face]
+        / (LandmarkNoise.of(standing, standing.names).pixels[:, face])
+    )
+    expected = torch.tensor([1, 1 + (HIDDEN_FACE - 1) / 3, HIDDEN_FACE])[:, None]
+    torch.testing.assert_close(factors, expected.expand_as(factors), rtol=0.15, atol=0)
+    unknown = replace(standing, metric=standing.metric.copy())
+    unknown.metric[:, face] = np.nan
+    assert LandmarkNoise.of(unknown, standing.names).pixels.isfinite().all()
 
 
 def test_a_hand_away_from_the_wrist_errs_by_as_much(standing):

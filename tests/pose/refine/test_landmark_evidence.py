@@ -8,11 +8,10 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Shape
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.refine.landmark_evidence import HEAD_SIGMA, RESIDUAL_CORRELATION_SECONDS, SeenLandmarks
+from gva_mi.refine.landmark_evidence import CORRELATED_FRAMES, HEAD_SIGMA, SeenLandmarks
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
 NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
-FPS = 30.0
 SHAPE = Shape(torch.zeros(10))
 
 
@@ -28,7 +27,7 @@ def seen_of(body, pose, camera, names=NAMES):
 
 
 def loss_of(landmarks, body, pose, camera, offsets=None):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), FPS, pose, SHAPE)
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(pose), pose, SHAPE)
     offsets = torch.zeros_like(seen.rig.rest) if offsets is None else offsets
     return seen.losses(range(len(pose)), body(pose, SHAPE).T_world_rest, SHAPE, offsets).mean()
 
@@ -50,7 +49,7 @@ def test_the_true_pose_costs_nothing_and_a_turned_arm_does(body, true_pose, came
 
 
 def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, camera, landmarks):
-    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), FPS, true_pose, SHAPE)
+    seen = SeenLandmarks.of(landmarks, body, [camera] * len(true_pose), true_pose, SHAPE)
     offsets = torch.zeros_like(seen.rig.rest)
     offsets[seen.rig.names.index("left_hip")] = torch.tensor([0.0, 0.04, 0.0])
     assert float(loss_of(landmarks, body, true_pose, camera, offsets)) > 0.01
@@ -88,13 +87,11 @@ def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
         bent[:, JOINTS.index("spine2"), 1] = 0.05
         losses = []
         for given in (plain, both):
-            seen = SeenLandmarks.of(given, body, [camera] * len(pose), FPS, pose, SHAPE)
+            seen = SeenLandmarks.of(given, body, [camera] * len(pose), pose, SHAPE)
             offsets = torch.zeros_like(seen.rig.rest)
             every = range(len(pose))
             T_world_rest = body(replace(pose, rotations=bent), SHAPE).T_world_rest
             losses.append(seen.losses(every, T_world_rest, SHAPE, offsets))
         assert seen.face_weights.tolist() == pytest.approx([share] * len(pose), abs=0.15)
-        expected = (
-            seen.face_weights * (0.05 / HEAD_SIGMA) ** 2 / (2 * RESIDUAL_CORRELATION_SECONDS * FPS)
-        )
+        expected = seen.face_weights * (0.05 / HEAD_SIGMA) ** 2 / (2 * CORRELATED_FRAMES)
         assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)

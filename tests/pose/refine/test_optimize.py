@@ -7,6 +7,7 @@ import torch
 
 from gva_mi.body.pose import JOINTS, Pose
 from gva_mi.prior.anatomy import Anatomy
+from gva_mi.prior.error_model import stage1_errors
 from gva_mi.refine import SequenceOptions
 from gva_mi.refine.optimize import descend, worse_frames
 
@@ -127,3 +128,24 @@ def test_start_poses_that_agree_better_than_the_map_estimate_are_kept(camera):
     smooth = right * 0  # the jumps are errors
     assert torch.equal(first(smooth, try_uncorrected=True), first(smooth))
     assert away(first(smooth), smooth) < away(start.transl, smooth)
+
+
+class Bent(Places):
+    """Evidence of the elbow's angle in each frame."""
+
+    def __init__(self, camera, angles):
+        super().__init__(camera, range(len(angles)))
+        self.angles = angles
+
+    def loss(self, frames, pose):
+        return 10 * (pose.rotations[:, ELBOW, 1] - self.angles[frames]).square().mean()
+
+
+def test_a_fast_gesture_is_no_error_of_a_known_estimator_if_the_images_show_it(camera):
+    start, hardly = Pose.rest(24), replace(FREE, passes=1, step=1e-6, translation_lr=1e-6)
+    start.rotations[10:15, ELBOW, 1] = torch.tensor([0.7, 1.4, 1.6, 1.4, 0.7])
+    errors = {"known_errors": stage1_errors(fps=8.0)}
+    first = lambda angles: descend(Bent(camera, angles), start, ARMS, hardly, **errors).pose
+    peak = lambda angles: float(first(angles).rotations[12, ELBOW, 1])
+    assert peak(0 * start.rotations[:, ELBOW, 1]) < 1.1  # the images show none
+    assert peak(start.rotations[:, ELBOW, 1]) > 1.4

@@ -176,7 +176,7 @@ def descend(
     frames = sorted({*evidence.frames, *filled_in})
     stage1 = Stage1Poses.of(start, frames, evidence.camera)
     corrections = Corrections.map_estimate(stage1, evidence.anatomy, known_errors)
-    if known_errors is not None:
+    if any(errors.lag for errors in (known_errors or {}).values()):
         shares = _growth_shares(evidence, frames, corrections)
         corrections = corrections.with_less_growth(shares)
     if try_uncorrected:

@@ -28,7 +28,8 @@ from gva_mi.core.stamp import RESULTS_VERSIONS
 
 HERE = Path(__file__).parent
 STAMP = "made_from"  # in a notebook's metadata
-RESULTS = {"refine": "gva_mi.refine", "avatar": "gva_mi.fit"}  # packages that make them
+# Packages that make each kind of results.
+RESULTS = {"video": "gva_mi.stage1", "refine": "gva_mi.refine", "avatar": "gva_mi.fit"}
 
 
 def made_from(notebook, path):

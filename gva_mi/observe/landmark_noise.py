@@ -179,7 +179,7 @@ class LandmarkNoise:
 
 
 def face_factors(landmarks: Landmarks) -> np.ndarray:
-    """Return how many times as much points of the face err in each frame as from the front, (T,).
+    """Return the factor on errors of the face's points in each frame (T,), from the front 1.
 
     The network's metres tell where the face looks: from the middle of the ears to the nose. Without
     them the factor is 1.

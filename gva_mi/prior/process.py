@@ -173,8 +173,8 @@ class ProcessPrior:
         sizes = torch.tensor([x.size for x in self.error_models])
         return replace(self, square_speed=square_speed + (SPEED_FLOOR * sizes).square())
 
-    def with_less_growth(self, shares: Tensor) -> ProcessPrior:
-        """Return the process whose ``g² - 1`` is multiplied by the squares of ``shares`` (n,)."""
+    def with_less_lag(self, shares: Tensor) -> ProcessPrior:
+        """Return the process whose lag (eq. 5 of the error model) is multiplied by shares (n,)."""
         return replace(self, growth=sqrt(1 + shares.square() * (self.growth.square() - 1)))
 
     def with_outlier_factors(self, corrections: Tensor) -> ProcessPrior:

@@ -78,12 +78,12 @@ class Corrections:
         """Start from the MAP estimate without any image; ``known`` errors are not inferred."""
         return Corrections._map_estimate(stage1, anatomy, prior_from_stage1(stage1, known))
 
-    def with_less_growth(self, shares: Tensor) -> Corrections:
-        """Return the MAP estimate of errors that grow less while a joint moves.
+    def with_less_lag(self, shares: Tensor) -> Corrections:
+        """Return the MAP estimate under errors that grow less while a joint moves.
 
-        ``shares`` (n,) in [0, 1] of the growth beyond 1 that remain in each frame.
+        ``shares`` (n,) in [0, 1] multiply the lag of the error model in each frame.
         """
-        less = lambda process: process.with_less_growth(shares)
+        less = lambda process: process.with_less_lag(shares)
         prior = replace(self.prior, pelvis=less(self.prior.pelvis), joints=less(self.prior.joints))
         return Corrections._map_estimate(self._stage1, self._anatomy, prior)
 

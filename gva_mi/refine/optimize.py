@@ -16,9 +16,9 @@ After ``learn`` passes the error model and the speed of the motion are inferred 
 that the images made, the prior gets its full weight, and details such as hands are compared. After
 half as many further passes the prior is inferred once more.
 
-A known estimator errs more while a joint moves. So the MAP estimate takes a fast gesture for an
-error and flattens it, even if the estimator saw it well. The images of a frame show which it is:
-of this growth of errors remains the share
+A known estimator may err more while a joint moves, by the lag of :mod:`gva_mi.prior.error_model`.
+Then the MAP estimate takes a fast gesture for an error and flattens it, even if the estimator saw
+it well. The images of a frame show which it is: they multiply the lag there by
 
 2. ``w_k = exp(-(max(0, L_k(MAP) - L_k(stage 1)) / contradiction)²)``
 
@@ -177,8 +177,8 @@ def descend(
     stage1 = Stage1Poses.of(start, frames, evidence.camera)
     corrections = Corrections.map_estimate(stage1, evidence.anatomy, known_errors)
     if any(errors.lag for errors in (known_errors or {}).values()):
-        shares = _growth_shares(evidence, frames, corrections)
-        corrections = corrections.with_less_growth(shares)
+        shares = _lag_shares(evidence, frames, corrections)
+        corrections = corrections.with_less_lag(shares)
     if try_uncorrected:
         corrections = _lowest_loss(evidence, frames, corrections, corrections.zeroed())
     adam = optimiser(corrections, arms, options, evidence.unseen, evidence.shared)
@@ -215,7 +215,7 @@ def descend(
 
 
 @torch.no_grad()
-def _growth_shares(evidence: Evidence, frames: list[int], map_estimate: Corrections) -> Tensor:
+def _lag_shares(evidence: Evidence, frames: list[int], map_estimate: Corrections) -> Tensor:
     """Return ``w`` of eq. 2 (n,); frames without evidence take it from their neighbours."""
     seen = [i for i, k in enumerate(frames) if k in set(evidence.frames)]
     loss = lambda i, corrections: float(evidence.loss([frames[i]], corrections.pose([i])))

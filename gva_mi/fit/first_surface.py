@@ -20,8 +20,10 @@ and the medians m of χ and g of log G over cheeks, nose and mouth, a vertex loo
 
     3. max |χ - m| < SKIN_CHROMA    and    |log G - g| < SKIN_BRIGHTNESS
 
-A limb is bare where most vertices of BARE_ROWS successive rows look like skin. Cloth in the colour
-of the skin counts as skin. If the face never looks toward the camera, no limb is bare.
+A limb is bare where most vertices of BARE_ROWS successive rows look like skin. A skirt or a wide
+sleeve in the colour of skin is cloth: it stands off the body farther than errors of poses and
+shapes do, and it hangs from the trunk, so no row from there to the trunk is bare. Tight cloth in
+the colour of skin counts as skin. If the face never looks toward the camera, no limb is bare.
 
 Where parts touch in the pictures, an arm beside the trunk looks like clothes of the trunk. Clothes
 show where the surface is the outline of the person or of a part, so a vertex v knows them from
@@ -110,19 +112,23 @@ SKIN_CHROMA = 0.2
 SKIN_BRIGHTNESS = 1.0  # a factor of e: from light to shade
 BARE_ROWS = 5  # a shorter stretch is a pattern or a shadow
 LIMB_ROW = 0.02  # metres along a limb, of one row of vertices; chosen: a row has some 20 of them
+# Metres, and the share of a row that is displaced by more where cloth is loose. Chosen: bare limbs of a real
+# woman and of four rendered persons are displaced by less, their skirts by 6 cm and more.
+LOOSE_CLOTH, LOOSE_SHARE = 0.04, 0.1
 DARKEST = 0.01  # of a channel, so that it has a logarithm; chosen: below any skin
 CUFF = 0.04  # metres over which bareness falls to zero at a sleeve; chosen: shorter than a cuff
 TOWARD_CAMERA = 0.3  # mean cosine of a face that a frame shows; chosen: within some 70 degrees
 
 
 @torch.no_grad()
-def bare_skin(colors: Tensor, video: Video, body: BodyModel) -> Tensor:
+def bare_skin(colors: Tensor, video: Video, body: BodyModel, offsets: Tensor) -> Tensor:
     """Return how bare each vertex of arms and legs is, (V,) in [0, 1]; 0 elsewhere.
 
     Args:
         colors: (V, 3) of the vertices, sRGB in [0, 1]: :func:`seen_colors`.
         video: of which training frames must show the face.
         body: the body model.
+        offsets: (V, 3) displacement of the rest surface found by the refinement, metres.
     """
     rest, found = body.rest(video.shape), torch.zeros(len(colors))
     chroma, bright = _chroma(colors)
@@ -131,6 +137,7 @@ def bare_skin(colors: Tensor, video: Video, body: BodyModel) -> Tensor:
         return found
     like_skin = (chroma - chroma[face].median(0).values).abs().amax(1) < SKIN_CHROMA
     like_skin &= (bright - bright[face].median()).abs() < SKIN_BRIGHTNESS
+    far = offsets.norm(dim=1) > LOOSE_CLOTH
     for side, sign in zip(SIDES, (1, -1), strict=True):  # the left is at x > 0
         at = lambda joint, side=side: JOINTS.index(f"{side}_{joint}")
         arm = (arm_weights(body.weights) > 0.5) & (sign * rest.vertices[:, 0] > 0)
@@ -138,7 +145,7 @@ def bare_skin(colors: Tensor, video: Video, body: BodyModel) -> Tensor:
         x = rest.joints[at("wrist"), 0].abs() - rest.vertices[:, 0].abs()
         y = rest.vertices[:, 1] - rest.joints[at("ankle"), 1]
         for limb, along in ((arm, x), (leg, y)):
-            found[limb] = _bareness(along[limb], like_skin[limb])
+            found[limb] = _bareness(along[limb], like_skin[limb], far[limb])
     return found
 
 
@@ -164,14 +171,20 @@ def _chroma(colors: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack([red - green, blue - green], dim=1), green
 
 
-def _bareness(along: Tensor, like_skin: Tensor) -> Tensor:
-    """Return how bare the vertices of one limb are (n,), from places (n,) along it, metres."""
+def _bareness(along: Tensor, like_skin: Tensor, far: Tensor) -> Tensor:
+    """Return how bare the vertices of one limb are (n,).
+
+    ``along`` (n,) are places on the limb toward the trunk, metres; ``far`` (n,) bool are the
+    vertices that are displaced by more than LOOSE_CLOTH.
+    """
     from scipy.ndimage import binary_opening, distance_transform_edt
 
     row = (along / LIMB_ROW).floor().long()
     row = (row - row.min()).numpy()
-    share = np.bincount(row, like_skin.numpy()) / np.maximum(np.bincount(row), 1)
-    bare = binary_opening(np.pad(share > 0.5, BARE_ROWS, mode="edge"), np.ones(BARE_ROWS))
+    share = lambda chosen: np.bincount(row, chosen.numpy()) / np.maximum(np.bincount(row), 1)
+    loose = np.maximum.accumulate(share(far) > LOOSE_SHARE)
+    skin = (share(like_skin) > 0.5) & ~loose
+    bare = binary_opening(np.pad(skin, BARE_ROWS, mode="edge"), np.ones(BARE_ROWS))
     from_cloth = LIMB_ROW * distance_transform_edt(bare)[BARE_ROWS:-BARE_ROWS]
     return torch.from_numpy(np.minimum(from_cloth / CUFF, 1)[row]).to(along)
 

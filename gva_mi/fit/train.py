@@ -161,7 +161,7 @@ class Run:
             generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)
             if options.touching and offsets is not None:
-                offsets = offsets * (1 - bare_skin(colors, video, body)[:, None])
+                offsets = offsets * (1 - bare_skin(colors, video, body, offsets)[:, None])
                 offsets = clothes_beside_contacts(video, body, offsets)
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}

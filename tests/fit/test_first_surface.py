@@ -12,6 +12,7 @@ from gva_mi.fit.first_surface import (
     BARE_ROWS,
     CUFF,
     LIMB_ROW,
+    LOOSE_CLOTH,
     bare_skin,
     clothes_beside_contacts,
     seen_colors,
@@ -63,6 +64,11 @@ def facing(camera):
     return _turned(camera, 0.0)
 
 
+def _tight(body):
+    """Return displacements of clothes that lie on the body."""
+    return torch.zeros_like(body.v_template)
+
+
 def _person(body, sleeve):
     """Return colours of a person whose sleeves end at |x| = sleeve, |x| and which are arms."""
     rest = body.rest(Shape(torch.zeros(10)))
@@ -77,7 +83,7 @@ def test_arms_are_bare_beyond_the_sleeve_in_any_light(body, facing):
     below = vertex_normals(body.v_template, body.faces)[:, 1] < 0
     shaded = torch.where(below[:, None], 0.6, 1.0) * colors
     for seen in (colors, shaded):
-        bare = bare_skin(seen, facing, body)
+        bare = bare_skin(seen, facing, body, _tight(body))
         assert (bare[arms & (x > 0.4 + CUFF + LIMB_ROW)] == 1).all()
         assert (bare[arms & (x < 0.4 - LIMB_ROW)] == 0).all()
         assert (bare[~arms] == 0).all()
@@ -88,16 +94,30 @@ def test_an_arm_that_a_dress_has_stained_is_bare_and_one_in_gloves_is_not(body, 
     stained = arms & (vertex_normals(body.v_template, body.faces)[:, 1] < -0.6)
     colors[stained] = CLOTH
     assert 0.1 < stained.sum() / arms.sum() < 0.4
-    bare = bare_skin(colors, facing, body)
+    bare = bare_skin(colors, facing, body, _tight(body))
     assert (bare[arms & (x > 0.3)] == 1).all()
     colors[arms] = CLOTH
-    assert not bare_skin(colors, facing, body)[arms & (x < 0.6)].any()
+    assert not bare_skin(colors, facing, body, _tight(body))[arms & (x < 0.6)].any()
 
 
 def test_a_short_stretch_in_the_color_of_skin_is_a_pattern(body, facing):
     colors, x, arms = _person(body, sleeve=10.0)
     colors[arms & (x > 0.4) & (x < 0.4 + (BARE_ROWS - 2) * LIMB_ROW)] = SKIN
-    assert not bare_skin(colors, facing, body).any()
+    assert not bare_skin(colors, facing, body, _tight(body)).any()
+
+
+def test_a_skirt_in_the_color_of_skin_is_cloth_up_to_the_trunk_and_shins_are_bare(body, facing):
+    colors, _, _ = _person(body, sleeve=10.0)
+    rest, at = body.rest(Shape(torch.zeros(10))), JOINTS.index
+    leg = body.weights[:, [at("left_hip"), at("left_knee"), at("left_ankle")]].sum(1) > 0.7
+    knee, y = float(rest.joints[at("left_knee"), 1]), rest.vertices[:, 1]
+    colors[leg] = SKIN
+    normals = vertex_normals(rest.vertices, body.faces)
+    hem = leg & (y > knee + 0.05) & (y < knee + 0.15)  # above it the skirt lies closer
+    skirt = torch.where(hem, 2 * LOOSE_CLOTH, 0.01)[:, None] * normals
+    bare = bare_skin(colors, facing, body, skirt)
+    assert (bare[leg & (y > knee + 0.05 + LIMB_ROW)] == 0).all()
+    assert (bare[leg & (y < knee)] == 1).all()
 
 
 def test_clothes_stay_where_outlines_tell_them_and_give_way_beside_a_contact(sharp, hanging, body):
@@ -119,5 +139,5 @@ def test_without_the_face_no_limb_is_bare(body, camera):
     """From behind, the face has the colours around it: trousers in the colour of hair stay."""
     colors, _, _ = _person(body, sleeve=10.0)
     colors[:] = SKIN  # all looks alike
-    assert bare_skin(colors, _turned(camera, 0.5), body).any()
-    assert not bare_skin(colors, _turned(camera, np.pi), body).any()
+    assert bare_skin(colors, _turned(camera, 0.5), body, _tight(body)).any()
+    assert not bare_skin(colors, _turned(camera, np.pi), body, _tight(body)).any()

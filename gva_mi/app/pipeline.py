@@ -164,9 +164,7 @@ def avatar(
         fit(subject, run, fitting, poses=refined, body=body, resume=begun, overwrite=not begun)
 
     def evaluate_anew(begun: bool) -> None:
-        tested = few is None and bool(load_video(subject).splits.test)
-        about = {"fit_poses": tested, "few": few, "page": False, "workers": usual_workers()}
-        evaluate(run, subject, poses=refined, body=body, **about)
+        evaluate(run, subject, poses=refined, body=body, few=few, page=False)
 
     def report(begun: bool) -> None:
         trained = run_folder.under_trained_poses(load_video(subject, refined), run)

@@ -59,6 +59,7 @@ from gva_mi.subject.video import Frame, Video
 UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
 VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
 CLOTHES_SMOOTHNESS = 0.05  # μ of eq. 5; chosen: a vertex that a few frames tell keeps its clothes
+COLOR_FRAMES = 64  # at most, of eq. 1; chosen: more take time and change little
 SOME_FRAMES = 32  # at most, of eq. 4, and in which the face is looked for
 FAINT = 1e-6  # of the mean of e, so that eq. 5 has one solution
 MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
@@ -66,7 +67,7 @@ MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
 
 @torch.no_grad()
 def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) -> Tensor:
-    """Return colours of the body's vertices, (V, 3), as the training frames show them.
+    """Return colours of the body's vertices, (V, 3), as COLOR_FRAMES training frames show them.
 
     ``offsets`` (V, 3) displace the rest surface, metres.
     """
@@ -75,7 +76,7 @@ def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) ->
 
     total = torch.zeros(len(body.v_template), 3, dtype=torch.float64)
     weight = torch.zeros(len(body.v_template), 1, dtype=torch.float64)
-    for frame in video.frames(video.splits.train):
+    for frame in video.frames(spread(video.splits.train, COLOR_FRAMES)):
         vertices = body(frame.pose, video.shape, offsets).vertices[0]
         color, seen = _frame_colors(frame, vertices, vertex_normals(vertices, body.faces))
         total += seen * color
@@ -112,8 +113,8 @@ SKIN_CHROMA = 0.2
 SKIN_BRIGHTNESS = 1.0  # a factor of e: from light to shade
 BARE_ROWS = 5  # a shorter stretch is a pattern or a shadow
 LIMB_ROW = 0.02  # metres along a limb, of one row of vertices; chosen: a row has some 20 of them
-# Metres, and the share of a row that is displaced by more where cloth is loose. Chosen: bare limbs of a real
-# woman and of four rendered persons are displaced by less, their skirts by 6 cm and more.
+# Metres, and the share of a row that is displaced by more where cloth is loose. Chosen: bare limbs
+# of a real woman and of three rendered persons are displaced by less, skirts by 6 cm and more.
 LOOSE_CLOTH, LOOSE_SHARE = 0.04, 0.1
 DARKEST = 0.01  # of a channel, so that it has a logarithm; chosen: below any skin
 CUFF = 0.04  # metres over which bareness falls to zero at a sleeve; chosen: shorter than a cuff

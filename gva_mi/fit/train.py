@@ -60,6 +60,7 @@ from gva_mi.fit.lambert import Lambert
 from gva_mi.fit.losses import Distance, render_losses
 from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
+from gva_mi.fit.photometric import shrunk_to_tall
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, smallest_pixel, torch_state
 from gva_mi.splat import Screen, render
@@ -110,22 +111,21 @@ def fit(
         run_folder.drop_state(out)
         return Avatar.load(out / run_folder.AVATAR)
     state = run_folder.load_state(out)
-    if samples is None:
-        samples = FrameSampler(
-            video, video.splits.train, options.seed, options.window, options.mask_error,
-            options.still_camera, out,
-        )  # fmt: skip
     if options.first_steps:
         first, steps = out / run_folder.FIRST_FIT, options.first_steps
         report = part_of_progress(progress, 0, steps, options.all_steps)
         first_options = replace(options, steps=steps, first_steps=0, complete=False)
+        small = shrunk_to_tall(video)  # poses need no more
+        samples = frame_sampler(video, options, out) if small is video else None
         fit(
-            video, body, first_options, first, offsets=offsets, resume=True, progress=report,
+            small, body, first_options, first, offsets=offsets, resume=True, progress=report,
             samples=samples,
         )  # fmt: skip
         trained = load_poses(first / run_folder.TRAINED_POSES)[0]
         video = replace(video, pose=trained, stage=2)
         progress = part_of_progress(progress, steps, options.steps, options.all_steps)
+    if samples is None:
+        samples = frame_sampler(video, options, out)
     offsets = None if options.naked else offsets
     with one_torch_thread():
         run = Run(video, body, options, offsets, state)
@@ -143,6 +143,14 @@ def fit(
     run.avatar.save(out / run_folder.AVATAR)
     run_folder.drop_state(out)
     return run.avatar
+
+
+def frame_sampler(video: Video, options: FitOptions, out: Path) -> FrameSampler:
+    """Read the training frames of a fit; ``out`` holds those for which memory has no room."""
+    return FrameSampler(
+        video, video.splits.train, options.seed, options.window, options.mask_error,
+        options.still_camera, out,
+    )  # fmt: skip
 
 
 class Run:

@@ -256,6 +256,22 @@ def test_a_second_fit_starts_anew_with_the_poses_of_the_first(video, body, tmp_p
         replace(both, poses=PoseOptions(trained=False))
 
 
+def test_poses_of_a_tall_person_are_trained_on_smaller_pictures(
+    doubled, body, tmp_path, monkeypatch
+):
+    few = replace(OPTIONS, steps=9)
+    fit(doubled.downscaled(2), body, few, tmp_path / "small")
+    monkeypatch.setattr("gva_mi.fit.train.shrunk_to_tall", lambda video: video.downscaled(2))
+    avatar = fit(doubled, body, replace(few, steps=6, first_steps=9), tmp_path / "run")
+    small = (tmp_path / name / run_folder.TRAINED_POSES for name in ("small", "run/first"))
+    first, again = (load_poses(path)[0] for path in small)
+    assert torch.equal(first.rotations, again.rotations)
+    large = fit(
+        replace(doubled, pose=first, stage=2), body, replace(few, steps=6), tmp_path / "two"
+    )
+    assert same(avatar, large)
+
+
 @pytest.mark.slow
 def test_reinitialisation_is_reproducible_and_leaves_a_snapshot(video, body, tmp_path):
     options = replace(OPTIONS, schedule=Schedule(densify_every=5, reinit_at=(0.5,)))

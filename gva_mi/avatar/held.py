@@ -12,13 +12,18 @@ A surface that a video shows from one side only may lie anywhere along the line 
 person who never turned became too thick. Silhouettes have shown how far clothes stand off the body;
 they show less of hair, because it is softer than a mask.
 
+A hand before a skirt looks like cloth that stands off it. Where parts touch in the pictures,
+clothes are known less, by ``told`` in [0, 1]; there, Gaussians of a wide skirt may stand off it
+less, or they would take the hand's shape.
+
 So a Gaussian that has left the body is moved back toward its nearest vertex v, to the distance
 
     1. reach(v) = FINGER_REACH                            for fingers
                 = max(ARMPIT_REACH, looseness(v))         in armpits, where clothes may be loose
                 = looseness(v) + HAIR_REACH               for the head, if clothes are known
-                = BARE_REACH                              for bare arms, if clothes are known
-                = looseness(v) + BODY_REACH               for the rest, if clothes are known
+                = BARE_REACH                              for bare arms, if told is given
+                = looseness(v) + BODY_REACH               for arms, if clothes are known
+                = told(v) looseness(v) + BODY_REACH       for the rest, if clothes are known
 
 A Gaussian may also be long along the line of sight. From the side it is a spike. A disc that stands
 on the surface like a fin sticks out where the body is seen in profile, takes the colour of the wall
@@ -86,8 +91,12 @@ class Held:
         True
     """
 
-    def __init__(self, rig: Rig, bare_skin: bool = False) -> None:
-        """Find the parts; with ``bare_skin``, arms that no clothes displaced are bare."""
+    def __init__(self, rig: Rig, told: Tensor | None = None) -> None:
+        """Find the parts.
+
+        ``told`` (V,) says how well clothes are known; arms that none displaced are bare then. None:
+        everywhere, and no arm is bare.
+        """
         from scipy.spatial import cKDTree
 
         normals = vertex_normals(rig.vertices, rig.faces)
@@ -107,9 +116,12 @@ class Held:
         every = lambda weights: torch.ones(len(weights), dtype=torch.bool)
         head = head_weights(rig.weights) > 0.5
         beyond = torch.where(head, HAIR_REACH, BODY_REACH)
-        if bare_skin:
-            beyond[(rig.looseness == 0) & (arm_weights(rig.weights) > 0.5)] = BARE_REACH
-        reach = (rig.looseness + beyond).to(rig.looseness)
+        known_by = torch.ones_like(rig.looseness)
+        if told is not None:
+            arm = arm_weights(rig.weights) > 0.5
+            beyond[(rig.looseness == 0) & arm] = BARE_REACH
+            known_by = told.where(~arm & ~head, known_by)
+        reach = (known_by * rig.looseness + beyond).to(rig.looseness)
         self._body = _Part(every, rig.vertices[known], reach[known])
         self._normals, self._tree = normals, cKDTree(rig.vertices.double().numpy())
 

@@ -35,7 +35,10 @@ The height D · n of their displacement, with the normal n at rest, gives way to
 
     5. e_v (h_v - D_v · n_v) = μ ē (Δ h)_v
 
-with ē the mean of e: what no frame tells takes the height of the clothes around it.
+with ē the mean of e: what no frame tells takes the height of the clothes around it. Gaussians must
+not make up for it, so they are held closer (:mod:`gva_mi.avatar.held`) where clothes are less
+
+    6. told:  t_v = 1 - exp(-e_v / (TOLD_SHARE ē))
 """
 
 from __future__ import annotations
@@ -58,6 +61,7 @@ from gva_mi.subject.video import Frame, Video
 
 UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
 VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
+TOLD_SHARE = 0.3  # of the mean of e; chosen on rendered persons with hands on their clothes
 CLOTHES_SMOOTHNESS = 0.05  # μ of eq. 5; chosen: a vertex that a few frames tell keeps its clothes
 COLOR_FRAMES = 64  # at most, of eq. 1; chosen: more take time and change little
 SOME_FRAMES = 32  # at most, of eq. 4, and in which the face is looked for
@@ -191,8 +195,10 @@ def _bareness(along: Tensor, like_skin: Tensor, far: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def clothes_beside_contacts(video: Video, body: BodyModel, offsets: Tensor) -> Tensor:
-    """Return the displacement of the clothes (V, 3) with the heights of eq. 5, metres.
+def clothes_beside_contacts(
+    video: Video, body: BodyModel, offsets: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the displacement of the clothes (V, 3) with the heights of eq. 5, metres, and t (V,).
 
     Args:
         video: of which training frames are used.
@@ -213,10 +219,11 @@ def clothes_beside_contacts(video: Video, body: BodyModel, offsets: Tensor) -> T
         seen = seen_vertices(vertices, body.faces, camera.position[None])[0]
         clear = contact_free(avatar(pose), avatar.canonical.means, camera)
         told += seen * (1 - facing.sum(1).abs()).square() * clear
-    e = (told / told.mean().clamp_min(1e-6)).double().numpy() + FAINT
+    told = told / told.mean().clamp_min(1e-6)
+    e = told.double().numpy() + FAINT
     smooth = CLOTHES_SMOOTHNESS * as_scipy(uniform_laplacian(body.faces.numpy(), len(e)))
     normals = vertex_normals(body.rest(video.shape).vertices, body.faces)
     given = (offsets * normals).sum(1)
     heights = splu((diags_array(e) + smooth).tocsc()).solve(e * given.double().numpy())
     change = (torch.from_numpy(heights).to(given) - given) * (offsets != 0).any(1)
-    return offsets + change[:, None] * normals
+    return offsets + change[:, None] * normals, 1 - torch.exp(-told / TOLD_SHARE)

@@ -39,7 +39,7 @@ from gva_mi.body.smplx import BUILT_IN_NAME, body_name, load_body
 from gva_mi.core.atomic import part_of, write_bytes
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_bytes, read_json, write_arrays
-from gva_mi.core.stamp import STAMP_BYTES, stamp, write_record
+from gva_mi.core.stamp import RESULTS_VERSIONS, STAMP_BYTES, stamp, write_record
 from gva_mi.splat import Gaussians
 from gva_mi.subject.folder import CAMERAS
 from gva_mi.subject.opened import OpenedSubject, open_subject
@@ -199,8 +199,9 @@ def _recorded(run: Path, what: Literal["poses", "body"], subject: Path) -> Path 
 def save_state(out: Path, state: dict[str, Any]) -> None:
     """Write the checkpoint: tensors, numbers, strings, and lists and dictionaries of them.
 
-    A stamp follows them, of these bytes and of the run's options, so that a state that was changed
-    by hand or belongs to another run is refused when it is opened, and not somewhere in training.
+    A stamp follows them, of these bytes, the run's options and the results version, so that a state
+    that was changed by hand, or belongs to another run or program, is refused when it is opened,
+    and not somewhere in training.
     """
     whole = io.BytesIO()  # torch's own writer hides a full disk
     torch.save(state, whole)
@@ -217,7 +218,7 @@ def load_state(out: Path) -> dict[str, Any] | None:
     content, stamped = whole[:-STAMP_BYTES], whole[-STAMP_BYTES:]
     if stamped != _stamp_of_state(out, content):
         raise InputError(
-            f"{path}: not as this run saved it: cut short, changed, or of another run; "
+            f"{path}: not as this run saved it: cut short, changed, or of another run or version; "
             "--overwrite starts the fit again"
         )
     return torch.load(io.BytesIO(content), weights_only=True)
@@ -230,7 +231,7 @@ def drop_state(out: Path) -> None:
 
 
 def _stamp_of_state(out: Path, content: memoryview) -> bytes:
-    return stamp([out / OPTIONS, content]).encode()
+    return stamp([out / OPTIONS, content], version=RESULTS_VERSIONS["avatar"]).encode()
 
 
 def save_snapshot(

@@ -164,16 +164,17 @@ class Run:
         offsets: Tensor | None,
         state: dict[str, Any] | None,
     ) -> None:
-        self.options = options
+        self.options, self.told = options, None
         if state is None:
             generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)
             if options.touching and offsets is not None:
                 offsets = offsets * (1 - bare_skin(colors, video, body, offsets)[:, None])
-                offsets = clothes_beside_contacts(video, body, offsets)
+                offsets, self.told = clothes_beside_contacts(video, body, offsets)
             self.avatar = seed_avatar(body, video.shape, offsets, options.avatar, generator, colors)
             self.step, self.history = 0, {}
         else:
+            self.told = state["told"]
             self.avatar = Avatar.from_record(state["avatar"])
             self.step = state["step"]
             self.history = {name: list(values) for name, values in state["history"].items()}
@@ -183,7 +184,7 @@ class Run:
         )
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
-        self.held = Held(rig, options.touching) if options.reinit.surface == "offset" else None
+        self.held = Held(rig, self.told) if options.reinit.surface == "offset" else None
         self.optimizer = make_adam(self.avatar, self.lambert, options.rates, options.complete)
         self._pixel = smallest_pixel(video, rig)
         self.gradients = ScreenGradients(len(self.avatar.canonical))
@@ -283,6 +284,7 @@ class Run:
         """Return the whole state of the run for its checkpoint."""
         return {
             "step": self.step,
+            "told": self.told,
             "avatar": self.avatar.record(),
             "lambert": None if self.lambert is None else self.lambert.state(),
             "poses": self.poses.state(),

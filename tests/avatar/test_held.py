@@ -133,7 +133,7 @@ def _armpit(rig):
 
 def test_bare_arms_are_held_closest_and_clothes_are_not(known):
     farthest = {}
-    for bare_skin in (True, False):
+    for given in (True, False):
         avatar = copy.deepcopy(known)
         rig, G = avatar.rig, avatar.canonical
         rig.looseness[:] = 0.01
@@ -141,7 +141,24 @@ def test_bare_arms_are_held_closest_and_clothes_are_not(known):
         arm = (arm_weights(G.weights) > 0.5) & (finger_weights(G.weights) <= 0.5)
         with torch.no_grad():
             G.means[::2] *= 1.2
-        Held(rig, bare_skin).hold(avatar, body=True)
+        Held(rig, torch.ones(len(rig.vertices)) if given else None).hold(avatar, body=True)
         off, nearest = _off(G.means.detach()[arm], rig.vertices)
-        farthest[bare_skin] = off[rig.looseness[nearest] == 0].max()
+        farthest[given] = off[rig.looseness[nearest] == 0].max()
     assert farthest[True] < BARE_REACH + 1e-6 and farthest[False] > BARE_REACH + 1e-3
+
+
+def test_gaussians_of_a_skirt_may_stand_off_it_only_where_its_clothes_are_known(known):
+    rig, farthest = known.rig, {}
+    rig.looseness[:] = 0.05
+    legs = rig.weights[:, [JOINTS.index(k) for k in ("left_hip", "right_hip")]].sum(1) > 0.9
+    for told in (1.0, 0.5, 0.0):
+        avatar = copy.deepcopy(known)
+        G = avatar.canonical
+        mine = G.weights[:, [JOINTS.index(k) for k in ("left_hip", "right_hip")]].sum(1) > 0.9
+        with torch.no_grad():
+            G.means[mine] += torch.tensor([0.0, 0.0, 0.2])
+        Held(rig, told * legs + ~legs * 1.0).hold(avatar, body=True)
+        off, nearest = _off(G.means.detach()[mine], rig.vertices)
+        farthest[told] = off[legs[nearest]].max()
+    for told, off in farthest.items():
+        assert abs(off - (told * 0.05 + BODY_REACH)) < 1e-3

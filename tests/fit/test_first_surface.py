@@ -129,10 +129,13 @@ def test_clothes_stay_where_outlines_tell_them_and_give_way_beside_a_contact(sha
     lump = hip & (normals[:, 0] > 0.8)
     calf = (body.weights[:, JOINTS.index("left_knee")] > 0.9) & (normals[:, 0] > 0.9)
     offsets[lump] *= 6  # the hand looks like clothes
-    found = clothes_beside_contacts(arms_at_sides, body, offsets).norm(dim=1)
+    found, told = clothes_beside_contacts(arms_at_sides, body, offsets)
+    assert 0 <= told.min() and told.max() <= 1
+    assert told[lump].mean() < 0.5 * told[calf].mean()
+    found = found.norm(dim=1)
     assert found[lump].median() < 0.6 * offsets[lump].norm(dim=1).median()
     assert (found[calf] - 0.01).abs().median() < 3e-4  # metres
-    assert not clothes_beside_contacts(arms_at_sides, body, 0 * offsets).any()
+    assert not clothes_beside_contacts(arms_at_sides, body, 0 * offsets)[0].any()
 
 
 def test_without_the_face_no_limb_is_bare(body, camera):

@@ -21,6 +21,7 @@ from gva_mi.fit.perceptual import Weights
 from gva_mi.fit.poses import PoseOptions
 from gva_mi.fit.samples import RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.train import fit, make_adam
+from gva_mi.mesh.surface import vertex_normals
 
 STEPS = 24
 OPTIONS = FitOptions(steps=STEPS, window=16, checkpoint_every=10,
@@ -217,6 +218,19 @@ def test_a_resumed_run_ends_like_an_uninterrupted_one(step, fitted, video, body,
     assert torch.equal(whole.rotations, resumed.rotations)
     assert torch.equal(whole.transl, resumed.transl)
     assert (whole.transl != video.pose.transl).any(1).all()
+
+
+def test_a_resumed_run_holds_gaussians_as_close_where_parts_touch(
+    video, body, tmp_path, monkeypatch
+):
+    for name in ("HOLD_EVERY", "HOLD_BODY_EVERY"):
+        monkeypatch.setattr(f"gva_mi.fit.train.{name}", 5)
+    options = replace(OPTIONS, touching=True)
+    about = {"offsets": 0.05 * vertex_normals(body.v_template, body.faces)}
+    whole = fit(video, body, options, tmp_path / "whole", **about)
+    with pytest.raises(Killed):
+        fit(video, body, options, tmp_path / "killed", progress=killed_at(17), **about)
+    assert same(fit(video, body, options, tmp_path / "killed", resume=True, **about), whole)
 
 
 def test_a_finished_run_is_returned_by_resume(fitted, video, body):

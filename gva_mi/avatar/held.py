@@ -12,9 +12,9 @@ A surface that a video shows from one side only may lie anywhere along the line 
 person who never turned became too thick. Silhouettes have shown how far clothes stand off the body;
 they show less of hair, because it is softer than a mask.
 
-A hand before a skirt looks like cloth that stands off it. Where parts touch in the pictures,
-clothes are known less, by ``told`` in [0, 1]; there, Gaussians of a wide skirt may stand off it
-less, or they would take the hand's shape.
+A hand before a skirt looks like cloth that stands off it. Gaussians of a wide skirt, which may
+stand off it far, would take the hand's shape. So they may do so only as far as pictures tell the
+clothes there, ``told`` in [0, 1] (:mod:`gva_mi.fit.first_surface`).
 
 So a Gaussian that has left the body is moved back toward its nearest vertex v, to the distance
 
@@ -92,10 +92,10 @@ class Held:
     """
 
     def __init__(self, rig: Rig, told: Tensor | None = None) -> None:
-        """Find the parts.
+        """Find the parts of a rest body.
 
-        ``told`` (V,) says how well clothes are known; arms that none displaced are bare then. None:
-        everywhere, and no arm is bare.
+        ``told`` (V,) in [0, 1] is how well pictures tell the clothes of each vertex; arms without
+        clothes are bare then. None: clothes are told everywhere, and no arm is bare.
         """
         from scipy.spatial import cKDTree
 
@@ -116,12 +116,12 @@ class Held:
         every = lambda weights: torch.ones(len(weights), dtype=torch.bool)
         head = head_weights(rig.weights) > 0.5
         beyond = torch.where(head, HAIR_REACH, BODY_REACH)
-        known_by = torch.ones_like(rig.looseness)
+        looseness = rig.looseness
         if told is not None:
             arm = arm_weights(rig.weights) > 0.5
-            beyond[(rig.looseness == 0) & arm] = BARE_REACH
-            known_by = told.where(~arm & ~head, known_by)
-        reach = (known_by * rig.looseness + beyond).to(rig.looseness)
+            beyond[(looseness == 0) & arm] = BARE_REACH
+            looseness = torch.where(arm | head, looseness, told * looseness)
+        reach = (looseness + beyond).to(rig.looseness)
         self._body = _Part(every, rig.vertices[known], reach[known])
         self._normals, self._tree = normals, cKDTree(rig.vertices.double().numpy())
 

@@ -35,10 +35,12 @@ The height D · n of their displacement, with the normal n at rest, gives way to
 
     5. e_v (h_v - D_v · n_v) = μ ē (Δ h)_v
 
-with ē the mean of e: what no frame tells takes the height of the clothes around it. Gaussians must
-not make up for it, so they are held closer (:mod:`gva_mi.avatar.held`) where clothes are less
+with ē the mean of e: what no frame tells takes the height of the clothes around it. How well frames
+tell the clothes is
 
-    6. told:  t_v = 1 - exp(-e_v / (TOLD_SHARE ē))
+    6. t_v = 1 - exp(-e_v / (TOLD_SHARE ē))
+
+Where t is small, the fit holds Gaussians closer to the clothes (:mod:`gva_mi.avatar.held`).
 """
 
 from __future__ import annotations
@@ -61,9 +63,9 @@ from gva_mi.subject.video import Frame, Video
 
 UNSEEN_COLOR = 0.5  # in [0, 1], of the whole person if no frame shows it; chosen: grey
 VERTEX_SMOOTHNESS = 0.01  # λ of eq. 1, frames; chosen: far less than one frame that sees a vertex
-TOLD_SHARE = 0.3  # of the mean of e; chosen on rendered persons with hands on their clothes
+COLOR_FRAMES = 64  # at most, of eq. 1; chosen: a side is then seen in a dozen of them
 CLOTHES_SMOOTHNESS = 0.05  # μ of eq. 5; chosen: a vertex that a few frames tell keeps its clothes
-COLOR_FRAMES = 64  # at most, of eq. 1; chosen: more take time and change little
+TOLD_SHARE = 0.3  # of eq. 6; chosen by eye on a rendered person with hands on her dress
 SOME_FRAMES = 32  # at most, of eq. 4, and in which the face is looked for
 FAINT = 1e-6  # of the mean of e, so that eq. 5 has one solution
 MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
@@ -71,7 +73,7 @@ MEAN_COLOR_WEIGHT = 1e-6  # frames; chosen: only decides where nothing else does
 
 @torch.no_grad()
 def seen_colors(video: Video, body: BodyModel, offsets: Tensor | None = None) -> Tensor:
-    """Return colours of the body's vertices, (V, 3), as COLOR_FRAMES training frames show them.
+    """Return colours of the body's vertices, (V, 3), as training frames show them.
 
     ``offsets`` (V, 3) displace the rest surface, metres.
     """
@@ -117,8 +119,8 @@ SKIN_CHROMA = 0.2
 SKIN_BRIGHTNESS = 1.0  # a factor of e: from light to shade
 BARE_ROWS = 5  # a shorter stretch is a pattern or a shadow
 LIMB_ROW = 0.02  # metres along a limb, of one row of vertices; chosen: a row has some 20 of them
-# Metres, and the share of a row that is displaced by more where cloth is loose. Chosen: bare limbs
-# of a real woman and of three rendered persons are displaced by less, skirts by 6 cm and more.
+# Cloth is loose where such a share of a row is displaced by more than so many metres. Chosen:
+# hems of three rendered persons' skirts are displaced by 6 cm and more, bare limbs by less than 4.
 LOOSE_CLOTH, LOOSE_SHARE = 0.04, 0.1
 DARKEST = 0.01  # of a channel, so that it has a logarithm; chosen: below any skin
 CUFF = 0.04  # metres over which bareness falls to zero at a sleeve; chosen: shorter than a cuff
@@ -198,19 +200,22 @@ def _bareness(along: Tensor, like_skin: Tensor, far: Tensor) -> Tensor:
 def clothes_beside_contacts(
     video: Video, body: BodyModel, offsets: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the displacement of the clothes (V, 3) with the heights of eq. 5, metres, and t (V,).
+    """Return the displacement of the clothes with the heights of eq. 5, and how well it is told.
 
     Args:
         video: of which training frames are used.
         body: the body model.
         offsets: (V, 3) the displacement D, metres. Where it is zero it stays.
+
+    Returns:
+        The displacement (V, 3), metres, and t of eq. 6 (V,) in [0, 1].
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 
     on_vertices = AvatarOptions(seed=SeedOptions(count=0))
     avatar = seed_avatar(body, video.shape, offsets, on_vertices)
-    told = torch.zeros(len(offsets))
+    e = torch.zeros(len(offsets))
     for k in spread(video.splits.train, SOME_FRAMES):
         pose, camera = video.pose[k], video.cameras[k]
         vertices = body(pose, video.shape, offsets).vertices[0]
@@ -218,12 +223,12 @@ def clothes_beside_contacts(
         facing = vertex_normals(vertices, body.faces) * normalize(vertices - eye, dim=1)
         seen = seen_vertices(vertices, body.faces, camera.position[None])[0]
         clear = contact_free(avatar(pose), avatar.canonical.means, camera)
-        told += seen * (1 - facing.sum(1).abs()).square() * clear
-    told = told / told.mean().clamp_min(1e-6)
-    e = told.double().numpy() + FAINT
+        e += seen * (1 - facing.sum(1).abs()).square() * clear
+    e = e / e.mean().clamp_min(1e-6)
+    weights = e.double().numpy() + FAINT
     smooth = CLOTHES_SMOOTHNESS * as_scipy(uniform_laplacian(body.faces.numpy(), len(e)))
     normals = vertex_normals(body.rest(video.shape).vertices, body.faces)
     given = (offsets * normals).sum(1)
-    heights = splu((diags_array(e) + smooth).tocsc()).solve(e * given.double().numpy())
+    heights = splu((diags_array(weights) + smooth).tocsc()).solve(weights * given.double().numpy())
     change = (torch.from_numpy(heights).to(given) - given) * (offsets != 0).any(1)
-    return offsets + change[:, None] * normals, 1 - torch.exp(-told / TOLD_SHARE)
+    return offsets + change[:, None] * normals, 1 - torch.exp(-e / TOLD_SHARE)

@@ -133,9 +133,10 @@ class FitOptions:
     def of_video(self) -> FitOptions:
         """Return the options for a video, whose masks are finer and poses worse than others'.
 
-        A first fit improves the poses, if poses are trained. In the band where masks are uncertain,
-        a Gaussian in the colours of the background before it costs nothing
-        (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture wants it.
+        A first fit, of smaller pictures, improves the poses, if poses are trained. In the band
+        where masks are uncertain, a Gaussian in the colours of the background before it costs
+        nothing (:mod:`gva_mi.fit.samples`); the alpha term removes it there unless the picture
+        wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
         Hands keep their turn at the wrist, because training makes it worse than the refinement.
         Many people do not turn all the way around, so unseen colours are completed.

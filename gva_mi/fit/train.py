@@ -164,7 +164,8 @@ class Run:
         offsets: Tensor | None,
         state: dict[str, Any] | None,
     ) -> None:
-        self.options, self.told = options, None
+        self.options = options
+        self.told = None  # how well pictures tell the clothes of each vertex, if parts may touch
         if state is None:
             generator = torch_state(options.seed, RandomStream.SEED)
             colors = seen_colors(video, body, offsets)

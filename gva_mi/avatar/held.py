@@ -12,6 +12,9 @@ A surface that a video shows from one side only may lie anywhere along the line 
 person who never turned became too thick. Silhouettes have shown how far clothes stand off the body;
 they show less of hair, because it is softer than a mask.
 
+Hair may stand off a head, but not off a face: a face before its surface would be another one from
+each side.
+
 A hand before a skirt looks like cloth that stands off it. Gaussians of a wide skirt, which may
 stand off it far, would take the hand's shape. So they may do so only as far as pictures tell the
 clothes there, ``told`` in [0, 1] (:mod:`gva_mi.fit.first_surface`).
@@ -21,6 +24,7 @@ So a Gaussian that has left the body is moved back toward its nearest vertex v, 
     1. reach(v) = FINGER_REACH                            for fingers
                 = max(ARMPIT_REACH, looseness(v))         in armpits, where clothes may be loose
                 = looseness(v) + HAIR_REACH               for the head, if clothes are known
+                = looseness(v) + BODY_REACH               for a face, if told is given
                 = BARE_REACH                              for bare arms, if told is given
                 = looseness(v) + BODY_REACH               for arms, if clothes are known
                 = told(v) looseness(v) + BODY_REACH       for the rest, if clothes are known
@@ -46,8 +50,10 @@ from torch import Tensor
 from gva_mi.avatar.avatar import Avatar
 from gva_mi.avatar.canonical import CanonicalGaussians, rotated
 from gva_mi.avatar.rig import Rig
+from gva_mi.body.face import face_shares
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.skinning import finger_weights
+from gva_mi.body.smplx import Rest
 from gva_mi.mesh.surface import vertex_normals
 
 # Metres, of eq. 1 and 2.
@@ -120,6 +126,8 @@ class Held:
         if told is not None:
             arm = arm_weights(rig.weights) > 0.5
             beyond[(looseness == 0) & arm] = BARE_REACH
+            face = face_shares(Rest(rig.vertices, rig.joints), rig.weights)
+            beyond = beyond + head * face * (BODY_REACH - HAIR_REACH)
             looseness = torch.where(arm | head, looseness, told * looseness)
         reach = (looseness + beyond).to(rig.looseness)
         self._body = _Part(every, rig.vertices[known], reach[known])

@@ -53,6 +53,7 @@ from torch.nn.functional import normalize
 from gva_mi.avatar.avatar import AvatarOptions, seed_avatar
 from gva_mi.avatar.canonical import SeedOptions
 from gva_mi.avatar.held import arm_weights
+from gva_mi.body.face import from_eyes
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel, Rest
 from gva_mi.fit.completion import contact_free
@@ -158,8 +159,7 @@ def bare_skin(colors: Tensor, video: Video, body: BodyModel, offsets: Tensor) ->
 
 def _face(body: BodyModel, rest: Rest) -> Tensor:
     """Return the vertices of cheeks, nose and mouth, (V,) bool."""
-    left, right = (rest.joints[JOINTS.index(f"{side}_eye_smplhf")] for side in SIDES)
-    x, y, z = ((rest.vertices - (left + right) / 2) / (left - right).norm()).T  # eyes 1 apart
+    x, y, z = from_eyes(rest).T
     head = body.weights[:, [JOINTS.index("head"), JOINTS.index("jaw")]].sum(1) > 0.5
     return head & (x.abs() < 1) & (y < -0.2) & (y > -1.2) & (z > -1)
 

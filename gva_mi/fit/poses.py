@@ -8,7 +8,8 @@ steps of the fit, poses take a step of their own on
     1. L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
 where ``E`` is the energy of the corrections δ, τ under the prior of the motion, of joint limits and
-of errors. After some shares of the fit the prior is fitted again to the corrections.
+of errors, and of the face's landmarks with a weight of their own (:mod:`gva_mi.fit.seen_face`).
+After some shares of the fit the prior is fitted again to the corrections.
 
 * Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
   because masks and normals of their frames have been used already.
@@ -51,6 +52,7 @@ from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import compose, turns_between
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
+from gva_mi.fit.seen_face import SeenFace
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.inference import updated_process
@@ -214,6 +216,7 @@ class FacePart:
 # Chosen: corrections are sizeable by then, and half of the steps follow.
 PRIOR_UPDATES = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
 STEP_DECAY = 0.1  # what is left of the step sizes at the end; chosen: poses settle
+FACE_WEIGHT = 30.0  # of the face's landmarks in E; chosen: pictures pull so much harder than E
 
 
 @options_of("fit")
@@ -252,13 +255,16 @@ class TrainedPoses:
         steps: int,
         *,
         as_given: bool = False,
+        seen: SeenFace | None = None,
     ) -> None:
         """Start from the MAP estimate of the given poses, T frames, before any picture.
 
         ``steps`` is the number of steps of the fit. ``as_given``: start with refined bodies
-        unchanged. (Faces, which a refinement leaves alone, start from the MAP estimate.)
+        unchanged. (Faces, which a refinement leaves alone, start from the MAP estimate.) ``seen``:
+        landmarks of the face, if there are any.
         """
         self.given, self._options, self._steps = given, options, steps
+        self._seen = seen
         self._clips: list[_Clip] = []
         if not options.trained:
             return
@@ -269,7 +275,7 @@ class TrainedPoses:
             map_estimate = Corrections.map_estimate(stage1, anatomy)
             corrections = map_estimate.zeroed() if as_given else map_estimate
             face = Face.map_estimate(stage1) if options.expression_lr > 0 else Face(stage1, [])
-            self._clips.append(_Clip(frames, corrections, face, arms, options))
+            self._clips.append(_Clip(frames, corrections, face, seen, arms, options))
 
     @property
     def trained(self) -> bool:
@@ -297,6 +303,8 @@ class TrainedPoses:
             clip.step(options.prior_weight, STEP_DECAY ** (done / self._steps))
             if done // options.every in rounds:
                 clip.learn(options)
+        if self._seen is not None and done // options.every in rounds:
+            self._seen.fit_offsets(self.all())
 
     @torch.no_grad()
     def all(self) -> Pose:
@@ -305,14 +313,17 @@ class TrainedPoses:
             return self.given
         return Pose.cat([clip.pose(range(len(clip.frames))) for clip in self._clips])
 
-    def state(self) -> list[dict[str, Any]]:
+    def state(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""
-        return [clip.state() for clip in self._clips]
+        clips = [clip.state() for clip in self._clips]
+        return {"clips": clips, "face": None if self._seen is None else self._seen.offsets}
 
-    def load_state(self, state: list[dict[str, Any]]) -> None:
+    def load_state(self, state: dict[str, Any]) -> None:
         """Restore a :meth:`state`, to the bit."""
-        for clip, saved in zip(self._clips, state, strict=True):
+        for clip, saved in zip(self._clips, state["clips"], strict=True):
             clip.load_state(saved, self._options)
+        if self._seen is not None:
+            self._seen.offsets = state["face"]
 
 
 class _Clip:
@@ -326,11 +337,13 @@ class _Clip:
         frames: range,
         corrections: Corrections,
         face: Face,
+        seen: SeenFace | None,
         arms: Tensor,
         options: PoseOptions,
     ) -> None:
         self.frames, self.corrections, self.face, self.waiting = frames, corrections, face, 0
-        self._arms = arms
+        self._seen, self._arms = seen, arms
+        self._with_face = [] if seen is None else seen.frames_among(frames)
         self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
 
@@ -341,6 +354,10 @@ class _Clip:
     def step(self, prior_weight: float, factor: float) -> None:
         if self.waiting:
             energy = self.corrections.energy() + self.face.energy()
+            if self._with_face:
+                pose = self.corrections.pose([k - self.frames.start for k in self._with_face])
+                seen = self._seen.losses(pose, self._with_face).sum() / len(self.frames)
+                energy = energy + FACE_WEIGHT * seen
             (prior_weight * self.waiting * energy).backward()
             self._adam.step(factor)
             self.corrections.centre()

@@ -94,8 +94,7 @@ class Plate:
         It is the plate, times the shade that is seen around the nearest bare pixels; where the
         plate is a guess, it is their mean colour.
         """
-        mean, _ = mean_around(image, bare)
-        return np.where(self.seen[..., None], self._shaded(image, bare), mean)
+        return np.where(self.seen[..., None], self._shaded(image, bare), mean_around(image, bare))
 
     def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate; where it differs from a picture's nearest bare pixels, it is a guess.
@@ -106,15 +105,14 @@ class Plate:
         if not known.any():
             return Plate.unknown(self.seen.shape)
         off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
-        agrees = mean_around(off, known)[0][..., 0] < AGREEING_DIFFERENCE
+        agrees = mean_around(off, known)[..., 0] < AGREEING_DIFFERENCE
         return replace(self, seen=self.seen & agrees)
 
     def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
         """Return the plate in the shade of the nearest bare pixels of a picture."""
         B = self.color
         shade = np.einsum("ijk,ijk->ij", image, B) / (np.einsum("ijk,ijk->ij", B, B) + 1e-3)
-        s, _ = mean_around(shade[..., None].clip(0.2, 1.3), bare & self.seen)
-        return s * B
+        return mean_around(shade[..., None].clip(0.2, 1.3), bare & self.seen) * B
 
     def moved(self, A: np.ndarray) -> Plate:
         """Return the plate at A x (:func:`.camera.moved`); what lies outside it is a guess."""
@@ -149,11 +147,26 @@ def _continued(
     return color, spread.astype(np.float32)
 
 
-def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean (h, w, C) and variance (h, w), of all channels, of known values near each pixel.
+def mean_around(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the mean (h, w, C) of known values near each pixel; 0 if none is known.
 
-    A pixel without a known value in its square takes those of the nearest that has one.
+    A pixel without a known value in its square takes the mean of the nearest that has one.
     """
+    found = _means_around(known, values)
+    return np.zeros_like(values) if found is None else found[0]
+
+
+def moments_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return :func:`mean_around`, and the variance (h, w) of all channels; 1 if none is known."""
+    found = _means_around(known, values, (values**2).sum(-1))
+    if found is None:
+        return np.zeros_like(values), np.ones(known.shape, np.float32)
+    mean, square = found
+    return mean, np.maximum(square - (mean**2).sum(-1), 0)
+
+
+def _means_around(known: np.ndarray, *maps: np.ndarray) -> list[np.ndarray] | None:
+    """Return means of maps (h, w, ...) around each pixel; None if no value is known."""
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
     blur = lambda x: uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
@@ -161,15 +174,14 @@ def mean_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
     total = blur(weight)
     near = total > 0.5 / MEAN_SQUARE**2
     if not near.any():
-        return np.zeros_like(values), np.ones(known.shape, np.float32)
+        return None
     total = np.maximum(total, 1e-6)
-    mean = blur(values * weight[..., None]) / total[..., None]
-    square = blur((values**2).sum(-1) * weight) / total
-    variance = np.maximum(square - (mean**2).sum(-1), 0)
-    if not near.all():
-        nearest = distance_transform_edt(~near, return_distances=False, return_indices=True)
-        mean, variance = mean[tuple(nearest)], variance[tuple(nearest)]
-    return mean, variance
+    of_map = lambda weights, x: weights[..., None] if x.ndim > weights.ndim else weights
+    means = [blur(x * of_map(weight, x)) / of_map(total, x) for x in maps]
+    if near.all():
+        return means
+    nearest = tuple(distance_transform_edt(~near, return_distances=False, return_indices=True))
+    return [x[nearest] for x in means]
 
 
 # All chosen, by captions over a rendered person. Lengths are shares of the person's height.

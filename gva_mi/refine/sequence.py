@@ -25,7 +25,9 @@ rest surface is shared by all frames (SMPL-X + D), and costs
 
 with the rest surface's normals ``n``, ``Δ`` a vertex minus the mean of its neighbours, and ``h²``
 the mean square of the edges. The energy keeps ``D`` smooth, small, and outward, because cloth lies
-on the body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape.
+on the body. On the hands ``D`` is zero: they are bare, and their pose is found by their shape. On
+the face it is zero if there are no normals: masks hardly show a face, and the hair around it would
+pull it forward by centimetres.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from gva_mi.body.face import face_shares
 from gva_mi.body.pose import Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.console import Progress
@@ -239,7 +242,10 @@ class ClothedPerson:
         self._losses = (helpers or Helpers()).share(FrameLosses, *given)
         self._close = False
         self._stature = Stature.of(clip.body)
-        self._cloth = Displacement(rest.vertices, clip.body.faces, clip.body.weights)
+        bare = hand_vertices(clip.body.weights).to(rest.vertices)
+        if all(seen.normals is None for seen in clip.evidence.values()):
+            bare = bare.maximum(face_shares(rest, clip.body.weights))
+        self._cloth = Displacement(rest.vertices, clip.body.faces, bare)
         self._betas = clip.shape.betas.clone()[:, None].requires_grad_()  # (B, 1): B vectors of one
         if clip.first_round is None:
             self.shared = [(self._cloth.raw, CLOTH_STEP), (self._betas, BETAS_STEP)]
@@ -318,18 +324,18 @@ SMALLNESS, OUTWARDNESS = 10.0, 400.0
 class Displacement:
     """The displacement ``D`` and its energy.
 
-    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero on the
-    hands.
+    ``raw`` (V, 3) is the leaf that an optimiser may move; ``D`` equals it, but is zero where the
+    body is bare.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor, weights: Tensor) -> None:
-        """Start at zero on a rest surface (V, 3), metres, with skinning weights (V, 55)."""
+    def __init__(self, vertices: Tensor, faces: Tensor, bare: Tensor) -> None:
+        """Start at zero on a rest surface (V, 3), metres; ``bare`` (V,) in [0, 1]."""
         exact = vertex_normals(vertices.detach().double(), faces)
         self._normals = exact.to(vertices.dtype)
         ends = vertices[faces], vertices[faces.roll(1, dims=1)]
         self._square_edge = float((ends[0] - ends[1]).square().sum(-1).mean())
         self._laplacian = uniform_laplacian(faces.numpy(), len(vertices))
-        self._free = (~hand_vertices(weights)).to(vertices.dtype)[:, None]
+        self._free = (1 - bare)[:, None]
         self.raw = torch.zeros_like(vertices).requires_grad_()
 
     @property

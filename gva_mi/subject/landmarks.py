@@ -11,7 +11,7 @@ writes other names; readers ignore names that they do not know.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,10 @@ class Landmarks:
     def indices(self, names: Sequence[str]) -> list[int]:
         """Return the positions of the given names in :attr:`names`."""
         return [list(self.names).index(name) for name in names]
+
+    def downscaled(self, factor: int) -> Landmarks:
+        """Return the landmarks of pictures that are ``factor`` times smaller."""
+        return replace(self, pixels=self.pixels / factor, spread=self.spread / factor)
 
     def save(self, path: Path) -> None:
         """Write ``landmarks.npz``; it appears when it is complete."""

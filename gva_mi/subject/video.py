@@ -155,7 +155,10 @@ class Video:
             return self
         small = lambda c: c.cropped(0, 0, c.width // factor * factor, c.height // factor * factor)
         cameras = [small(c).resized(c.width // factor, c.height // factor) for c in self.cameras]
-        smaller = replace(self, cameras=cameras, normals=None, shrink=factor * self.shrink)
+        landmarks = self.landmarks and self.landmarks.downscaled(factor)
+        smaller = replace(
+            self, cameras=cameras, normals=None, landmarks=landmarks, shrink=factor * self.shrink
+        )
         if self.overlay is None:
             return smaller
         overlay = block_means(self.overlay.astype(np.float32), factor) > 0

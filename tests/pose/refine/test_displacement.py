@@ -3,15 +3,16 @@
 import pytest
 import torch
 
+from gva_mi.body.face import face_shares
+from gva_mi.body.smplx import Rest
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.refine import sequence
-from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.refine.sequence import Displacement
 
 
 @pytest.fixture(scope="module")
 def cloth(body):
-    return Displacement(body.v_template, body.faces, body.weights)
+    return Displacement(body.v_template, body.faces, torch.zeros(len(body.v_template)))
 
 
 @pytest.fixture
@@ -42,9 +43,15 @@ def test_only_inward_displacement_costs_by_the_outward_term(cloth, body, weights
     assert float(cloth.energy(-0.01 * normals)) == pytest.approx(1e-4, rel=1e-3)
 
 
-def test_hands_stay_bare(body):
-    cloth, hands = (Displacement(body.v_template, body.faces, body.weights),
-        hand_vertices(body.weights))  # fmt: skip
+def test_bare_parts_stay_and_the_edge_of_the_face_follows_by_its_share(body):
+    face = face_shares(Rest(body.v_template, body.j_template), body.weights)
+    cloth = Displacement(body.v_template, body.faces, face)
     with torch.no_grad():
         cloth.raw.fill_(1.0)
-    assert hands.any() and not cloth.offsets[hands].any() and (cloth.offsets[~hands] == 1).all()
+    assert (face == 1).any() and not cloth.offsets[face == 1].any()
+    assert ((face > 0) & (face < 1)).any() and torch.equal(cloth.offsets[:, 0], 1 - face)
+
+
+def test_a_body_without_eyes_has_no_face(body):
+    joints = torch.zeros_like(body.j_template)
+    assert not face_shares(Rest(body.v_template, joints), body.weights).any()

@@ -8,9 +8,11 @@ import pytest
 import roma
 import torch
 
+from gva_mi.body.face import face_shares
 from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.evaluate.refinement import measure
 from gva_mi.refine import SequenceOptions, SingleFrameOptions, refine
+from gva_mi.refine.close_ups import hand_vertices
 from gva_mi.subject.ground_truth import GroundTruth
 
 SEQUENCE = SequenceOptions(size=96, faces=2000, passes=12, learn=5)
@@ -51,6 +53,16 @@ def test_the_result_depends_on_the_seed_alone(clip, coarse):
     assert torch.equal(again.pose.transl, first.pose.transl)
     assert torch.equal(again.offsets, first.offsets)
     assert not torch.equal(other.pose.rotations, first.pose.rotations)
+
+
+def test_hands_have_no_clothes_nor_has_a_face_that_only_masks_show(clip, coarse):
+    hands = hand_vertices(coarse.weights)
+    face = face_shares(coarse.rest(clip.shape), coarse.weights) == 1
+    masks = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
+    for seen, free in ((clip, True), (masks, False)):
+        offsets = refine(seen, coarse, SHORT).offsets
+        assert offsets.any() and hands.any() and not offsets[hands].any()
+        assert face.any() and bool(offsets[face].any()) == free
 
 
 def test_what_is_not_refined_stays(sequence, paper, clip):

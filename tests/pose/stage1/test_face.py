@@ -10,8 +10,9 @@ import torch
 from gva_mi.body.body_file import BUILT_IN_BODY, EXPRESSIONS, read_body
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
+from gva_mi.observe.face_points import FacePoints
 from gva_mi.splat import Camera, look_at
-from gva_mi.stage1.face import NO_FACE, FacePoints, with_face
+from gva_mi.stage1.face import NO_FACE, with_face
 from gva_mi.stage1.solver import Stage1Solution
 from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 

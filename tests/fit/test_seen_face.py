@@ -1,0 +1,109 @@
+"""Landmarks of the face hold the head while poses are trained."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from gva_mi.avatar.rig import Rig
+from gva_mi.body.pose import JOINTS, Pose, Shape
+from gva_mi.fit.poses import PoseOptions, TrainedPoses
+from gva_mi.fit.seen_face import RIGID, SeenFace
+from gva_mi.observe.face_points import FacePoints
+from gva_mi.splat import Camera, look_at
+from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
+from gva_mi.subject.splits import Splits
+
+HEAD, FRAMES, TEST = JOINTS.index("head"), 16, 5
+CAMERA = Camera(900, 900, 270, 200, look_at((0, 0.5, 2.2), (0, 0.35, 0)), 540, 960)
+OFFSET = torch.tensor([0.001, -0.006, 0.004])  # metres, of this person's face
+
+
+@pytest.fixture(scope="module")
+def true():
+    """Somebody whose head turns from side to side."""
+    pose = Pose.rest(FRAMES)
+    pose.rotations[:, HEAD, 1] = 0.5 * torch.sin(torch.arange(FRAMES) / 2)
+    return pose
+
+
+@pytest.fixture(scope="module")
+def video(true, built_in_body):
+    shape = Shape(torch.linspace(-1, 1, 10))
+    x = FacePoints.of(built_in_body).at_rest(shape.betas.double()).float() + OFFSET
+    T = built_in_body(true, shape).T_world_rest[:, HEAD]
+    places = CAMERA.project((x @ T[:, :3, :3].mT + T[:, None, :3, 3]).double().numpy())
+    seen, nothing = np.ones(places.shape[:2]), np.full((*places.shape[:2], 3), np.nan)
+    return SimpleNamespace(
+        landmarks=Landmarks(FACE_LANDMARKS, places, seen, 0 * seen, nothing),
+        shape=shape, pose=true, cameras=[CAMERA] * FRAMES,
+        splits=Splits(tuple(k for k in range(FRAMES) if k != TEST), (TEST,)),
+    )  # fmt: skip
+
+
+def test_the_offsets_of_a_person_s_face_come_back(video, built_in_body):
+    seen = SeenFace.of(video, built_in_body)
+    assert seen.points.shape == (len(RIGID), 3)
+    across, toward = (seen.offsets - OFFSET).abs().split([2, 1], dim=1)
+    assert across.max() < 0.001 and toward.max() < 0.002  # a frontal face hardly shows depth
+    assert seen.losses(video.pose, range(FRAMES)).max() < 0.2
+
+
+@pytest.fixture(scope="module")
+def wrong(video):
+    """The same video with heads that are off by up to 9 degrees."""
+    pose = Pose(video.pose.rotations.clone(), video.pose.transl, video.pose.expression)
+    pose.rotations[:, HEAD, 1] += 0.15 * torch.cos(torch.arange(FRAMES) / 3)
+    return SimpleNamespace(**vars(video) | {"pose": pose})
+
+
+def test_the_head_that_fits_the_landmarks_is_the_true_one(video, wrong, built_in_body):
+    seen = SeenFace.of(wrong, built_in_body)
+    frames, rotations = seen.frames_among(range(FRAMES)), wrong.pose.rotations
+    turns = torch.zeros(len(frames), 3, requires_grad=True)
+    adam = torch.optim.Adam([turns], lr=0.01)
+
+    def turned():
+        head = rotations[frames].index_add(1, torch.tensor([HEAD]), turns[:, None])
+        return Pose(head, wrong.pose.transl[frames], wrong.pose.expression[frames])
+
+    for step in range(300):
+        adam.zero_grad()
+        seen.losses(turned(), frames).sum().backward()
+        adam.step()
+        if step % 10 == 0:
+            seen.fit_offsets(wrong.pose.with_frames(frames, turned()))
+    errors = lambda pose: (pose.rotations - video.pose.rotations[frames])[:, HEAD].detach()
+    varying = lambda pose: errors(pose).std(0).norm()  # a constant one is an offset of the face
+    before, after = varying(wrong.pose[frames]), varying(turned())
+    assert after < 0.2 * before, (before, after)
+
+
+def test_training_follows_the_landmarks(video, wrong, built_in_body):
+    rig = Rig.of(built_in_body, video.shape)
+
+    def trained(seen):
+        options, steps = PoseOptions(every=1), 100
+        given = wrong.pose, wrong.cameras, rig, options, steps
+        poses = TrainedPoses(*given, as_given=True, seen=seen)
+        for done in range(1, steps + 1):
+            poses.step(done, done % FRAMES)
+        return poses.all()
+
+    seen = SeenFace.of(video, built_in_body)
+    frames = seen.frames_among(range(FRAMES))
+    loss = lambda seen_: float(seen.losses(trained(seen_)[frames], frames).mean())
+    assert loss(SeenFace.of(wrong, built_in_body)) < 0.5 * loss(None)
+
+
+def test_test_frames_and_videos_without_a_face_tell_nothing(video, built_in_body):
+    seen = SeenFace.of(video, built_in_body)
+    assert seen.frames_among(range(FRAMES)) == list(video.splits.train)
+    assert seen.losses(Pose.rest(1), [TEST]) == 0
+    names = tuple(f"x{name}" for name in FACE_LANDMARKS)
+    others = Landmarks(names, *(getattr(video.landmarks, k) for k in (
+        "pixels", "confidence", "spread", "metric")))  # fmt: skip
+    for landmarks in (None, others):
+        nobody = SimpleNamespace(**vars(video) | {"landmarks": landmarks})
+        assert SeenFace.of(nobody, built_in_body) is None

@@ -8,7 +8,7 @@ steps of the fit, poses take a step of their own on
     1. L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
 where ``E`` is the energy of the corrections δ, τ under the prior of the motion, of joint limits and
-of errors, and of the face's landmarks with a weight of their own (:mod:`gva_mi.fit.seen_face`).
+of errors, and of landmarks with a weight of their own (:mod:`gva_mi.fit.seen_points`).
 After some shares of the fit the prior is fitted again to the corrections.
 
 * Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
@@ -52,7 +52,7 @@ from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import compose, turns_between
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
-from gva_mi.fit.seen_face import SeenFace
+from gva_mi.fit.seen_points import SeenPoints
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.inference import updated_process
@@ -216,7 +216,7 @@ class FacePart:
 # Chosen: corrections are sizeable by then, and half of the steps follow.
 PRIOR_UPDATES = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
 STEP_DECAY = 0.1  # what is left of the step sizes at the end; chosen: poses settle
-FACE_WEIGHT = 30.0  # of the face's landmarks in E; chosen: pictures pull so much harder than E
+LANDMARK_WEIGHT = 40.0  # of landmarks in E; chosen: pictures pull so much harder than E
 
 
 @options_of("fit")
@@ -255,13 +255,13 @@ class TrainedPoses:
         steps: int,
         *,
         as_given: bool = False,
-        seen: SeenFace | None = None,
+        seen: SeenPoints | None = None,
     ) -> None:
         """Start from the MAP estimate of the given poses, T frames, before any picture.
 
         ``steps`` is the number of steps of the fit. ``as_given``: start with refined bodies
         unchanged. (Faces, which a refinement leaves alone, start from the MAP estimate.) ``seen``:
-        landmarks of the face, if there are any.
+        landmarks, if there are any.
         """
         self.given, self._options, self._steps = given, options, steps
         self._seen = seen
@@ -316,14 +316,14 @@ class TrainedPoses:
     def state(self) -> dict[str, Any]:
         """Return the state for a checkpoint."""
         clips = [clip.state() for clip in self._clips]
-        return {"clips": clips, "face": None if self._seen is None else self._seen.offsets}
+        return {"clips": clips, "offsets": None if self._seen is None else self._seen.offsets}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Restore a :meth:`state`, to the bit."""
         for clip, saved in zip(self._clips, state["clips"], strict=True):
             clip.load_state(saved, self._options)
         if self._seen is not None:
-            self._seen.offsets = state["face"]
+            self._seen.offsets = state["offsets"]
 
 
 class _Clip:
@@ -337,13 +337,13 @@ class _Clip:
         frames: range,
         corrections: Corrections,
         face: Face,
-        seen: SeenFace | None,
+        seen: SeenPoints | None,
         arms: Tensor,
         options: PoseOptions,
     ) -> None:
         self.frames, self.corrections, self.face, self.waiting = frames, corrections, face, 0
         self._seen, self._arms = seen, arms
-        self._with_face = [] if seen is None else seen.frames_among(frames)
+        self._shown = [] if seen is None else seen.frames_among(frames)
         self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
 
@@ -354,10 +354,10 @@ class _Clip:
     def step(self, prior_weight: float, factor: float) -> None:
         if self.waiting:
             energy = self.corrections.energy() + self.face.energy()
-            if self._with_face:
-                pose = self.corrections.pose([k - self.frames.start for k in self._with_face])
-                seen = self._seen.losses(pose, self._with_face).sum() / len(self.frames)
-                energy = energy + FACE_WEIGHT * seen
+            if self._shown:
+                pose = self.corrections.pose([k - self.frames.start for k in self._shown])
+                seen = self._seen.losses(pose, self._shown).sum() / len(self.frames)
+                energy = energy + LANDMARK_WEIGHT * seen
             (prior_weight * self.waiting * energy).backward()
             self._adam.step(factor)
             self.corrections.centre()

@@ -1,4 +1,4 @@
-"""Landmarks of the face hold the head while poses are trained."""
+"""Landmarks hold poses while they are trained along with an avatar."""
 
 from types import SimpleNamespace
 
@@ -9,13 +9,15 @@ import torch
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
-from gva_mi.fit.seen_face import RIGID, SeenFace
+from gva_mi.fit.seen_points import RIGID, SeenPoints
 from gva_mi.observe.face_points import FacePoints
+from gva_mi.observe.rig import LandmarkRig
 from gva_mi.splat import Camera, look_at
-from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
+from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks
 from gva_mi.subject.splits import Splits
 
-HEAD, FRAMES, TEST = JOINTS.index("head"), 16, 5
+HEAD, SHOULDER, ELBOW = map(JOINTS.index, ("head", "left_shoulder", "left_elbow"))
+FRAMES, TEST = 16, 5
 CAMERA = Camera(900, 900, 270, 200, look_at((0, 0.5, 2.2), (0, 0.35, 0)), 540, 960)
 OFFSET = torch.tensor([0.001, -0.006, 0.004])  # metres, of this person's face
 
@@ -31,35 +33,43 @@ def true():
 @pytest.fixture(scope="module")
 def video(true, built_in_body):
     shape = Shape(torch.linspace(-1, 1, 10))
-    x = FacePoints.of(built_in_body).at_rest(shape.betas.double()).float() + OFFSET
-    T = built_in_body(true, shape).T_world_rest[:, HEAD]
-    places = CAMERA.project((x @ T[:, :3, :3].mT + T[:, None, :3, 3]).double().numpy())
-    seen, nothing = np.ones(places.shape[:2]), np.full((*places.shape[:2], 3), np.nan)
+    rig = LandmarkRig.of(built_in_body, BODY_LANDMARKS)
+    face = FacePoints.of(built_in_body).at_rest(shape.betas.double()).float() + OFFSET
+    x = torch.cat([rig.at_rest(shape.betas), face])
+    joints = torch.cat([rig.joints, torch.full((len(face),), HEAD)])
+    T = built_in_body(true, shape).T_world_rest[:, joints]
+    places = ((T[..., :3, :3] @ x[..., None])[..., 0] + T[..., :3, 3]).double().numpy()
+    metric = places @ CAMERA.T_camera_world[:3, :3].T
+    places = np.stack([CAMERA.project(frame) for frame in places])
+    seen = np.ones(places.shape[:2])
+    names = (*BODY_LANDMARKS, *FACE_LANDMARKS)
     return SimpleNamespace(
-        landmarks=Landmarks(FACE_LANDMARKS, places, seen, 0 * seen, nothing),
+        landmarks=Landmarks(names, places, seen, 0 * seen, metric),
         shape=shape, pose=true, cameras=[CAMERA] * FRAMES,
         splits=Splits(tuple(k for k in range(FRAMES) if k != TEST), (TEST,)),
     )  # fmt: skip
 
 
 def test_the_offsets_of_a_person_s_face_come_back(video, built_in_body):
-    seen = SeenFace.of(video, built_in_body)
-    assert seen.points.shape == (len(RIGID), 3)
-    across, toward = (seen.offsets - OFFSET).abs().split([2, 1], dim=1)
+    seen = SeenPoints.of(video, built_in_body)
+    body, face = seen.offsets[: -len(RIGID)], seen.offsets[-len(RIGID) :]
+    across, toward = (face - OFFSET).abs().split([2, 1], dim=1)
     assert across.max() < 0.001 and toward.max() < 0.002  # a frontal face hardly shows depth
+    assert body.abs().max() < 1e-4
     assert seen.losses(video.pose, range(FRAMES)).max() < 0.2
 
 
 @pytest.fixture(scope="module")
 def wrong(video):
-    """The same video with heads that are off by up to 9 degrees."""
+    """The same video with heads and an arm that are off by up to 9 degrees."""
     pose = Pose(video.pose.rotations.clone(), video.pose.transl, video.pose.expression)
     pose.rotations[:, HEAD, 1] += 0.15 * torch.cos(torch.arange(FRAMES) / 3)
+    pose.rotations[:, SHOULDER, 2] += 0.15 * torch.sin(torch.arange(FRAMES) / 3)
     return SimpleNamespace(**vars(video) | {"pose": pose})
 
 
 def test_the_head_that_fits_the_landmarks_is_the_true_one(video, wrong, built_in_body):
-    seen = SeenFace.of(wrong, built_in_body)
+    seen = SeenPoints.of(wrong, built_in_body)
     frames, rotations = seen.frames_among(range(FRAMES)), wrong.pose.rotations
     turns = torch.zeros(len(frames), 3, requires_grad=True)
     adam = torch.optim.Adam([turns], lr=0.01)
@@ -91,19 +101,19 @@ def test_training_follows_the_landmarks(video, wrong, built_in_body):
             poses.step(done, done % FRAMES)
         return poses.all()
 
-    seen = SeenFace.of(video, built_in_body)
+    seen = SeenPoints.of(video, built_in_body)
     frames = seen.frames_among(range(FRAMES))
     loss = lambda seen_: float(seen.losses(trained(seen_)[frames], frames).mean())
-    assert loss(SeenFace.of(wrong, built_in_body)) < 0.5 * loss(None)
+    assert loss(SeenPoints.of(wrong, built_in_body)) < 0.5 * loss(None)
+    elbow = lambda pose: built_in_body(pose, video.shape).joints[:, ELBOW]
+    off = lambda pose: float((elbow(pose) - elbow(video.pose)).norm(dim=1).mean())
+    assert off(trained(SeenPoints.of(wrong, built_in_body))) < 0.7 * off(wrong.pose)
 
 
-def test_test_frames_and_videos_without_a_face_tell_nothing(video, built_in_body):
-    seen = SeenFace.of(video, built_in_body)
+def test_test_frames_tell_nothing_and_a_video_without_landmarks_has_none(video, built_in_body):
+    seen = SeenPoints.of(video, built_in_body)
     assert seen.frames_among(range(FRAMES)) == list(video.splits.train)
     assert seen.losses(Pose.rest(1), [TEST]) == 0
-    names = tuple(f"x{name}" for name in FACE_LANDMARKS)
-    others = Landmarks(names, *(getattr(video.landmarks, k) for k in (
-        "pixels", "confidence", "spread", "metric")))  # fmt: skip
-    for landmarks in (None, others):
-        nobody = SimpleNamespace(**vars(video) | {"landmarks": landmarks})
-        assert SeenFace.of(nobody, built_in_body) is None
+    assert (
+        SeenPoints.of(SimpleNamespace(**vars(video) | {"landmarks": None}), built_in_body) is None
+    )

@@ -26,7 +26,7 @@ LAYERS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("readers", "files of other programs, as a subject", ("gva_mi.readers",)),
     ("synthetic", "synthetic subjects with ground truth", ("gva_mi.synthetic",)),
     ("prior", "pose prior: error model, motion, anatomy; for both stages", ("gva_mi.prior",)),
-    ("observe", "landmarks as evidence of poses; for both stages", ("gva_mi.observe",)),
+    ("observe", "landmarks as evidence of poses; for both stages and the fit", ("gva_mi.observe",)),
     ("stage1", "stage 1: poses of a video, from landmarks", ("gva_mi.stage1",)),
     ("refine", "stage 2: poses refined by masks, normals and landmarks", ("gva_mi.refine",)),
     ("avatar", "Gaussians on a skeleton: the trained model", ("gva_mi.avatar",)),

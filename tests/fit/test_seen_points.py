@@ -1,5 +1,6 @@
 """Landmarks hold poses while they are trained along with an avatar."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -108,6 +109,18 @@ def test_training_follows_the_landmarks(video, wrong, built_in_body):
     elbow = lambda pose: built_in_body(pose, video.shape).joints[:, ELBOW]
     off = lambda pose: float((elbow(pose) - elbow(video.pose)).norm(dim=1).mean())
     assert off(trained(SeenPoints.of(wrong, built_in_body))) < 0.7 * off(wrong.pose)
+
+
+def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, built_in_body):
+    pixels, wrong = video.landmarks.pixels.copy(), 7
+    pixels[wrong, len(BODY_LANDMARKS) :] += (60, 20)  # the face is seen elsewhere
+    landmarks = replace(video.landmarks, pixels=pixels)
+    moved = SimpleNamespace(**vars(video) | {"landmarks": landmarks})
+    seen, right = SeenPoints.of(moved, built_in_body), SeenPoints.of(video, built_in_body)
+    assert not seen.points.scale[wrong, -len(RIGID) :].any() and seen.points.scale[wrong].any()
+    others = [k for k in range(FRAMES) if k != wrong]
+    assert torch.equal(seen.points.scale[others], right.points.scale[others])
+    assert (seen.offsets - right.offsets).abs().max() < 0.0005
 
 
 def test_test_frames_tell_nothing_and_a_video_without_landmarks_has_none(video, built_in_body):

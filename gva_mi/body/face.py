@@ -20,7 +20,16 @@ _HEAD = [JOINTS.index("head"), *range(*JAW_AND_EYES.indices(len(JOINTS)))]
 
 
 def from_eyes(rest: Rest) -> Tensor:
-    """Return the vertices of a body at rest (V, 3) as seen from the middle between the eyes."""
+    """Return the vertices of a body at rest (V, 3) as seen from the middle between the eyes.
+
+    Example:
+        The mouth of a face is about as far below the eyes as these are apart.
+
+        >>> joints = torch.zeros(55, 3)
+        >>> joints[EYES] = torch.tensor([[0.03, 1.6, 0.1], [-0.03, 1.6, 0.1]])
+        >>> from_eyes(Rest(torch.tensor([[0.0, 1.54, 0.1]]), joints)).round(decimals=3)
+        tensor([[ 0., -1.,  0.]])
+    """
     left, right = rest.joints[EYES]
     return (rest.vertices - (left + right) / 2) / (left - right).norm()
 

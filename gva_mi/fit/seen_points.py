@@ -38,6 +38,7 @@ from torch import Tensor
 from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose
 from gva_mi.body.smplx import BodyModel
+from gva_mi.core.cpu import sqrt
 from gva_mi.observe.face_points import INDEPENDENT_POINTS, OFFSET_SIGMA, FacePoints, seen_face
 from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.refine.landmark_evidence import CORRELATED_FRAMES, SeenLandmarks
@@ -54,7 +55,7 @@ _HEAD = JOINTS.index("head")
 
 
 @dataclass(frozen=True)
-class _Points:
+class _RiggedPoints:
     """P landmarks in T frames.
 
     Attributes:
@@ -74,7 +75,7 @@ class _Points:
     scale: Tensor
 
     @staticmethod
-    def of_face(video: Video, body: BodyModel, seen: SeenLandmarks) -> _Points | None:
+    def of_face(video: Video, body: BodyModel, seen: SeenLandmarks) -> _RiggedPoints | None:
         """Return nose and eyes; None if no network looked for them, or the body has no face."""
         points = FacePoints.of(body)
         if points is None:
@@ -88,20 +89,20 @@ class _Points:
             return None
         pixels, precision = (x[:, RIGID] for x in found)
         one = torch.ones(len(RIGID))
-        return _Points(
+        return _RiggedPoints(
             one.long() * _HEAD,
             points.at_rest(video.shape.betas.double())[RIGID].to(joints),
             one * OFFSET_SIGMA,
             one * INDEPENDENT_POINTS / len(RIGID),
             pixels,
-            precision.sqrt()[..., None, None] * torch.eye(2),
+            sqrt(precision)[..., None, None] * torch.eye(2),
         )
 
     @staticmethod
-    def of_body(video: Video, seen: SeenLandmarks) -> _Points:
+    def of_body(video: Video, seen: SeenLandmarks) -> _RiggedPoints:
         """Return the landmarks of body and hands."""
         rough = torch.tensor([name in ROUGH_FACE for name in seen.rig.names])
-        return _Points(
+        return _RiggedPoints(
             seen.rig.joints,
             seen.rig.at_rest(video.shape.betas),
             seen.rig.offset_spread,
@@ -110,13 +111,13 @@ class _Points:
             seen.precision[..., None, None] * seen.whitening,
         )
 
-    def and_those(self, other: _Points | None) -> _Points:
+    def and_those(self, other: _RiggedPoints | None) -> _RiggedPoints:
         """Append other landmarks of the same frames."""
         if other is None:
             return self
         pairs = zip(vars(self).items(), vars(other).values(), strict=True)
         of_frames = ("pixels", "scale")
-        return _Points(**{k: torch.cat([x, y], int(k in of_frames)) for (k, x), y in pairs})
+        return _RiggedPoints(**{k: torch.cat([x, y], int(k in of_frames)) for (k, x), y in pairs})
 
 
 @dataclass
@@ -131,7 +132,7 @@ class SeenPoints:
         offsets: (P, 3) ``o``, metres.
     """
 
-    points: _Points
+    points: _RiggedPoints
     joints: Tensor
     K: Tensor
     T_camera_world: Tensor
@@ -147,7 +148,9 @@ class SeenPoints:
             return None
         given = video.landmarks, body, video.cameras, video.pose, video.shape
         seen = SeenLandmarks.of(*given)
-        points = _Points.of_body(video, seen).and_those(_Points.of_face(video, body, seen))
+        points = _RiggedPoints.of_body(video, seen).and_those(
+            _RiggedPoints.of_face(video, body, seen)
+        )
         trained = torch.zeros(len(video.pose), 1, 1, 1)
         trained[list(video.splits.train)] = 1
         points = replace(points, scale=points.scale * trained)

@@ -12,8 +12,8 @@ A surface that a video shows from one side only may lie anywhere along the line 
 person who never turned became too thick. Silhouettes have shown how far clothes stand off the body;
 they show less of hair, because it is softer than a mask.
 
-Hair may stand off a head, but not off a face: a face before its surface would be another one from
-each side.
+Hair may stand off a head, but not off a face: Gaussians before the face would show another face
+from each side.
 
 A hand before a skirt looks like cloth that stands off it. Gaussians of a wide skirt, which may
 stand off it far, would take the hand's shape. So they may do so only as far as pictures tell the

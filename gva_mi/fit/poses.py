@@ -8,7 +8,7 @@ steps of the fit, poses take a step of their own on
     1. L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
 where ``E`` is the energy of the corrections δ, τ under the prior of the motion, of joint limits and
-of errors, and of landmarks with a weight of their own (:mod:`gva_mi.fit.seen_points`).
+of errors, and of landmarks with a weight of their own (:mod:`gva_mi.fit.training_landmarks`).
 After some shares of the fit the prior is fitted again to the corrections.
 
 * Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
@@ -52,7 +52,7 @@ from gva_mi.body.pose import JOINTS, WRISTS, Pose
 from gva_mi.body.smplx import Rest
 from gva_mi.body.so3 import compose, turns_between
 from gva_mi.core.options import Metres, PythonOnly, Turn, Within, options_of
-from gva_mi.fit.seen_points import SeenPoints
+from gva_mi.fit.training_landmarks import TrainingLandmarks
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.error_model import Stage1ErrorModel, fit_slow_part, white_level
 from gva_mi.prior.inference import updated_process
@@ -255,7 +255,7 @@ class TrainedPoses:
         steps: int,
         *,
         as_given: bool = False,
-        seen: SeenPoints | None = None,
+        seen: TrainingLandmarks | None = None,
     ) -> None:
         """Start from the MAP estimate of the given poses, T frames, before any picture.
 
@@ -337,7 +337,7 @@ class _Clip:
         frames: range,
         corrections: Corrections,
         face: Face,
-        seen: SeenPoints | None,
+        seen: TrainingLandmarks | None,
         arms: Tensor,
         options: PoseOptions,
     ) -> None:

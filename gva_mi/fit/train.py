@@ -63,7 +63,7 @@ from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.photometric import shrunk_to_tall
 from gva_mi.fit.poses import TrainedPoses
 from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, smallest_pixel, torch_state
-from gva_mi.fit.seen_points import SeenPoints
+from gva_mi.fit.training_landmarks import TrainingLandmarks
 from gva_mi.splat import Screen, render
 from gva_mi.subject.video import Video
 
@@ -184,7 +184,7 @@ class Run:
         self.poses = TrainedPoses(
             video.pose, video.cameras, rig, options.poses, options.steps,
             as_given=video.stage != 1,
-            seen=SeenPoints.of(video, body) if options.poses.trained else None,
+            seen=TrainingLandmarks.of(video, body) if options.poses.trained else None,
         )  # fmt: skip
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.

@@ -158,15 +158,15 @@ def mean_around(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 def moments_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return :func:`mean_around`, and the variance (h, w) of all channels; 1 if none is known."""
-    found = _means_around(known, values, (values**2).sum(-1))
+    found = _means_around(known, values, (values**2).sum(-1, keepdims=True))
     if found is None:
         return np.zeros_like(values), np.ones(known.shape, np.float32)
     mean, square = found
-    return mean, np.maximum(square - (mean**2).sum(-1), 0)
+    return mean, np.maximum(square[..., 0] - (mean**2).sum(-1), 0)
 
 
 def _means_around(known: np.ndarray, *maps: np.ndarray) -> list[np.ndarray] | None:
-    """Return means of maps (h, w, ...) around each pixel; None if no value is known."""
+    """Return the means of maps (h, w, C) around each pixel; None if no value is known."""
     from scipy.ndimage import distance_transform_edt, uniform_filter
 
     blur = lambda x: uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
@@ -176,8 +176,7 @@ def _means_around(known: np.ndarray, *maps: np.ndarray) -> list[np.ndarray] | No
     if not near.any():
         return None
     total = np.maximum(total, 1e-6)
-    of_map = lambda weights, x: weights[..., None] if x.ndim > weights.ndim else weights
-    means = [blur(x * of_map(weight, x)) / of_map(total, x) for x in maps]
+    means = [blur(x * weight[..., None]) / total[..., None] for x in maps]
     if near.all():
         return means
     nearest = tuple(distance_transform_edt(~near, return_distances=False, return_indices=True))

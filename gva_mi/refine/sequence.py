@@ -254,7 +254,7 @@ class ClothedPerson:
                 self.shared.append((self.landmark_offsets, LANDMARK_STEP))
         else:
             known = clip.first_round
-            self.landmark_offsets, self._cloth.raw = known.landmark_offsets, known.offsets
+            self.landmark_offsets = known.landmark_offsets
             self._betas, self.shared = known.shape.betas[:, None], []
         self.anatomy = Anatomy.of(rest.joints)
         self.arms = lever_arms(rest, clip.body.weights, clip.body.parents)
@@ -264,7 +264,8 @@ class ClothedPerson:
     @property
     def offsets(self) -> Tensor:
         """``D`` (V, 3), metres."""
-        return self._cloth.offsets
+        known = self._clip.first_round
+        return self._cloth.offsets if known is None else known.offsets
 
     @property
     def shape(self) -> Shape:

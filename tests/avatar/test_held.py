@@ -17,8 +17,10 @@ from gva_mi.avatar.held import (
     head_weights,
     shared_weights,
 )
+from gva_mi.body.face import face_shares
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.skinning import finger_weights
+from gva_mi.body.smplx import Rest
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat.reference import rotation
 
@@ -159,3 +161,22 @@ def test_gaussians_of_a_skirt_may_stand_off_it_as_far_as_pictures_tell_its_cloth
         Held(rig, torch.where(skirt, told, 1.0)).hold(avatar, body=True)
         off, nearest = _off(G.means.detach()[mine], rig.vertices)
         assert abs(off[skirt[nearest]].max() - (told * loose + BODY_REACH)) < 1e-3
+
+
+def test_gaussians_of_a_video_s_face_stay_nearer_than_those_of_its_hair(known):
+    farthest = {}
+    for given in (True, False):
+        avatar = copy.deepcopy(known)
+        rig, G = avatar.rig, avatar.canonical
+        rig.looseness[:] = 0.005
+        shares = face_shares(Rest(rig.vertices, rig.joints), rig.weights)
+        face, hair = shares == 1, (shares == 0) & (head_weights(rig.weights) > 0.5)
+        mine = head_weights(G.weights) > 0.5
+        with torch.no_grad():
+            G.means[mine, 2] += 0.2 * torch.sign(G.means[mine, 2])
+        Held(rig, torch.ones(len(rig.vertices)) if given else None).hold(avatar, body=True)
+        off, nearest = _off(G.means.detach()[mine], rig.vertices)
+        farthest[given] = float(off[face[nearest]].max()), float(off[hair[nearest]].max())
+    reach = lambda x: pytest.approx(0.005 + x, abs=1e-3)
+    assert farthest[True] == (reach(BODY_REACH), reach(HAIR_REACH))
+    assert farthest[False] == (reach(HAIR_REACH), reach(HAIR_REACH))

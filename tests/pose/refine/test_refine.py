@@ -1,6 +1,7 @@
 """Stage 2 finds the true poses from masks and normals."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,8 @@ from gva_mi.body.pose import JAW_AND_EYES
 from gva_mi.evaluate.refinement import measure
 from gva_mi.refine import SequenceOptions, SingleFrameOptions, refine
 from gva_mi.refine.close_ups import hand_vertices
+from gva_mi.refine.observed_video import ObservedVideo, simplified_body
+from gva_mi.refine.sequence import ClothedPerson, Solution
 from gva_mi.subject.ground_truth import GroundTruth
 
 SEQUENCE = SequenceOptions(size=96, faces=2000, passes=12, learn=5)
@@ -63,6 +66,18 @@ def test_hands_have_no_clothes_nor_has_a_face_that_only_masks_show(clip, coarse)
         offsets = refine(seen, coarse, SHORT).offsets
         assert offsets.any() and hands.any() and not offsets[hands].any()
         assert face.any() and bool(offsets[face].any()) == free
+
+
+def test_clips_of_a_long_video_keep_the_clothes_of_its_first_round(clip, coarse):
+    """At the edge of the face, where D is a share, too."""
+    masks = replace(clip, pictures=[(mask, None) for mask, _ in clip.pictures])
+    video = ObservedVideo.of(masks, partial(simplified_body, coarse), SHORT)
+    size = video.coarse.body.v_template.shape
+    offsets = torch.randn(size, generator=torch.Generator().manual_seed(0))
+    part = video.clip(range(len(clip)), 0, clip.pose)
+    first = Solution(clip.pose, clip.shape, offsets)
+    assert not ClothedPerson(part, SHORT).offsets.any()
+    assert torch.equal(ClothedPerson(replace(part, first_round=first), SHORT).offsets, offsets)
 
 
 def test_what_is_not_refined_stays(sequence, paper, clip):

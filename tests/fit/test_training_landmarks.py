@@ -10,7 +10,7 @@ import torch
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
-from gva_mi.fit.seen_points import RIGID, SeenPoints
+from gva_mi.fit.training_landmarks import RIGID, TrainingLandmarks
 from gva_mi.observe.face_points import FacePoints
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.splat import Camera, look_at
@@ -52,7 +52,7 @@ def video(true, built_in_body):
 
 
 def test_the_offsets_of_a_person_s_face_come_back(video, built_in_body):
-    seen = SeenPoints.of(video, built_in_body)
+    seen = TrainingLandmarks.of(video, built_in_body)
     body, face = seen.offsets[: -len(RIGID)], seen.offsets[-len(RIGID) :]
     across, toward = (face - OFFSET).abs().split([2, 1], dim=1)
     assert across.max() < 0.001 and toward.max() < 0.002  # a frontal face hardly shows depth
@@ -70,7 +70,7 @@ def wrong(video):
 
 
 def test_the_head_that_fits_the_landmarks_is_the_true_one(video, wrong, built_in_body):
-    seen = SeenPoints.of(wrong, built_in_body)
+    seen = TrainingLandmarks.of(wrong, built_in_body)
     frames, rotations = seen.frames_among(range(FRAMES)), wrong.pose.rotations
     turns = torch.zeros(len(frames), 3, requires_grad=True)
     adam = torch.optim.Adam([turns], lr=0.01)
@@ -102,13 +102,13 @@ def test_training_follows_the_landmarks(video, wrong, built_in_body):
             poses.step(done, done % FRAMES)
         return poses.all()
 
-    seen = SeenPoints.of(video, built_in_body)
+    seen = TrainingLandmarks.of(video, built_in_body)
     frames = seen.frames_among(range(FRAMES))
     loss = lambda seen_: float(seen.losses(trained(seen_)[frames], frames).mean())
-    assert loss(SeenPoints.of(wrong, built_in_body)) < 0.5 * loss(None)
+    assert loss(TrainingLandmarks.of(wrong, built_in_body)) < 0.5 * loss(None)
     elbow = lambda pose: built_in_body(pose, video.shape).joints[:, ELBOW]
     off = lambda pose: float((elbow(pose) - elbow(video.pose)).norm(dim=1).mean())
-    assert off(trained(SeenPoints.of(wrong, built_in_body))) < 0.7 * off(wrong.pose)
+    assert off(trained(TrainingLandmarks.of(wrong, built_in_body))) < 0.7 * off(wrong.pose)
 
 
 def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, built_in_body):
@@ -116,7 +116,10 @@ def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, 
     pixels[wrong, len(BODY_LANDMARKS) :] += (60, 20)  # the face is seen elsewhere
     landmarks = replace(video.landmarks, pixels=pixels)
     moved = SimpleNamespace(**vars(video) | {"landmarks": landmarks})
-    seen, right = SeenPoints.of(moved, built_in_body), SeenPoints.of(video, built_in_body)
+    seen, right = (
+        TrainingLandmarks.of(moved, built_in_body),
+        TrainingLandmarks.of(video, built_in_body),
+    )
     assert not seen.points.scale[wrong, -len(RIGID) :].any() and seen.points.scale[wrong].any()
     others = [k for k in range(FRAMES) if k != wrong]
     assert torch.equal(seen.points.scale[others], right.points.scale[others])
@@ -124,9 +127,46 @@ def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, 
 
 
 def test_test_frames_tell_nothing_and_a_video_without_landmarks_has_none(video, built_in_body):
-    seen = SeenPoints.of(video, built_in_body)
+    seen = TrainingLandmarks.of(video, built_in_body)
     assert seen.frames_among(range(FRAMES)) == list(video.splits.train)
     assert seen.losses(Pose.rest(1), [TEST]) == 0
-    assert (
-        SeenPoints.of(SimpleNamespace(**vars(video) | {"landmarks": None}), built_in_body) is None
-    )
+    nothing = SimpleNamespace(**vars(video) | {"landmarks": None})
+    assert TrainingLandmarks.of(nothing, built_in_body) is None
+
+
+def test_a_video_whose_training_frames_show_nobody_has_no_offsets(video, built_in_body):
+    none = SimpleNamespace(**vars(video) | {"splits": Splits([], list(range(FRAMES)))})
+    seen = TrainingLandmarks.of(none, built_in_body)
+    assert not seen.frames_among(range(FRAMES)) and not seen.offsets.any()
+
+
+def test_smaller_pictures_give_the_same_losses(video, wrong, built_in_body):
+    half = CAMERA.resized(CAMERA.width // 2, CAMERA.height // 2)
+    small = {"landmarks": video.landmarks.downscaled(2), "cameras": [half] * FRAMES}
+    found = []
+    for seen in (video, SimpleNamespace(**vars(video) | small)):
+        landmarks = TrainingLandmarks.of(seen, built_in_body)
+        counts = landmarks.points.counts.clone()
+        counts[-len(RIGID) :] = 0  # the face's standard deviation has a part in pixels
+        landmarks.points = replace(landmarks.points, counts=counts)
+        found.append(landmarks.losses(wrong.pose, range(FRAMES)))
+    torch.testing.assert_close(*found, rtol=1e-3, atol=1e-4)
+
+
+def test_a_resumed_training_has_the_offsets_of_the_one_that_was_stopped(wrong, built_in_body):
+    rig, steps, kill = Rig.of(built_in_body, wrong.shape), 60, 40  # after both updates
+    given = wrong.pose, wrong.cameras, rig, PoseOptions(every=1), steps
+
+    def start():
+        seen = TrainingLandmarks.of(wrong, built_in_body)
+        return TrainedPoses(*given, as_given=True, seen=seen)
+
+    whole, killed, resumed = start(), start(), start()
+    for done in range(1, steps + 1):
+        whole.step(done, done % FRAMES)
+    for done in range(1, kill + 1):
+        killed.step(done, done % FRAMES)
+    resumed.load_state(killed.state())
+    for done in range(kill + 1, steps + 1):
+        resumed.step(done, done % FRAMES)
+    assert torch.equal(resumed.all().rotations, whole.all().rotations)

@@ -3,7 +3,7 @@
 Pictures move a part only toward what the avatar has already learned. While the avatar's face is
 blurred, each side of a turn may pull the head its own way, and the avatar gets two faces; where an
 arm touches a dress, each may look like the other. The landmarks ``u`` of the video still show where
-they are. Landmark p moves with a joint j, and in frame k it is at
+these parts are. Landmark p moves with a joint j, and in frame k it is at
 
 1. ``X_kp = A_kj (x_p + o_p) + a_kj``
 2. ``r_kp = S_kp (π_k(X_kp) - u_kp) / σ_kp``
@@ -11,16 +11,16 @@ they are. Landmark p moves with a joint j, and in frame k it is at
 
 with the joint's rotation ``A`` and place ``a``, the camera's projection ``π``, and standard
 deviation ``σ`` and whitening ``S`` of the network's errors. Errors last for some frames, and points
-of one part err together, so each point counts as ``n`` independent ones. The offsets ``o`` are
-between this person and the average one; they are found from all frames by
+of one part err together, so each point counts as ``n`` independent ones. The offsets ``o`` are how
+this person differs from the average one. They are found from all frames by
 
 4. ``o = argmin Σ_k F_k + Σ_p |o_p|² / 2 σ_o,p²``
 
 These are the landmarks of the body and hands that the refinement used, too
 (:mod:`gva_mi.refine.landmark_evidence`). The face has those of eyes and nose
 (:mod:`gva_mi.observe.face_points`), which move with the head alone and are far more exact. But the
-network may see a face wrongly as a whole. Masks and motion show that to the refinement, so a face
-counts only if, under the given pose,
+network may find a face in the wrong place. The refinement, which also sees masks and motion, does
+not follow it there. So a face counts only if, under the given pose,
 
 5. ``mean_p |r_kp|² <= CONTRADICTED``
 
@@ -48,7 +48,7 @@ from gva_mi.subject.video import Video
 RIGID = [FACE_LANDMARKS.index(f"face_{number}") for number in range(27, 48)]  # nose and eyes
 ROUGH_FACE = BODY_LANDMARKS[:11]  # of the body's network, which the face's network outdoes
 # Of eq. 5. Chosen: heads that are off by 15 degrees reach it, and those of four rendered videos 6.
-# A face that the network saw wrongly had 170.
+# A face that the network found in the wrong place had 170.
 CONTRADICTED = 36.0
 GAUSS_NEWTON_STEPS = 4  # chosen: offsets change by less than 0.1 mm in the last one
 _HEAD = JOINTS.index("head")
@@ -121,7 +121,7 @@ class _RiggedPoints:
 
 
 @dataclass
-class SeenPoints:
+class TrainingLandmarks:
     """The landmarks of a video's training frames, as evidence of poses.
 
     Attributes:
@@ -142,7 +142,7 @@ class SeenPoints:
         self.offsets = torch.zeros_like(self.points.rest)
 
     @staticmethod
-    def of(video: Video, body: BodyModel) -> SeenPoints | None:
+    def of(video: Video, body: BodyModel) -> TrainingLandmarks | None:
         """Return the landmarks of a video, with offsets by its poses; None if it has none."""
         if video.landmarks is None:
             return None
@@ -155,14 +155,14 @@ class SeenPoints:
         trained[list(video.splits.train)] = 1
         points = replace(points, scale=points.scale * trained)
         joints = body.rest(video.shape).joints
-        found = SeenPoints(points, joints, seen.K, seen.T_camera_world)
+        found = TrainingLandmarks(points, joints, seen.K, seen.T_camera_world)
         found.fit_offsets(video.pose)
         found._drop_contradicted_faces(video.pose)
         found.fit_offsets(video.pose)
         return found
 
     def frames_among(self, frames: range) -> list[int]:
-        """Return those of some frames that show a landmark."""
+        """Return the given frames that show a landmark."""
         return [k for k in frames if bool(self.points.scale[k].any())]
 
     def losses(self, pose: Pose, frames: Sequence[int]) -> Tensor:

@@ -25,6 +25,7 @@ from torch.nn.functional import normalize
 
 from gva_mi.body.pose import JOINTS, SIDES
 from gva_mi.body.smplx import BodyModel, columns_of
+from gva_mi.core.errors import InputError
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
 
 # Landmarks that are joints: the joint, and the standard deviation of the offset, metres, chosen by
@@ -89,11 +90,16 @@ class LandmarkRig:
         """Find landmarks on a body; unknown ``names`` are left out.
 
         ``at_joints`` are those that lie at the joint itself (:class:`Landmarks`).
+
+        Raises:
+            InputError: no name is known.
         """
         points = dict(_points(body))
         for hip in {"left_hip", "right_hip"}.intersection(at_joints):
             points[hip] = points[hip]._replace(offset_spread=_OTHER_HIP_SPREAD)
         known = tuple(name for name in names if name in points)
+        if not known:
+            raise InputError(f"landmarks: expected names such as {min(points)}, got {names[:3]}")
         joints, vertices, offset_spread = zip(*(points[name] for name in known), strict=True)
         at = torch.tensor([vertex or 0 for vertex in vertices])
         of_surface = torch.tensor([vertex is not None for vertex in vertices])[:, None]

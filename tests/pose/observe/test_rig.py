@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Pose, Shape, mirrored_name
+from gva_mi.core.errors import InputError
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.subject.landmarks import BODY_LANDMARKS, hand_names
 
@@ -35,6 +36,11 @@ def test_unknown_names_are_left_out_and_order_is_kept(built_in_body, rig):
     some = LandmarkRig.of(built_in_body, ["right_knee", "tail", "nose"])
     assert some.names == ("right_knee", "nose")
     assert torch.equal(some.rest, rig.rest[[rig.names.index(name) for name in some.names]])
+
+
+def test_names_of_which_none_is_known_are_refused(built_in_body):
+    with pytest.raises(InputError, match="landmarks: expected names such as .*, got"):
+        LandmarkRig.of(built_in_body, ("tail", "left_wing"))
 
 
 def test_keypoints_lie_at_the_joints_themselves(built_in_body):

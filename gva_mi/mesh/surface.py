@@ -93,6 +93,7 @@ class CoarseBody:
     """A body on some of its vertices.
 
     Attributes:
+        whole: the body.
         body: the body on the n vertices that were kept.
         kept: (n,) their numbers in the whole body.
 
@@ -111,9 +112,9 @@ class CoarseBody:
 
         ``finer`` (n,) are numbers of the vertices that close-ups show; None: no close-ups.
         """
-        self._faces, self._count = whole.faces, len(whole.v_template)
+        self.whole = whole
         if len(whole.faces) <= faces:
-            self.kept = torch.arange(self._count)
+            self.kept = torch.arange(len(whole.v_template))
             self.body = whole
         else:
             self.kept, triangles = collapse(whole.v_template, whole.faces, faces, finer)
@@ -126,13 +127,14 @@ class CoarseBody:
 
         1. ``argmin_D |Δ D|² + w |D_kept - offsets|²``
         """
-        if len(self.kept) == self._count:
+        count = len(self.whole.v_template)
+        if len(self.kept) == count:
             return offsets
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 
-        bending = as_scipy(uniform_laplacian(self._faces.numpy(), self._count))
-        weights, pulled = np.zeros(self._count), np.zeros((self._count, 3))
+        bending = as_scipy(uniform_laplacian(self.whole.faces.numpy(), count))
+        weights, pulled = np.zeros(count), np.zeros((count, 3))
         weights[self.kept], pulled[self.kept] = DATA_WEIGHT, DATA_WEIGHT * offsets.double().numpy()
         solved = splu((bending.T @ bending + diags_array(weights)).tocsc()).solve(pulled)
         return torch.from_numpy(solved).to(offsets.dtype)

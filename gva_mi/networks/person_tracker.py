@@ -12,7 +12,8 @@ fifth of its input, so parts of the picture are searched, too. A detection count
 network confirms it twice: on the picture and on its mirror image.
 
 Of several people, the tracker follows the one near the expected place, of the same size, and with
-the same colours between shoulders and hips. While that person is hidden, it returns nobody.
+the same colours between shoulders and hips. It remembers the others, too: a body that resembles one
+of them more is not the person. While the person is hidden, it returns nobody.
 """
 
 from __future__ import annotations
@@ -50,8 +51,9 @@ _LOST_SQUARE = 5.0  # side of the square in which a lost person is searched for
 # How the followed person is recognised among others; all chosen by eye.
 _COLOR_BINS = 4  # of each channel, in the histogram of the torso
 _COLOR_MEMORY, _SPEED_MEMORY = 0.9, 0.7  # shares of old colours and speed kept in each picture
-_FREE_STEP = 1.0  # distance from the expected place that costs as much as other colours,
-_FREE_DRIFT = 0.3  # and its growth with each picture in which the person was not seen
+_FREE_STEP = 1.0  # distance from the expected place that costs as much as other colours
+_FREE_GROWTH = 0.5  # logarithm of a change of the size that does
+_FREE_DRIFT = 0.3  # growth of both with each picture in which the person was not seen
 _LEAST_RESEMBLANCE = -0.5  # overlap of the colours less the cost of the distance
 _LEAST_COLOR_OVERLAP = 0.42  # if others are around; with less it is another person
 _TORSO = [BODY_LANDMARKS.index(f"{s}_{part}") for part in ("shoulder", "hip") for s in SIDES]
@@ -132,6 +134,39 @@ def _overlap(box: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     return inside / np.maximum(union, 1e-12)
 
 
+class _Track:
+    """One of the people of a video, as last seen."""
+
+    def __init__(self, body: SeenBody, colours: np.ndarray) -> None:
+        self.body = body
+        self.colours = colours  # of the torso, of sum 1
+        self._speed = np.zeros(2)  # pixels a picture
+        self.unseen = 0  # pictures since then
+
+    @property
+    def expected(self) -> np.ndarray:
+        """Where the hips (2,) are now, if the person has gone on, pixels."""
+        return self.body.hips + self.unseen * self._speed
+
+    def likeness(self, colours: np.ndarray) -> float:
+        """Return how much of the colours is the person's, in [0, 1]."""
+        return float(np.minimum(self.colours, colours).sum())
+
+    def resemblance(self, body: SeenBody, colours: np.ndarray) -> float:
+        """Return how much a body resembles the person: by its colours, place and size."""
+        moved = np.linalg.norm(body.hips - self.expected) / self.body.radius
+        grown = abs(np.log(body.radius / self.body.radius))
+        cost = float(moved / _FREE_STEP + grown / _FREE_GROWTH)
+        return self.likeness(colours) - cost / (1 + _FREE_DRIFT * self.unseen)
+
+    def go_on(self, body: SeenBody, colours: np.ndarray) -> None:
+        """Take over the person's body in this picture."""
+        moved = (body.hips - self.body.hips) / self.unseen
+        self._speed = _SPEED_MEMORY * self._speed + (1 - _SPEED_MEMORY) * moved
+        self.colours = _COLOR_MEMORY * self.colours + (1 - _COLOR_MEMORY) * colours
+        self.body, self.unseen = body, 0
+
+
 class PersonTracker:
     """Finds one person in picture after picture."""
 
@@ -140,54 +175,47 @@ class PersonTracker:
 
         The person is chosen in the first picture that shows anybody, or N people.
         """
-        self._detector, self._network, self._person = detector, network, person
-        self._body: SeenBody | None = None  # when the person was last seen
-        self._colours = np.zeros(_COLOR_BINS**3)  # of the person's torso, of sum 1
-        self._unseen = 0  # pictures since the person was last seen
-        self._speed = np.zeros(2)  # pixels a picture
-        self._number = -1
+        self._detector, self._network, self._number_from_left = detector, network, person
+        self._people: list[_Track] = []  # the followed person first
+        self._picture = -1
         self.crowded: list[int] = []  # pictures in which several people were seen
         self.lost: list[int] = []  # pictures in which the person was not found
 
     @property
     def begun(self) -> bool:
         """Whether the person was chosen."""
-        return self._body is not None
-
-    @property
-    def _expected(self) -> np.ndarray:
-        """Where the hips (2,) are now, if the person has gone on, pixels."""
-        return self._body.hips + self._unseen * self._speed
+        return bool(self._people)
 
     @property
     def _several(self) -> bool:
         """Whether several people were seen lately."""
-        return bool(self.crowded) and self._number - self.crowded[-1] < _CROWDED_PICTURES
+        return bool(self.crowded) and self._picture - self.crowded[-1] < _CROWDED_PICTURES
 
     def follow(self, image: np.ndarray) -> SeenBody | None:
         """Return the body in the next picture (H, W, 3) 8-bit; None if it is not found."""
-        self._number += 1
+        self._picture += 1
         seen = []
-        if self._body is not None and not self._unseen:
-            body = self._network.see(image, self._body.square)
+        if self.begun and not self._people[0].unseen:
+            body = self._network.see(image, self._people[0].body.square)
             seen = [body] if body.presence >= LEAST_PRESENCE else []
-        if not seen or self._several or self._number % _SEARCH_EVERY == 0:
+        if not seen or self._several or self._picture % _SEARCH_EVERY == 0:
             seen = self._search(image, seen)
         if len(seen) > 1:
-            self.crowded.append(self._number)
-        found = self._recognise(image, seen) if self.begun else self._choose(image, seen)
+            self.crowded.append(self._picture)
+        tracks = [_Track(body, torso_colours(image, body)) for body in seen]
+        found = self._recognise(tracks) if self.begun else self._choose(image, tracks)
         if found is None:
-            self.lost.append(self._number)
+            self.lost.append(self._picture)
         return found
 
     def _search(self, image: np.ndarray, seen: list[SeenBody]) -> list[SeenBody]:
         """Return the seen people, and others whom the detector finds."""
-        due = self._number % _SEARCH_EVERY == 0
-        squares = squares_over(image, max(image.shape[:2]))
+        due = self._picture % _SEARCH_EVERY == 0
+        squares, just_lost = squares_over(image, max(image.shape[:2])), False
         if self.begun and not seen:
-            middle = tuple(self._expected.tolist())
-            squares.append(TurnedSquare(middle, _LOST_SQUARE * self._body.radius))
-        just_lost = self.begun and self._unseen < _SEARCH_EVERY
+            person = self._people[0]
+            side, just_lost = _LOST_SQUARE * person.body.radius, person.unseen < _SEARCH_EVERY
+            squares.append(TurnedSquare(tuple(person.expected.tolist()), side))
         if not seen and (just_lost or due) and len(set(image.shape[:2])) > 1:
             squares += squares_over(image, min(image.shape[:2]))
         found = self._found_in(squares, image, seen)
@@ -226,48 +254,55 @@ class PersonTracker:
         if best.presence < LEAST_PRESENCE:
             return None
         if self.begun:
-            off = np.linalg.norm(best.hips - self._expected) / self._body.radius
+            person = self._people[0]
+            off = np.linalg.norm(best.hips - person.expected) / person.body.radius
             if off < _SAME_PERSON_DISTANCE:
                 return best
         mirrored = self._network.see(image, best.square, mirrored=True)
         off = np.median(np.linalg.norm(mirrored.points - best.points, axis=1)) / best.radius
         return best if mirrored.presence >= LEAST_PRESENCE and off < _PASSES_AGREE else None
 
-    def _choose(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
+    def _choose(self, image: np.ndarray, seen: list[_Track]) -> SeenBody | None:
         """Choose the person to follow; None if too few people are seen."""
-        if len(seen) < (self._person or 1):
+        if len(seen) < (self._number_from_left or 1):
             return None
-        if self._person is not None:
-            chosen = sorted(seen, key=lambda body: body.hips[0])[self._person - 1]
+        if self._number_from_left is not None:
+            from_left = sorted(seen, key=lambda track: track.body.hips[0])
+            chosen = from_left[self._number_from_left - 1]
         else:
             middle = np.array(image.shape[1::-1]) / 2
             off = lambda body: float(np.linalg.norm((body.hips - middle) / middle))
-            chosen = max(seen, key=lambda body: body.radius / (1 + off(body)))
-        self._body, self._colours = chosen, torso_colours(image, chosen)
-        return chosen
+            chosen = max(seen, key=lambda track: track.body.radius / (1 + off(track.body)))
+        self._people = [chosen, *(track for track in seen if track is not chosen)]
+        return chosen.body
 
-    def _recognise(self, image: np.ndarray, seen: Sequence[SeenBody]) -> SeenBody | None:
-        """Return the seen body that resembles the followed person most; None if none does."""
-        self._unseen += 1
-        last, best, least = self._body, None, _LEAST_RESEMBLANCE
-        for body in seen:
-            colours = torso_colours(image, body)
-            likeness = float(np.minimum(self._colours, colours).sum())
-            if self._several and likeness < _LEAST_COLOR_OVERLAP:
-                continue
-            moved = np.linalg.norm(body.hips - self._expected) / last.radius
-            grown = abs(np.log(body.radius / last.radius))
-            free = _FREE_STEP + _FREE_DRIFT * self._unseen
-            resemblance = likeness - float(moved + grown) / free
-            if resemblance > least:
-                least, best = resemblance, (body, colours)
-        if best is None:
-            return None
-        moved = (best[0].hips - last.hips) / self._unseen
-        self._speed = _SPEED_MEMORY * self._speed + (1 - _SPEED_MEMORY) * moved
-        self._body, self._unseen = best[0], 0
-        self._colours = _COLOR_MEMORY * self._colours + (1 - _COLOR_MEMORY) * best[1]
-        return self._body
+    def _recognise(self, seen: list[_Track]) -> SeenBody | None:
+        """Find the people in this picture; return the body of the followed one, None if hidden.
+
+        ``seen`` are its bodies. Of all bodies and people, those that resemble each other most are
+        paired first.
+        """
+        for track in self._people:
+            track.unseen += 1
+        pairs = [
+            (known.resemblance(new.body, new.colours), known, new)
+            for known in self._people
+            for new in seen
+            if not self._foreign(known, new)
+        ]
+        for resemblance, known, new in sorted(pairs, key=lambda pair: -pair[0]):
+            if resemblance > _LEAST_RESEMBLANCE and known.unseen and new in seen:
+                known.go_on(new.body, new.colours)
+                seen = [track for track in seen if track is not new]
+        person, *others = self._people
+        others = [track for track in others if track.unseen < _CROWDED_PICTURES]
+        self._people = [person, *others, *seen]
+        return None if person.unseen else person.body
+
+    def _foreign(self, known: _Track, new: _Track) -> bool:
+        """Return whether a body has not the colours of the followed person, who is not alone."""
+        followed = known is self._people[0] and self._several
+        return followed and known.likeness(new.colours) < _LEAST_COLOR_OVERLAP
 
 
 def torso_colours(image: np.ndarray, body: SeenBody) -> np.ndarray:

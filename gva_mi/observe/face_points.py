@@ -9,13 +9,14 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS
 from gva_mi.body.smplx import BodyModel, columns_of
-from gva_mi.observe.rig import face_weights
+from gva_mi.observe.rig import LandmarkRig, face_weights
 from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 
 # σ on the face (metres) and in the picture (pixels), which add up; by eye.
 POINT_SIGMA_METRES, POINT_SIGMA_PIXELS = 0.003, 0.8
 INDEPENDENT_POINTS = 6.0  # all 51 points count as so many independent ones; by eye
 OFFSET_SIGMA = 0.006  # metres, of a person's face from the average body's; chosen by eye
+RIGID = [FACE_LANDMARKS.index(f"face_{number}") for number in range(27, 48)]  # nose and eyes
 FITTED_EXPRESSIONS = 10  # coefficients that are fitted, at most: SMPL-X's usual number
 _HEAD, _JAW, _LEFT, _RIGHT = (
     JOINTS.index(n) for n in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
@@ -89,6 +90,16 @@ class FacePoints:
         """Return the landmarks (51, 3) of a shape (B,), metres; missing betas count as zero."""
         betas = betas[: len(self.betas)]
         return self.rest + torch.einsum("b,bpc->pc", betas, self.betas[: len(betas)])
+
+    def rigid(self) -> LandmarkRig:
+        """Return nose and eyes, which move with the head alone, of float32."""
+        return LandmarkRig(
+            tuple(FACE_LANDMARKS[k] for k in RIGID),
+            torch.full((len(RIGID),), _HEAD),
+            self.rest[RIGID].float(),
+            self.betas[:, RIGID].float(),
+            torch.full((len(RIGID),), OFFSET_SIGMA),
+        )
 
 
 def seen_face(

@@ -4,7 +4,7 @@
 networks see people scaled to one size. The spread between passes of the network adds to it, and a
 low confidence widens it:
 
-1. ``σ² = ((share · S)² + spread²) / confidence² + hand_offset²``
+1. ``σ² = ((share · S)² + misfit² + spread²) / confidence² + hand_offset²``
    with ``S`` the pixels of 1.7 m at the person's distance
 
 ``hand_offset`` is for the points of a hand, and zero for others. The tracker of hands may stay
@@ -17,6 +17,10 @@ errors of pixels and of depths.
 A face that is turned away is a guess, although the network says that it is sure: on rendered people
 its points err twice as much in profile as from the front, and from behind they err together. So
 their ``share`` grows by :func:`face_factors`.
+
+In some frames the network mistakes the whole person, as a bare shoulder for a face. Then the person
+seems to be smaller or larger than in frames around: ``misfit`` is how far ``S`` is from its running
+median, beyond what is usual in the video. Depths err as much.
 
 A knee may be taken for a point higher or lower on the leg, but hardly for a point beside the leg.
 On rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
@@ -67,6 +71,11 @@ BODY_SHARE, HAND_SHARE = 0.012, 0.004
 HIDDEN_FACE, SEEN_FACE = 4.0, 0.5
 SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen by eye
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
+SIZE_MEDIAN_FRAMES = 30  # on each side of a frame; chosen: one second of 30 frames a second
+UNUSUAL = 4.0  # median deviations of the size from that of frames around; chosen: some 3 sigma
+# Misfit of a mistaken frame, as a share of S. Chosen on a rendered person with dark hair in a dark
+# room: in frames with more, the network saw no head.
+MISTAKEN = 0.08
 # Least correlation time of the network's errors, seconds; chosen: three frames of 30 a second.
 LANDMARK_CORRELATION_SECONDS = 0.1
 # All points of the face, or of a hand, count as so many independent points. Chosen
@@ -156,7 +165,8 @@ class LandmarkNoise:
         sizes = person_sizes(landmarks)
         share = np.where(of_hand, HAND_SHARE, BODY_SHARE) * sizes[:, None]
         share = np.where(of_face, share * face_factors(landmarks)[:, None], share)
-        square = share**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
+        misfit = size_misfits(sizes)[:, None]
+        square = share**2 + misfit**2 + np.nan_to_num(landmarks.spread[:, at]) ** 2
         hand_offset = _hand_offsets(landmarks, names, sizes / REFERENCE_HEIGHT)
         square = square / np.clip(confidence, SMALLEST_CONFIDENCE, 1) ** 2
         pixels = np.sqrt(square + (hand_offset * sizes[:, None] / REFERENCE_HEIGHT) ** 2)
@@ -166,6 +176,7 @@ class LandmarkNoise:
         has_depth = seen & np.isfinite(landmarks.metric[:, at]).all(2)
         both = has_depth[:, bones].all(2)
         sigma = np.hypot([bone.sigma for _, bone in known], hand_offset[:, bones].max(2))
+        sigma = np.hypot(sigma, misfit / sizes[:, None] * REFERENCE_HEIGHT)
         depth = np.where(both, sigma, np.inf)
         tensor = lambda x: torch.from_numpy(np.asarray(x, np.float32))
         return LandmarkNoise(
@@ -248,6 +259,30 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
         raise InputError("landmarks: no frame has a person; expected at least four points of one")
     sizes = REFERENCE_HEIGHT * along / np.maximum(square, 1e-9)
     return np.where(usable, sizes, np.median(sizes[usable]))
+
+
+def usual_sizes(sizes: np.ndarray) -> np.ndarray:
+    """Return the median (T,) of the sizes ``S`` (T,) around each frame, as far to both sides."""
+    last, n = len(sizes) - 1, SIZE_MEDIAN_FRAMES
+    reach = [min(n, t, last - t) for t in range(len(sizes))]
+    return np.array([np.median(sizes[t - n : t + n + 1]) for t, n in enumerate(reach)])
+
+
+def size_misfits(sizes: np.ndarray) -> np.ndarray:
+    """Return the misfit (T,) of eq. 1 of the sizes ``S`` (T,), pixels."""
+    off = np.abs(sizes - usual_sizes(sizes))
+    common = UNUSUAL * np.median(off)
+    return np.sqrt((off**2 - common**2).clip(0))
+
+
+def mistaken_frames(landmarks: Landmarks) -> list[int]:
+    """Return the frames whose misfit is so large that nothing in them can be believed.
+
+    Raises:
+        InputError: no frame has a person.
+    """
+    sizes = person_sizes(landmarks)
+    return np.flatnonzero(size_misfits(sizes) > MISTAKEN * usual_sizes(sizes)).tolist()
 
 
 def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:

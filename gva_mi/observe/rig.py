@@ -118,6 +118,16 @@ class LandmarkRig:
             torch.tensor(offset_spread).to(body.v_template),
         )
 
+    def joined(self, other: LandmarkRig) -> LandmarkRig:
+        """Append the landmarks of another rig of the same body."""
+        return LandmarkRig(
+            self.names + other.names,
+            torch.cat([self.joints, other.joints]),
+            torch.cat([self.rest, other.rest]),
+            torch.cat([self.directions, other.directions], 1),
+            torch.cat([self.offset_spread, other.offset_spread]),
+        )
+
     def at_rest(self, betas: Tensor) -> Tensor:
         """Return ``x`` (P, 3) of a shape (B,), metres; missing betas count as zero."""
         betas = betas[: len(self.directions)]

@@ -127,8 +127,8 @@ class ObservedVideo:
         errors = stage1_errors(video.fps or DEFAULT_FPS) if of_stage1 else None
         if video.landmarks is None:
             return replace(self, known_errors=errors)
-        body, cameras = self.coarse.body, video.cameras
-        seen = SeenLandmarks.of(video.landmarks, body, cameras, self.pose, self.shape)
+        person = self.coarse.whole, video.cameras, self.pose, self.shape
+        seen = SeenLandmarks.of(video.landmarks, *person)
         return replace(self, landmarks=seen, known_errors=errors)
 
     def _with_swaps_fixed(self, video: Video) -> ObservedVideo:

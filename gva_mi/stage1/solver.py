@@ -32,6 +32,7 @@ from gva_mi.observe.landmark_noise import (
     LandmarkNoise,
     correlated_frames,
     person_sizes,
+    usual_sizes,
 )
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.anatomy import Anatomy
@@ -64,8 +65,6 @@ CONVERGED_DECREASE = 1e-4  # relative decrease of the energy that ends the steps
 FIRST_DAMPING, SMALLEST_DAMPING, LARGEST_DAMPING = 1e-3, 1e-8, 1e6
 # Factors on the damping after a step that lowers the energy, and after one that does not; by eye.
 DAMPING_AFTER_SUCCESS, DAMPING_AFTER_FAILURE = 0.2, 6.0
-# Frames to each side, of the running median of person sizes. Chosen: a few outliers do not count.
-PERSON_SIZE_MEDIAN_FRAMES = 5
 _PALM_POINTS = ("hand_wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "pinky_mcp")
 _FACE_JOINTS = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 _BODY_JOINTS = [k for k, name in enumerate(JOINTS[: LEFT_HAND.start]) if name not in _FACE_JOINTS]
@@ -379,8 +378,7 @@ def initial_pelvis_position(landmarks: Landmarks, K: np.ndarray, scale: float) -
         K: (3, 3) the camera, pixels.
         scale: of the body relative to the landmarks' metres.
     """
-    size, n = person_sizes(landmarks), PERSON_SIZE_MEDIAN_FRAMES
-    usual = np.array([np.median(size[max(0, t - n) : t + n + 1]) for t in range(len(size))])
+    usual = usual_sizes(person_sizes(landmarks))
     z = (K[0, 0] + K[1, 1]) / 2 * REFERENCE_HEIGHT * scale / usual
     hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
     rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]

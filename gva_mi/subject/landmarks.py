@@ -64,6 +64,14 @@ class Landmarks:
         """Return the landmarks of pictures that are ``factor`` times smaller."""
         return replace(self, pixels=self.pixels / factor, spread=self.spread / factor)
 
+    def without(self, frames: Sequence[int]) -> Landmarks:
+        """Return the landmarks with nothing known of some frames."""
+        unknown = {"pixels": np.nan, "metric": np.nan, "confidence": 0, "spread": 0}
+        found = {name: getattr(self, name).copy() for name in unknown}
+        for name, value in unknown.items():
+            found[name][list(frames)] = value
+        return replace(self, **found)
+
     def save(self, path: Path) -> None:
         """Write ``landmarks.npz``; it appears when it is complete."""
         numbers = {name: getattr(self, name).astype(np.float32) for name in _SHAPES}

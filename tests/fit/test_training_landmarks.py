@@ -10,8 +10,8 @@ import torch
 from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
-from gva_mi.fit.training_landmarks import RIGID, TrainingLandmarks
-from gva_mi.observe.face_points import FacePoints
+from gva_mi.fit.training_landmarks import TrainingLandmarks
+from gva_mi.observe.face_points import RIGID, FacePoints
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.splat import Camera, look_at
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks
@@ -120,9 +120,9 @@ def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, 
         TrainingLandmarks.of(moved, built_in_body),
         TrainingLandmarks.of(video, built_in_body),
     )
-    assert not seen.points.scale[wrong, -len(RIGID) :].any() and seen.points.scale[wrong].any()
+    assert not seen.seen.scale[wrong, -len(RIGID) :].any() and seen.seen.scale[wrong].any()
     others = [k for k in range(FRAMES) if k != wrong]
-    assert torch.equal(seen.points.scale[others], right.points.scale[others])
+    assert torch.equal(seen.seen.scale[others], right.seen.scale[others])
     assert (seen.offsets - right.offsets).abs().max() < 0.0005
 
 
@@ -146,9 +146,9 @@ def test_smaller_pictures_give_the_same_losses(video, wrong, built_in_body):
     found = []
     for seen in (video, SimpleNamespace(**vars(video) | small)):
         landmarks = TrainingLandmarks.of(seen, built_in_body)
-        counts = landmarks.points.counts.clone()
+        counts = landmarks.seen.counts.clone()
         counts[-len(RIGID) :] = 0  # the face's standard deviation has a part in pixels
-        landmarks.points = replace(landmarks.points, counts=counts)
+        landmarks.seen = replace(landmarks.seen, counts=counts)
         found.append(landmarks.losses(wrong.pose, range(FRAMES)))
     torch.testing.assert_close(*found, rtol=1e-3, atol=1e-4)
 

@@ -185,6 +185,14 @@ def test_a_lost_person_is_found_again(rendered_person):
     assert "frames where the person was not found: 1, 3" in found.notes
 
 
+def test_a_person_who_leaves_is_not_replaced_by_another_one_who_stays(rendered_person):
+    """Both wear the same. The other one is 500 pixels away, and comes nearer."""
+    beside = [rendered_person.on(GREY, left) for left in (540, 540, 500, 460, 420, 380)]
+    both = [rendered_person.on(picture, -20) for picture in beside[:2]]
+    found = watch_video([*both, *beside[2:]], person=1).landmarks.pixels[:, 0, 0]
+    assert np.isfinite(found).tolist() == [True] * 2 + [False] * 4
+
+
 def test_a_video_without_anybody_is_refused():
     with pytest.raises(InputError, match="finds a person in no picture of the video"):
         watch_video([GREY] * 2)

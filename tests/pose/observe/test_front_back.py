@@ -1,5 +1,6 @@
 """Frames in which a network takes the back for the front are found, and nothing else is."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,6 +36,7 @@ def turning(rounds=1.0):
             pixels[:, at, 1] = 500 - high
     pixels += rng.normal(0, 3, pixels.shape)
     metric = rng.normal(0, 0.3, (N, len(NAMES), 3))
+    metric[..., :2] = (pixels - 300) / 235
     face = [NAMES.index(name) for name in FACE_LANDMARKS]
     hidden = np.flatnonzero(np.cos(turn) < 0.3)
     pixels[np.ix_(hidden, face)] = metric[np.ix_(hidden, face)] = np.nan
@@ -101,3 +103,21 @@ def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):
     np.testing.assert_array_equal(solved[0].pixels, true.pixels)
     assert motion.watched.landmarks is solved[0]
     assert motion.notes[0] == "too dark" and "26-36" in motion.notes[1], motion.notes
+
+
+def test_frames_in_which_the_network_mistook_the_person_tell_nothing(monkeypatch):
+    true, wrong, solved, silhouettes = turning(), [20, 21, 22], [], {}
+    seen = replace(true, pixels=true.pixels.copy())
+    seen.pixels[wrong] *= 0.8
+    pictures = SimpleNamespace(pictures=[np.zeros((4, 6, 3))], focal35=26, fps=FPS, notes=[])
+    monkeypatch.setattr(prepare, "even_pictures", lambda *_: pictures)
+    monkeypatch.setattr(prepare, "watch_video", lambda *_: WatchedVideo(seen, []))
+    monkeypatch.setattr(prepare, "solve_stage1", lambda found, *_, **__: solved.append(found))
+    monkeypatch.setattr(prepare, "with_face", lambda *_: (None, []))
+    given = Path("video.mp4"), prepare.PrepareVideoOptions(), None
+    motion = prepare.motion_of_video(*given, on_silhouette=silhouettes.__setitem__)
+    assert np.isnan(solved[0].pixels[wrong]).all() and not solved[0].confidence[wrong].any()
+    others = np.setdiff1d(np.arange(len(true)), wrong)
+    np.testing.assert_array_equal(solved[0].pixels[others], true.pixels[others])
+    assert "20-22" in motion.notes[0] and sorted(silhouettes) == wrong
+    assert all(inside.shape == (4, 6) and not inside.any() for inside in silhouettes.values())

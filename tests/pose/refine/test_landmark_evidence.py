@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from gva_mi.body.pose import JOINTS, Shape
+from gva_mi.observe.face_points import FacePoints
 from gva_mi.observe.rig import LandmarkRig
-from gva_mi.refine.landmark_evidence import CORRELATED_FRAMES, HEAD_SIGMA, SeenLandmarks
+from gva_mi.refine.landmark_evidence import SeenLandmarks
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks, hand_names
 
 NAMES = (*BODY_LANDMARKS, *hand_names("left"), *hand_names("right"))
-SHAPE = Shape(torch.zeros(10))
+SHAPE, HEAD = Shape(torch.zeros(10)), JOINTS.index("head")
 
 
 def seen_of(body, pose, camera, names=NAMES):
@@ -65,33 +66,29 @@ def test_a_landmark_that_is_not_known_pulls_at_nothing(body, true_pose, camera, 
     assert far > 0.1 > 1e-4 > float(loss_of(lost, body, true_pose, camera))
 
 
-def test_a_seen_face_holds_the_head_whatever_turns_it(body, true_pose, camera):
-    """By half the square of its angle over σ, a frame; a face turned away, or none, by nothing."""
-    for root, share in (((0.0, 0.0, 0.0), 1.0), ((0.0, torch.pi, 0.0), 0.0)):
+def test_a_seen_face_tells_where_the_head_looks(body, true_pose, camera):
+    """Its points cost a head that turns away; they tell nothing of one that faces away."""
+    for facing, told in ((0.0, True), (torch.pi, False)):
         rotations = torch.zeros_like(true_pose.rotations)
-        rotations[:, 0] = torch.tensor(root)
-        pose = replace(true_pose, rotations=rotations)
-        plain = seen_of(body, pose, camera)
-        pixels, ones = (np.zeros((len(pose), len(FACE_LANDMARKS), 2)),
-            np.ones((len(pose), len(FACE_LANDMARKS))))  # fmt: skip
-        unknown = np.full((*ones.shape, 3), np.nan)
-        face = Landmarks(FACE_LANDMARKS, pixels, ones, 0 * ones, unknown)
-        both = Landmarks(
-            (*NAMES, *FACE_LANDMARKS),
-            *(
-                np.concatenate([getattr(x, name) for x in (plain, face)], 1)
-                for name in ("pixels", "confidence", "spread", "metric")
-            ),
-        )
-        bent = rotations.clone()
-        bent[:, JOINTS.index("spine2"), 1] = 0.05
-        losses = []
-        for given in (plain, both):
-            seen = SeenLandmarks.of(given, body, [camera] * len(pose), pose, SHAPE)
-            offsets = torch.zeros_like(seen.rig.rest)
-            every = range(len(pose))
-            T_world_rest = body(replace(pose, rotations=bent), SHAPE).T_world_rest
-            losses.append(seen.losses(every, T_world_rest, SHAPE, offsets))
-        assert seen.face_weights.tolist() == pytest.approx([share] * len(pose), abs=0.15)
-        expected = seen.face_weights * (0.05 / HEAD_SIGMA) ** 2 / (2 * CORRELATED_FRAMES)
-        assert torch.allclose(losses[1] - losses[0], expected, rtol=1e-2, atol=1e-6)
+        rotations[:, 0, 1] = facing
+        pose, bent = replace(true_pose, rotations=rotations), rotations.clone()
+        bent[:, HEAD, 1] = 0.1
+        bent = replace(pose, rotations=bent)
+        plain, both = seen_of(body, pose, camera), with_face(body, pose, camera)
+        assert float(loss_of(both, body, pose, camera)) == pytest.approx(0, abs=1e-4)
+        costs = [float(loss_of(given, body, bent, camera)) for given in (plain, both)]
+        assert costs[1] > 4 * costs[0] if told else costs[1] == pytest.approx(costs[0], rel=1e-3)
+
+
+def with_face(body, pose, camera):
+    """The same landmarks with those of the face network."""
+    plain, points = seen_of(body, pose, camera), FacePoints.of(body)
+    T = body(pose, SHAPE).T_world_rest[:, [HEAD]]
+    x = points.at_rest(SHAPE.betas.double()).float()
+    places = ((T[..., :3, :3] @ x[..., None])[..., 0] + T[..., :3, 3]).double().numpy()
+    pixels = np.stack([camera.project(frame) for frame in places])
+    ones = np.ones(pixels.shape[:2])
+    face = Landmarks(FACE_LANDMARKS, pixels, ones, 0 * ones, np.full(places.shape, np.nan))
+    parts = ("pixels", "confidence", "spread", "metric")
+    joined = (np.concatenate([getattr(x, name) for x in (plain, face)], 1) for name in parts)
+    return Landmarks((*NAMES, *FACE_LANDMARKS), *joined)

@@ -23,7 +23,7 @@ from gva_mi.avatar.without_body import require_body_of
 from gva_mi.body.pose import Pose
 from gva_mi.body.smplx import BodyModel, body_name, load_body
 from gva_mi.core.atomic import atomic_dir, folder_lock, require_writable
-from gva_mi.core.console import Progress, aligned, bar, say
+from gva_mi.core.console import Progress, aligned, bar, say, with_reasons
 from gva_mi.core.errors import InputError
 from gva_mi.core.files import make_room, require_replaceable, require_room
 from gva_mi.core.tasks import helper_processes
@@ -241,8 +241,9 @@ def fit(
     else:
         opened = open_subject(subject, poses, body)
     video, model = opened.video, opened.model
-    for frame, reason in video.absent.items():
-        say(f"{subject}: frame {frame} is left out: {reason}")
+    if video.absent:
+        left_out = with_reasons(video.absent)
+        say(f"{subject}: {len(video.absent)} of {len(video)} frames are left out: {left_out}")
     video.require_train_frames()
     with folder_lock(out, "gva-mi fit"):
         if not resume:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Protocol
 
@@ -95,6 +95,19 @@ def listed(frames: Sequence[int]) -> str:
         else:
             runs.append([k])
     return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+def with_reasons(frames: Mapping[int, str]) -> str:
+    """Return frame numbers as text, with the reason of each.
+
+    Example:
+        >>> with_reasons({8: "its mask is empty", 3: "no picture", 7: "its mask is empty"})
+        '3 (no picture), 7-8 (its mask is empty)'
+    """
+    those: dict[str, list[int]] = {}
+    for k, why in sorted(frames.items()):
+        those.setdefault(why, []).append(k)
+    return ", ".join(f"{listed(some)} ({why})" for why, some in those.items())
 
 
 def aligned(rows: Iterable[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:

@@ -37,7 +37,7 @@ from torch import Tensor
 
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
-from gva_mi.core.console import aligned, listed
+from gva_mi.core.console import aligned, listed, with_reasons
 from gva_mi.core.cpu import one_thread, sqrt
 from gva_mi.core.errors import InputError, expecting
 from gva_mi.core.files import read_arrays, read_json, require_array, require_keys, write_arrays
@@ -267,11 +267,8 @@ def kept_poses(video: Video, kept: Mapping[int, str], what: str) -> Iterator[str
     if len(kept) == 1:
         yield from (f"{video.folder}: frame {k} keeps its {what}: {why}" for k, why in kept.items())
     elif kept:
-        frames: dict[str, list[int]] = {}
-        for k, why in sorted(kept.items()):
-            frames.setdefault(why.partition(" from ")[0], []).append(k)
-        reasons = ", ".join(f"{listed(those)} ({why})" for why, those in frames.items())
-        yield f"{video.folder}: {len(kept)} of {len(video)} frames keep their {what}s: {reasons}"
+        frames = with_reasons({k: why.partition(" from ")[0] for k, why in kept.items()})
+        yield f"{video.folder}: {len(kept)} of {len(video)} frames keep their {what}s: {frames}"
 
 
 def describe_prior(

@@ -64,7 +64,7 @@ from gva_mi.refine.optimize import PriorWeight, Steps, optimiser
 from gva_mi.refine.vector_adam import VectorAdam, lever_arms
 from gva_mi.splat import Camera
 
-JAW, HEAD = JOINTS.index("jaw"), [JOINTS.index(name) for name in ("neck", "head")]
+JAW = JOINTS.index("jaw")
 # Priors of slow errors before pictures have shown them, in radians and in standard deviations of a
 # coefficient; frames. Chosen: coefficients do much of what a jaw does, and the jaw would take up
 # their errors if a turn of a few degrees were as probable.
@@ -283,15 +283,10 @@ class TrainedPoses:
         return bool(self._clips)
 
     def __call__(self, frame: int) -> Pose:
-        """Return the pose of one frame, differentiable in its corrections.
-
-        The head's is not, in a frame of which landmarks tell that no face is seen.
-        """
+        """Return the pose of one frame, differentiable in its corrections."""
         for clip in self._clips:
             if frame in clip.frames:
-                pose = clip.pose([frame - clip.frames.start])
-                faceless = self._seen is not None and not self._seen.shows_face(frame)
-                return with_still_head(pose) if faceless else pose
+                return clip.pose([frame - clip.frames.start])
         return self.given[frame]
 
     def step(self, done: int, frame: int) -> None:
@@ -329,21 +324,6 @@ class TrainedPoses:
             clip.load_state(saved, self._options)
         if self._seen is not None:
             self._seen.offsets = state["offsets"]
-
-
-def with_still_head(pose: Pose) -> Pose:
-    """Return the same pose, of which neck and head are constants.
-
-    Example:
-        >>> pose = Pose.rest()
-        >>> turned = replace(pose, rotations=pose.rotations.clone().requires_grad_())
-        >>> with_still_head(turned).rotations.sum().backward()
-        >>> (turned.rotations.grad == 0).all(2).nonzero()[:, 1].tolist() == HEAD
-        True
-    """
-    still = pose.rotations.new_zeros(len(JOINTS), 1, dtype=torch.bool)
-    still[HEAD] = True
-    return replace(pose, rotations=torch.where(still, pose.rotations.detach(), pose.rotations))
 
 
 class _Clip:

@@ -4,8 +4,7 @@ Pictures move a part only toward what the avatar has already learned. While the 
 blurred, each side of a turn may pull the head its own way, and the avatar gets two faces; where an
 arm touches a dress, each may look like the other. The landmarks of the video still show where these
 parts are. They are those of the refinement (:mod:`gva_mi.refine.landmark_evidence`). Only training
-frames count. Where no face is seen, pictures do not turn the head: hair looks alike from many
-sides, and heads in profile were turned by 20 to 60 degrees.
+frames count.
 
 The offsets ``o`` are how this person differs from the average one. They are found from all frames k
 by
@@ -78,10 +77,6 @@ class TrainingLandmarks:
         """Return the given frames that show a landmark."""
         return [k for k in frames if bool(self.seen.scale[k].any())]
 
-    def shows_face(self, frame: int) -> bool:
-        """Return whether a frame shows nose and eyes."""
-        return bool(self.seen.scale[frame, self._face].any())
-
     def losses(self, pose: Pose, frames: Sequence[int]) -> Tensor:
         """Return the losses of B frames, given their poses: (B,) nats, differentiable."""
         return self.seen.losses(frames, *self._person(pose))
@@ -103,16 +98,12 @@ class TrainingLandmarks:
     @torch.no_grad()
     def _drop_contradicted_faces(self, pose: Pose) -> None:
         """Drop the faces that miss eq. 2 for the poses of all T frames."""
-        seen, frames, face = self.seen, range(len(self.seen.K)), self._face
+        seen, frames = self.seen, range(len(self.seen.K))
+        face = torch.tensor([name in FACE_LANDMARKS for name in seen.rig.names])
         square = seen.errors(frames, *self._person(pose)).square().sum(-1)
         wrong = (square * face).sum(1) > CONTRADICTED * face.sum()
         kept = ~(wrong[:, None] & face)
         self.seen = replace(seen, scale=seen.scale * kept[..., None, None])
-
-    @property
-    def _face(self) -> Tensor:
-        """Which landmarks are nose and eyes, (P,) bool."""
-        return torch.tensor([name in FACE_LANDMARKS for name in self.seen.rig.names])
 
     def _person(self, pose: Pose) -> tuple[Tensor, Shape, Tensor]:
         """Return the person in B poses: its joints (B, 55, 4, 4), shape and offsets."""

@@ -73,6 +73,7 @@ SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen by eye
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
 SIZE_MEDIAN_FRAMES = 30  # on each side of a frame; chosen: one second of 30 frames a second
 UNUSUAL = 4.0  # median deviations of the size from that of frames around; chosen: some 3 sigma
+SIZE_CHANGE = 0.03  # share of the size; chosen: gestures change the size by so much in perspective
 # Misfit of a mistaken frame, as a share of S. Chosen on a rendered person with dark hair in a dark
 # room: in frames with more, the network saw no head.
 MISTAKEN = 0.08
@@ -270,8 +271,9 @@ def usual_sizes(sizes: np.ndarray) -> np.ndarray:
 
 def size_misfits(sizes: np.ndarray) -> np.ndarray:
     """Return the misfit (T,) of eq. 1 of the sizes ``S`` (T,), pixels."""
-    off = np.abs(sizes - usual_sizes(sizes))
-    common = UNUSUAL * np.median(off)
+    usual = usual_sizes(sizes)
+    off = np.abs(sizes - usual)
+    common = np.maximum(UNUSUAL * np.median(off), SIZE_CHANGE * usual)
     return np.sqrt((off**2 - common**2).clip(0))
 
 
@@ -282,7 +284,8 @@ def mistaken_frames(landmarks: Landmarks) -> list[int]:
         InputError: no frame has a person.
     """
     sizes = person_sizes(landmarks)
-    return np.flatnonzero(size_misfits(sizes) > MISTAKEN * usual_sizes(sizes)).tolist()
+    wrong = size_misfits(sizes) > MISTAKEN * usual_sizes(sizes)
+    return np.flatnonzero(wrong & np.isfinite(landmarks.pixels).any((1, 2))).tolist()
 
 
 def correlated_frames(landmarks: Landmarks, dt: float, hand: str | None = None) -> Tensor:

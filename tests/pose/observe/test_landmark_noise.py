@@ -79,6 +79,7 @@ def test_in_a_frame_that_does_not_fit_pixels_and_depths_err_more(standing):
     assert torch.equal(found.pixels[:8], usual.pixels[:8])
     wrong.pixels[8] = 300 + 0.9 * (wrong.pixels[8] - 300)
     assert mistaken_frames(wrong) == [8]
+    assert mistaken_frames(wrong.without([8])) == []  # nobody was seen there
 
 
 def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standing):

@@ -127,7 +127,11 @@ def check(
     with bar("check") as progress:
         report = check_subject(subject, model, progress, sheet)
         if not report.skipped:
-            found = [*_filmed(subject, model, progress), *report.problems]
+            filmed = _filmed(subject, model, progress)
+            # The two have the same frames, but only the first tells how to film.
+            lost = [problem.frames for problem in filmed if problem.what == "person not found"]
+            again = lambda problem: problem.what == "frames left out" and problem.frames in lost
+            found = [*filmed, *(problem for problem in report.problems if not again(problem))]
             report.problems = sorted(found, key=lambda problem: problem.severity != "error")
     for line in report.lines(max(60, shutil.get_terminal_size().columns)):
         say(line)

@@ -44,19 +44,19 @@ class TrainingLandmarks:
     """The landmarks of a video's training frames, as evidence of poses.
 
     Attributes:
-        seen: P landmarks in all T frames; of test frames their ``scale`` is zero.
+        evidence: P landmarks in all T frames; of test frames their ``scale`` is zero.
         shape: of the person.
         joints: (55, 3) of the person at rest, metres.
         offsets: (P, 3) ``o``, metres.
     """
 
-    seen: SeenLandmarks
+    evidence: SeenLandmarks
     shape: Shape
     joints: Tensor
     offsets: Tensor = field(init=False)
 
     def __post_init__(self) -> None:
-        self.offsets = torch.zeros_like(self.seen.rig.rest)
+        self.offsets = torch.zeros_like(self.evidence.rig.rest)
 
     @staticmethod
     def of(video: Video, body: BodyModel) -> TrainingLandmarks | None:
@@ -75,21 +75,21 @@ class TrainingLandmarks:
 
     def frames_among(self, frames: range) -> list[int]:
         """Return the given frames that show a landmark."""
-        return [k for k in frames if bool(self.seen.scale[k].any())]
+        return [k for k in frames if bool(self.evidence.scale[k].any())]
 
     def losses(self, pose: Pose, frames: Sequence[int]) -> Tensor:
         """Return the losses of B frames, given their poses: (B,) nats, differentiable."""
-        return self.seen.losses(frames, *self._person(pose))
+        return self.evidence.losses(frames, *self._person(pose))
 
     @torch.no_grad()
     def fit_offsets(self, pose: Pose) -> None:
         """Find the offsets (eq. 1) for the poses of all T frames, by Gauss-Newton steps."""
-        frames = self.frames_among(range(len(self.seen.K)))
-        precision = self.seen.rig.offset_spread[:, None] ** -2
+        frames = self.frames_among(range(len(self.evidence.K)))
+        precision = self.evidence.rig.offset_spread[:, None] ** -2
         for _ in range(GAUSS_NEWTON_STEPS):
             person = self._person(pose[frames])
-            r, slopes = self.seen.errors(frames, *person), self.seen.slopes(frames, *person)
-            weights = (STUDENT_DOF + 2) / (STUDENT_DOF + r.square().sum(-1)) * self.seen.counts
+            r, slopes = self.evidence.errors(frames, *person), self.evidence.slopes(frames, *person)
+            weights = (STUDENT_DOF + 2) / (STUDENT_DOF + r.square().sum(-1)) * self.evidence.counts
             normal = torch.einsum("kp,kpia,kpib->pab", weights, slopes, slopes)
             normal = normal + precision[..., None] * torch.eye(3)
             pull = torch.einsum("kp,kpia,kpi->pa", weights, slopes, r) + precision * self.offsets
@@ -98,12 +98,12 @@ class TrainingLandmarks:
     @torch.no_grad()
     def _drop_contradicted_faces(self, pose: Pose) -> None:
         """Drop the faces that miss eq. 2 for the poses of all T frames."""
-        seen, frames = self.seen, range(len(self.seen.K))
+        seen, frames = self.evidence, range(len(self.evidence.K))
         face = torch.tensor([name in FACE_LANDMARKS for name in seen.rig.names])
         square = seen.errors(frames, *self._person(pose)).square().sum(-1)
         wrong = (square * face).sum(1) > CONTRADICTED * face.sum()
         kept = ~(wrong[:, None] & face)
-        self.seen = replace(seen, scale=seen.scale * kept[..., None, None])
+        self.evidence = replace(seen, scale=seen.scale * kept[..., None, None])
 
     def _person(self, pose: Pose) -> tuple[Tensor, Shape, Tensor]:
         """Return the person in B poses: its joints (B, 55, 4, 4), shape and offsets."""

@@ -300,7 +300,7 @@ class PersonTracker:
         return None if person.unseen else person.body
 
     def _foreign(self, known: _Track, new: _Track) -> bool:
-        """Return whether a body has not the colours of the followed person, who is not alone."""
+        """Return whether others are around, and a body lacks the followed person's colours."""
         followed = known is self._people[0] and self._several
         return followed and known.likeness(new.colours) < _LEAST_COLOR_OVERLAP
 

@@ -16,7 +16,7 @@ from gva_mi.subject.landmarks import FACE_LANDMARKS, Landmarks
 POINT_SIGMA_METRES, POINT_SIGMA_PIXELS = 0.003, 0.8
 INDEPENDENT_POINTS = 6.0  # all 51 points count as so many independent ones; by eye
 OFFSET_SIGMA = 0.006  # metres, of a person's face from the average body's; chosen by eye
-RIGID = [FACE_LANDMARKS.index(f"face_{number}") for number in range(27, 48)]  # nose and eyes
+NOSE_AND_EYES = [FACE_LANDMARKS.index(f"face_{number}") for number in range(27, 48)]
 FITTED_EXPRESSIONS = 10  # coefficients that are fitted, at most: SMPL-X's usual number
 _HEAD, _JAW, _LEFT, _RIGHT = (
     JOINTS.index(n) for n in ("head", "jaw", "left_eye_smplhf", "right_eye_smplhf")
@@ -91,14 +91,14 @@ class FacePoints:
         betas = betas[: len(self.betas)]
         return self.rest + torch.einsum("b,bpc->pc", betas, self.betas[: len(betas)])
 
-    def rigid(self) -> LandmarkRig:
-        """Return nose and eyes, which move with the head alone, of float32."""
+    def nose_and_eyes(self) -> LandmarkRig:
+        """Return nose and eyes, which move with the head alone; float32."""
         return LandmarkRig(
-            tuple(FACE_LANDMARKS[k] for k in RIGID),
-            torch.full((len(RIGID),), _HEAD),
-            self.rest[RIGID].float(),
-            self.betas[:, RIGID].float(),
-            torch.full((len(RIGID),), OFFSET_SIGMA),
+            tuple(FACE_LANDMARKS[k] for k in NOSE_AND_EYES),
+            torch.full((len(NOSE_AND_EYES),), _HEAD),
+            self.rest[NOSE_AND_EYES].float(),
+            self.betas[:, NOSE_AND_EYES].float(),
+            torch.full((len(NOSE_AND_EYES),), OFFSET_SIGMA),
         )
 
 

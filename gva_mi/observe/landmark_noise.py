@@ -18,9 +18,9 @@ A face that is turned away is a guess, although the network says that it is sure
 its points err twice as much in profile as from the front, and from behind they err together. So
 their ``share`` grows by :func:`face_factors`.
 
-In some frames the network mistakes the whole person, as a bare shoulder for a face. Then the person
-seems to be smaller or larger than in frames around: ``misfit`` is how far ``S`` is from its running
-median, beyond what is usual in the video. Depths err as much.
+In some frames the network misplaces the whole person: it takes a bare shoulder for the face. Then
+the person seems to be smaller or larger than in the frames around. ``misfit`` is how far ``S`` is
+from its running median, beyond what is usual in the video. Depths err as much.
 
 A knee may be taken for a point higher or lower on the leg, but hardly for a point beside the leg.
 On rendered people elbows, wrists, knees and ankles err along their limb 1.4 to 2 times as much as
@@ -72,11 +72,12 @@ HIDDEN_FACE, SEEN_FACE = 4.0, 0.5
 SMALLEST_CONFIDENCE = 0.05  # landmarks of less are not used; chosen by eye
 HAND_CONFIDENCE = 0.5  # hands of less are not used; chosen: more likely a hand than not
 SIZE_MEDIAN_FRAMES = 30  # on each side of a frame; chosen: one second of 30 frames a second
-UNUSUAL = 4.0  # median deviations of the size from that of frames around; chosen: some 3 sigma
-SIZE_CHANGE = 0.03  # share of the size; chosen: gestures change the size by so much in perspective
-# Misfit of a mistaken frame, as a share of S. Chosen on a rendered person with dark hair in a dark
-# room: in frames with more, the network saw no head.
-MISTAKEN = 0.08
+# Usual deviations of S from its running median: in median deviations (four are 2.7 sigma of a
+# normal distribution), and at least a share of S. Chosen: a person who leans forward changes S.
+USUAL_DEVIATIONS, USUAL_CHANGE = 4.0, 0.03
+# Misfit of a frame that is not used, as a share of S. Chosen on one rendered person with dark hair
+# in a dark room: in frames with more, the network saw no head.
+MISPLACED = 0.08
 # Least correlation time of the network's errors, seconds; chosen: three frames of 30 a second.
 LANDMARK_CORRELATION_SECONDS = 0.1
 # All points of the face, or of a hand, count as so many independent points. Chosen
@@ -262,29 +263,35 @@ def person_sizes(landmarks: Landmarks) -> np.ndarray:
     return np.where(usable, sizes, np.median(sizes[usable]))
 
 
-def usual_sizes(sizes: np.ndarray) -> np.ndarray:
-    """Return the median (T,) of the sizes ``S`` (T,) around each frame, as far to both sides."""
+def median_sizes(sizes: np.ndarray) -> np.ndarray:
+    """Return the running median (T,) of the sizes ``S`` (T,).
+
+    It reaches equally far to both sides, so that it follows a person who comes nearer.
+    """
     last, n = len(sizes) - 1, SIZE_MEDIAN_FRAMES
     reach = [min(n, t, last - t) for t in range(len(sizes))]
     return np.array([np.median(sizes[t - n : t + n + 1]) for t, n in enumerate(reach)])
 
 
 def size_misfits(sizes: np.ndarray) -> np.ndarray:
-    """Return the misfit (T,) of eq. 1 of the sizes ``S`` (T,), pixels."""
-    usual = usual_sizes(sizes)
-    off = np.abs(sizes - usual)
-    common = np.maximum(UNUSUAL * np.median(off), SIZE_CHANGE * usual)
-    return np.sqrt((off**2 - common**2).clip(0))
+    """Return the misfit (T,) of the sizes ``S`` (T,), pixels.
+
+    It is ``√((S - median)² - usual²)``, and zero for a usual deviation from the running median.
+    """
+    median = median_sizes(sizes)
+    off = np.abs(sizes - median)
+    usual = np.maximum(USUAL_DEVIATIONS * np.median(off), USUAL_CHANGE * median)
+    return np.sqrt((off**2 - usual**2).clip(0))
 
 
-def mistaken_frames(landmarks: Landmarks) -> list[int]:
-    """Return the frames whose misfit is so large that nothing in them can be believed.
+def misplaced_frames(landmarks: Landmarks) -> list[int]:
+    """Return the frames in which the network misplaced the whole person, by their misfit.
 
     Raises:
         InputError: no frame has a person.
     """
     sizes = person_sizes(landmarks)
-    wrong = size_misfits(sizes) > MISTAKEN * usual_sizes(sizes)
+    wrong = size_misfits(sizes) > MISPLACED * median_sizes(sizes)
     return np.flatnonzero(wrong & np.isfinite(landmarks.pixels).any((1, 2))).tolist()
 
 

@@ -30,15 +30,15 @@ from gva_mi.body.kinematics import turn_joints
 from gva_mi.body.pose import JOINTS, PARENTS, Pose, Shape
 from gva_mi.body.smplx import BodyModel
 from gva_mi.core.cpu import sqrt
-from gva_mi.observe.face_points import INDEPENDENT_POINTS, RIGID, FacePoints, seen_face
+from gva_mi.observe.face_points import INDEPENDENT_POINTS, NOSE_AND_EYES, FacePoints, seen_face
 from gva_mi.observe.landmark_noise import LandmarkNoise, independent_points
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.error_model import STUDENT_DOF
 from gva_mi.splat import Camera
 from gva_mi.subject.landmarks import Landmarks
 
-# Frames whose errors of a landmark are one. Chosen as 0.2 s of 30 frames a second; at another rate
-# masks, which stand beside the landmarks, repeat their errors as often, so it stays.
+# So many frames repeat one error of a landmark. Chosen as 0.2 s of 30 frames a second; at another
+# rate masks, which stand beside the landmarks, repeat their errors as often, so it stays.
 CORRELATED_FRAMES = 6
 # Metres in front of the camera; nearer points are projected as if there; chosen.
 NEAREST_DEPTH = 0.1
@@ -109,14 +109,14 @@ class SeenLandmarks:
         face = seen_face(landmarks, T[:, :3, :3], place, self.K[:, 0, 0])
         if face is None:
             return self
-        pixels, precision = (x[:, RIGID] for x in face)
-        count = INDEPENDENT_POINTS / len(RIGID)
+        pixels, precision = (x[:, NOSE_AND_EYES] for x in face)
+        count = INDEPENDENT_POINTS / len(NOSE_AND_EYES)
         return replace(
             self,
-            rig=self.rig.joined(points.rigid()),
+            rig=self.rig.joined(points.nose_and_eyes()),
             pixels=torch.cat([self.pixels, pixels], 1),
             scale=torch.cat([self.scale, sqrt(precision)[..., None, None] * torch.eye(2)], 1),
-            counts=torch.cat([self.counts, torch.full((len(RIGID),), count)]),
+            counts=torch.cat([self.counts, torch.full((len(NOSE_AND_EYES),), count)]),
         )
 
     def part(self, frames: range) -> SeenLandmarks:

@@ -29,7 +29,7 @@ from gva_mi.core.tasks import on_all_cores
 from gva_mi.matting.masks import video_masks
 from gva_mi.networks.segment_anything import Prompt
 from gva_mi.networks.video_landmarks import WatchedVideo, watch_video
-from gva_mi.observe.landmark_noise import mistaken_frames
+from gva_mi.observe.landmark_noise import misplaced_frames
 from gva_mi.observe.swaps import fix_front_back
 from gva_mi.prior.body_height import PERSON_HEIGHTS
 from gva_mi.readers.keypoints import read_keypoints, with_keypoints
@@ -47,7 +47,10 @@ from gva_mi.subject.pictures import in_8_bits
 from gva_mi.subject.silhouettes import doubt_in
 from gva_mi.subject.splits import Splits
 
-_MISTAKEN = "frames where the network mistook the person, who seems to be larger or smaller there"
+_MISPLACED = (
+    "frames where the network misplaced the person, who seems to be larger or smaller than in the "
+    "frames around; what it saw there is not used"
+)
 _UNKNOWN_FOCAL = (
     "the video does not record its focal length: a field of view is assumed and fitted, so "
     "distances and depth may be off by a fifth; --lens 26mm sets the value of the phone's data "
@@ -164,7 +167,7 @@ def motion_of_video(
         person: the N-th from the left if there are several people; None: the largest.
         lens: a focal length as ``--lens`` takes it; None: as recorded in the video, else fitted.
         on_silhouette: see :func:`watch_video`; called again, with zeros, for pictures in which the
-            network mistook the person.
+            network misplaced the person.
         progress: called as the work goes on.
     """
     pictures = even_pictures(video, options.fps, options.side, options.end)
@@ -180,13 +183,13 @@ def motion_of_video(
             watched.landmarks, options.keypoints, pictures.numbers, pictures.scale
         )
         watched = replace(watched, landmarks=landmarks, notes=(*watched.notes, *said))
-    if mistaken := mistaken_frames(watched.landmarks):
+    if misplaced := misplaced_frames(watched.landmarks):
         watched = replace(
             watched,
-            landmarks=watched.landmarks.without(mistaken),
-            notes=(*watched.notes, f"{_MISTAKEN}: {listed(mistaken)}; left out"),
+            landmarks=watched.landmarks.without(misplaced),
+            notes=(*watched.notes, f"{_MISPLACED}: {listed(misplaced)}"),
         )
-        for k in mistaken if on_silhouette else ():
+        for k in misplaced if on_silhouette else ():
             on_silhouette(k, np.zeros(size[::-1], np.float32))
     landmarks, backs = fix_front_back(watched.landmarks, pictures.fps)
     if backs:

@@ -31,8 +31,8 @@ from gva_mi.observe.landmark_noise import (
     REFERENCE_HEIGHT,
     LandmarkNoise,
     correlated_frames,
+    median_sizes,
     person_sizes,
-    usual_sizes,
 )
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.prior.anatomy import Anatomy
@@ -378,8 +378,8 @@ def initial_pelvis_position(landmarks: Landmarks, K: np.ndarray, scale: float) -
         K: (3, 3) the camera, pixels.
         scale: of the body relative to the landmarks' metres.
     """
-    usual = usual_sizes(person_sizes(landmarks))
-    z = (K[0, 0] + K[1, 1]) / 2 * REFERENCE_HEIGHT * scale / usual
+    size = median_sizes(person_sizes(landmarks))
+    z = (K[0, 0] + K[1, 1]) / 2 * REFERENCE_HEIGHT * scale / size
     hips = landmarks.pixels[:, landmarks.indices(["left_hip", "right_hip"])].mean(1)
     rays = (hips - K[:2, 2]) / [K[0, 0], K[1, 1]]
     centres = np.concatenate([rays, np.ones_like(rays[:, :1])], axis=1) * z[:, None]

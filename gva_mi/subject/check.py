@@ -19,7 +19,7 @@ from gva_mi.core.console import Progress
 from gva_mi.core.errors import InputError
 from gva_mi.mesh.mesh_scene import MeshScene
 from gva_mi.splat import Camera
-from gva_mi.subject.fingerprint import VIDEO_KIND, require_same_body
+from gva_mi.subject.fingerprint import require_same_body
 from gva_mi.subject.folder import CAMERAS, FRAMES, MASKS, POSES, VIDEO
 from gva_mi.subject.ground_truth import read_views
 from gva_mi.subject.lens import ONE_LENS_TOLERANCE
@@ -86,8 +86,8 @@ def check_subject(
 
 
 def _left_out(video: Video) -> Iterator[Problem]:
-    """Yield the frames that the other steps leave out, but for videos whose masks are our own."""
-    if video.absent and video.kind != VIDEO_KIND:  # gva_mi.stage1.video_check tells of these
+    """Yield the frames of a video that the other steps leave out."""
+    if video.absent:
         frame, reason = next(iter(video.absent.items()))
         figure = f"{len(video.absent)} of {len(video)}; frame {frame}: {reason}"
         yield doubt("frames left out", figure,

@@ -65,7 +65,7 @@ class Landmarks:
         return replace(self, pixels=self.pixels / factor, spread=self.spread / factor)
 
     def without(self, frames: Sequence[int]) -> Landmarks:
-        """Return the landmarks with nothing known of some frames."""
+        """Return the landmarks as if nobody had been found in ``frames``."""
         unknown = {"pixels": np.nan, "metric": np.nan, "confidence": 0, "spread": 0}
         found = {name: getattr(self, name).copy() for name in unknown}
         for name, value in unknown.items():

@@ -11,7 +11,7 @@ from gva_mi.avatar.rig import Rig
 from gva_mi.body.pose import JOINTS, Pose, Shape
 from gva_mi.fit.poses import PoseOptions, TrainedPoses
 from gva_mi.fit.training_landmarks import TrainingLandmarks
-from gva_mi.observe.face_points import RIGID, FacePoints
+from gva_mi.observe.face_points import NOSE_AND_EYES, FacePoints
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.splat import Camera, look_at
 from gva_mi.subject.landmarks import BODY_LANDMARKS, FACE_LANDMARKS, Landmarks
@@ -53,7 +53,7 @@ def video(true, built_in_body):
 
 def test_the_offsets_of_a_person_s_face_come_back(video, built_in_body):
     seen = TrainingLandmarks.of(video, built_in_body)
-    body, face = seen.offsets[: -len(RIGID)], seen.offsets[-len(RIGID) :]
+    body, face = seen.offsets[: -len(NOSE_AND_EYES)], seen.offsets[-len(NOSE_AND_EYES) :]
     across, toward = (face - OFFSET).abs().split([2, 1], dim=1)
     assert across.max() < 0.001 and toward.max() < 0.002  # a frontal face hardly shows depth
     assert body.abs().max() < 1e-4
@@ -120,9 +120,12 @@ def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, 
         TrainingLandmarks.of(moved, built_in_body),
         TrainingLandmarks.of(video, built_in_body),
     )
-    assert not seen.seen.scale[wrong, -len(RIGID) :].any() and seen.seen.scale[wrong].any()
+    assert (
+        not seen.evidence.scale[wrong, -len(NOSE_AND_EYES) :].any()
+        and seen.evidence.scale[wrong].any()
+    )
     others = [k for k in range(FRAMES) if k != wrong]
-    assert torch.equal(seen.seen.scale[others], right.seen.scale[others])
+    assert torch.equal(seen.evidence.scale[others], right.evidence.scale[others])
     assert (seen.offsets - right.offsets).abs().max() < 0.0005
 
 
@@ -146,9 +149,9 @@ def test_smaller_pictures_give_the_same_losses(video, wrong, built_in_body):
     found = []
     for seen in (video, SimpleNamespace(**vars(video) | small)):
         landmarks = TrainingLandmarks.of(seen, built_in_body)
-        counts = landmarks.seen.counts.clone()
-        counts[-len(RIGID) :] = 0  # the face's standard deviation has a part in pixels
-        landmarks.seen = replace(landmarks.seen, counts=counts)
+        counts = landmarks.evidence.counts.clone()
+        counts[-len(NOSE_AND_EYES) :] = 0  # the face's standard deviation has a part in pixels
+        landmarks.evidence = replace(landmarks.evidence, counts=counts)
         found.append(landmarks.losses(wrong.pose, range(FRAMES)))
     torch.testing.assert_close(*found, rtol=1e-3, atol=1e-4)
 

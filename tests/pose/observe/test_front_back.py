@@ -105,7 +105,7 @@ def test_the_solver_gets_corrected_landmarks_and_the_user_is_told(monkeypatch):
     assert motion.notes[0] == "too dark" and "26-36" in motion.notes[1], motion.notes
 
 
-def test_frames_in_which_the_network_mistook_the_person_tell_nothing(monkeypatch):
+def test_frames_in_which_the_network_misplaced_the_person_tell_nothing(monkeypatch):
     true, wrong, solved, silhouettes = turning(), [20, 21, 22], [], {}
     seen = replace(true, pixels=true.pixels.copy())
     seen.pixels[wrong] *= 0.8

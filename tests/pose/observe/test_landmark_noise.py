@@ -12,10 +12,10 @@ from gva_mi.observe.landmark_noise import (
     HIDDEN_FACE,
     LandmarkNoise,
     correlated_frames,
-    mistaken_frames,
+    median_sizes,
+    misplaced_frames,
     person_sizes,
     size_misfits,
-    usual_sizes,
 )
 from gva_mi.observe.rig import LandmarkRig
 from gva_mi.subject.landmarks import BODY_LANDMARKS, Landmarks, hand_names
@@ -56,7 +56,7 @@ def test_noise_scales_with_the_picture_and_grows_with_doubt(standing):
 def test_a_person_who_comes_nearer_has_no_misfit_and_one_who_shrinks_for_some_frames_has():
     t = np.arange(60)
     for sizes in (300.0 + 0 * t, 300.0 + t):
-        assert not size_misfits(sizes).any() and np.allclose(usual_sizes(sizes), sizes)
+        assert not size_misfits(sizes).any() and np.allclose(median_sizes(sizes), sizes)
         wrong = sizes.copy()
         wrong[20:32] *= 0.8
         found = size_misfits(wrong)
@@ -72,14 +72,13 @@ def test_in_a_frame_that_does_not_fit_pixels_and_depths_err_more(standing):
     usual, wrong = LandmarkNoise.of(long, long.names), replace(long, pixels=long.pixels.copy())
     wrong.pixels[8] = 300 + 0.95 * (wrong.pixels[8] - 300)  # 5 % smaller
     found = LandmarkNoise.of(wrong, long.names)
-    assert mistaken_frames(wrong) == []
-    assert (found.pixels[8] > 1.5 * usual.pixels[8]).all() and (
-        found.depth[8] > usual.depth[8]
-    ).all()
+    assert misplaced_frames(wrong) == []
+    assert (found.pixels[8] > 1.5 * usual.pixels[8]).all()
+    assert (found.depth[8] > usual.depth[8]).all()
     assert torch.equal(found.pixels[:8], usual.pixels[:8])
     wrong.pixels[8] = 300 + 0.9 * (wrong.pixels[8] - 300)
-    assert mistaken_frames(wrong) == [8]
-    assert mistaken_frames(wrong.without([8])) == []  # nobody was seen there
+    assert misplaced_frames(wrong) == [8]
+    assert misplaced_frames(wrong.without([8])) == []  # nobody was seen there
 
 
 def test_a_missing_landmark_is_infinitely_uncertain_and_so_are_its_bones(standing):

@@ -58,6 +58,20 @@ def test_offsets_explain_what_is_off_in_all_frames_at_a_cost(body, true_pose, ca
     assert float(seen.energy(offsets)) == pytest.approx((0.04 / offset_spread) ** 2 / 2)
 
 
+def test_slopes_are_the_derivatives_of_the_errors_by_the_offsets(body, true_pose, camera):
+    given = with_face(body, true_pose, camera)
+    seen = SeenLandmarks.of(given, body, [camera] * len(true_pose), true_pose, SHAPE)
+    frames, T_world_rest = [0, 2], body(true_pose[[0, 2]], SHAPE).T_world_rest
+    offsets = torch.randn(seen.rig.rest.shape, generator=torch.Generator().manual_seed(0)) / 100
+    errors = lambda o: seen.errors(frames, T_world_rest, SHAPE, o)
+    found, step = seen.slopes(frames, T_world_rest, SHAPE, offsets), torch.full_like(offsets, 0.02)
+    along = torch.autograd.functional.jvp(errors, offsets, step)[1]
+    torch.testing.assert_close((found @ step[:, :, None])[..., 0], along, rtol=1e-3, atol=1e-5)
+    other = step * torch.tensor([1.0, -2.0, 3.0])
+    along = torch.autograd.functional.jvp(errors, offsets, other)[1]
+    torch.testing.assert_close((found @ other[:, :, None])[..., 0], along, rtol=1e-3, atol=1e-5)
+
+
 def test_a_landmark_that_is_not_known_pulls_at_nothing(body, true_pose, camera, landmarks):
     lost, at = replace(landmarks, pixels=landmarks.pixels.copy()), NAMES.index("left_wrist")
     lost.pixels[:, at] += 200

@@ -11,8 +11,10 @@ from samples.broken_cases import arrays, poses
 from samples.faults import FAULTS, longer, masks
 
 from gva_mi import InputError
+from gva_mi.app import steps
 from gva_mi.mesh.overlay import OUTLINE
 from gva_mi.subject.check import check_subject
+from gva_mi.subject.problems import CheckReport, doubt
 from gva_mi.subject.silhouettes import MASK_COLOR, draw_sheet, sanity_check
 from gva_mi.subject.video import load_video
 
@@ -63,6 +65,16 @@ def test_frames_with_another_person_or_without_a_mask_are_listed(subject, built_
     found = {problem.what: problem for problem in report.problems}
     assert not report.errors and found["frames left out"].frames == (2,)
     assert found["poses outside the masks"].frames == (5,)
+
+
+def test_a_lost_person_of_a_video_is_told_once(monkeypatch):
+    lost = doubt("person not found", "2 of 4 frames", "", "", (1, 2))
+    monkeypatch.setattr(steps, "body_of", lambda *_: None)
+    monkeypatch.setattr(steps, "_filmed", lambda *_: [lost])
+    for frames, told in (((1, 2), [lost.what]), ((1, 2, 3), [lost.what, "frames left out"])):
+        report = CheckReport(4, [doubt("frames left out", "", "", "", frames)])
+        monkeypatch.setattr(steps, "check_subject", lambda *_, report=report: report)
+        assert [problem.what for problem in steps.check("subject").problems] == told
 
 
 def test_a_folder_for_another_body_is_named(subject, built_in_body):

@@ -125,12 +125,15 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
     distance = rand_vgg_loss()
     weights = {"Eq. 9 and back, with VGG": fit.options.loss}
     weights["Eq. 9 and back, without"] = replace(fit.options.loss, perceptual=0.0)
+    every = fit.options.poses.every
     for k in range(WARM_UP + repeats):
         sample = samples[k]
-        with clock("pose"):
-            pose = fit.poses(sample.frame)
+        if k % every == 0:
+            with clock(f"{every} poses, one step in {every}"):
+                fit.poses.expect(samples.frame(k + j) for j in range(every))
+        skeleton = fit.poses(sample.frame)
         with clock("avatar, colours by Lambert's law"):
-            animated = fit.avatar.animate(pose, fit.colors())
+            animated = fit.avatar.skin_to(skeleton, fit.colors())
         g = animated.gaussians
         with clock("target"):
             target = sample.target(g)
@@ -145,7 +148,7 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
         leaves = tuple(g.arrays().values())
         with clock("splatting, back"):
             grads = torch.autograd.grad(seen, leaves, grad)
-        with clock("avatar and pose, back"):
+        with clock("avatar, back"):
             torch.autograd.backward(leaves, grads)
         with clock("Adam"):
             fit.optimizer.step()
@@ -153,8 +156,9 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
             fit.avatar.canonical.decay_slopes(fit.options.rates.sh_decay)
             fit.clamp_scales()
             fit.gradients.add(screen, sample.area)
-        with clock(f"poses, one step in {fit.options.poses.every}"):
-            fit.poses.step((k + 1) * fit.options.poses.every, sample.frame)
+        if k % every == every - 1:
+            with clock(f"{every} poses, back, one step in {every}"):
+                fit.poses.step(k + 1)
         fit.optimizer.zero_grad(set_to_none=True)
 
 
@@ -163,7 +167,7 @@ def _mean_step(fit: Run, samples: FrameSampler, repeats: int) -> Timing:
     distance, every, clock = rand_vgg_loss(), fit.options.perceptual_every, Clock()
     for _ in range(every * (WARM_UP + repeats)):
         with clock(str(fit.step % every)):
-            fit.descend(samples[fit.step], distance)
+            fit.descend(samples, distance)
     kinds = [Timing.of(times[WARM_UP:]) for times in clock.times.values()]
     mean = lambda figures: sum(figures) / every
     return Timing(mean(kind.minimum for kind in kinds), mean(kind.median for kind in kinds))

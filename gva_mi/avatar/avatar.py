@@ -87,20 +87,21 @@ class AvatarOptions:
 
 @dataclass(frozen=True)
 class PosedSkeleton:
-    """Blend shapes and joints in one pose, from :meth:`Avatar.posed_skeleton`.
+    """Blend shapes and joints in T poses, from :meth:`Avatar.posed_skeleton`.
 
     Example:
         >>> from gva_mi.body.smplx import load_body
         >>> options = AvatarOptions(SeedOptions(count=500))
         >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
-        >>> skeleton = avatar.posed_skeleton(Pose.rest())
+        >>> skeleton = avatar.posed_skeleton(Pose.rest(frames=2))
         >>> skeleton.coefficients.abs().max(), skeleton.T_world_rest.shape  # nothing bends
-        (tensor(0.), torch.Size([55, 4, 4]))
+        (tensor(0.), torch.Size([2, 55, 4, 4]))
     """
 
-    coefficients: Tensor  # (P + E,) c of eq. 1
-    joints: Tensor  # (55, 3) metres, at rest, moved by the expression
-    T_world_rest: Tensor  # (55, 4, 4) float64: skin stretches by their differences
+    rotations: Tensor  # (T, 55, 3) axis-angle, as applied
+    coefficients: Tensor  # (T, P + E) c of eq. 1
+    joints: Tensor  # (T, 55, 3) metres, at rest, moved by the expression
+    T_world_rest: Tensor  # (T, 55, 4, 4) float64: skin stretches by their differences
 
 
 @dataclass(frozen=True)
@@ -112,12 +113,13 @@ class Animated:
         >>> options = AvatarOptions(SeedOptions(count=500))
         >>> avatar = seed_avatar(load_body(), Shape(torch.zeros(10)), options=options)
         >>> animated = avatar.animate(Pose.rest())
-        >>> len(animated.gaussians), animated.residual.abs().max().item()  # before the fit
-        (500, 0.0)
+        >>> len(animated.gaussians), len(animated.residual)  # it is off by default
+        (500, 0)
     """
 
     gaussians: Gaussians  # in the world
-    residual: Tensor  # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small
+    # (N, 3) metres, rest pose: the MLP(theta) that Eq. 9 keeps small; (0, 3) without the network
+    residual: Tensor
 
 
 class Avatar(nn.Module):
@@ -205,14 +207,21 @@ class Avatar(nn.Module):
         Returns:
             Differentiable in all parameters, in the pose, and in the colours.
         """
-        skeleton, G = self.posed_skeleton(pose), self.canonical
+        return self.skin_to(self.posed_skeleton(pose), sh)
+
+    def skin_to(self, skeleton: PosedSkeleton, sh: Tensor | None = None) -> Animated:
+        """Return what :meth:`animate` does, from the skeleton in one pose."""
+        if len(skeleton.T_world_rest) != 1:
+            raise ValueError(
+                f"Avatar: pose must be of one frame, got {len(skeleton.T_world_rest)}"
+            )
+        G = self.canonical
         sh = G.sh if sh is None else sh
+        means, residual = G.means + G.moved_by(skeleton.coefficients[0]), G.means.new_zeros(0, 3)
         if self.options.residual.enabled:
-            residual = self.residual(G.means, G.weights, self.applied_rotations(pose)[0])
-        else:
-            residual = torch.zeros_like(G.means)
-        means = G.means + G.moved_by(skeleton.coefficients) + residual
-        T = skeleton.T_world_rest
+            residual = self.residual(G.means, G.weights, skeleton.rotations[0])
+            means = means + residual
+        T = skeleton.T_world_rest[0]
         if self.options.stretch:
             means, covars, lit_sh = skin_gaussians(
                 G.sparse_weights, T, means, G.quats, G.scales, sh, self.light
@@ -231,30 +240,25 @@ class Avatar(nn.Module):
         """Pose blend shapes and skeleton, for the Gaussians and for the rig's surface.
 
         Args:
-            pose: as in :meth:`animate`.
+            pose: T frames. Expression coefficients that the body does not have are ignored.
 
         Returns:
             Differentiable in the pose.
         """
-        if len(pose) != 1:
-            raise ValueError(f"Avatar: pose must be of one frame, got {len(pose)}")
-        psi = pose.expression[0, : self.rest_expression_joints.shape[2]]
+        rotations = self.applied_rotations(pose)
+        psi = pose.expression[:, : self.rest_expression_joints.shape[2]]
         joints = self.rest_joints + moved_by(psi, self.rest_expression_joints)
         # In float64: cheap for 55 joints, and chains of products lose digits.
-        parts = self.applied_rotations(pose), joints, pose.transl
-        turned, at_rest, transl = (x.double() for x in parts)
+        turned, at_rest, transl = (x.double() for x in (rotations, joints, pose.transl))
         R, T_world_rest = turn_joints(turned, at_rest, self._parents, transl)
-        bent = self.coefficients(R[0].to(self.rest_joints.dtype), psi)
-        return PosedSkeleton(bent, joints, T_world_rest[0])
+        R = R.to(joints)
+        bent = (R[:, 1:] - torch.eye(3, dtype=R.dtype)).flatten(1)[:, self.rest_pose_features]
+        coefficients = torch.cat([bent, psi], dim=1)
+        return PosedSkeleton(rotations, coefficients, joints, T_world_rest)
 
     def applied_rotations(self, pose: Pose) -> Tensor:
         """Return the rotations (T, 55, 3) to apply; without hands, fingers stay at rest."""
         return pose.rotations.masked_fill(self._joints_at_rest, 0)
-
-    def coefficients(self, R: Tensor, psi: Tensor) -> Tensor:
-        """Return c of eq. 1 from rotations (55, 3, 3) and the expression (up to E,)."""
-        bent = (R[1:] - torch.eye(3, dtype=R.dtype)).flatten()[self.rest_pose_features]
-        return torch.cat([bent, psi])
 
     def record(self) -> dict[str, Any]:
         """Return the avatar as tensors and strings, for a file; see :meth:`from_record`."""

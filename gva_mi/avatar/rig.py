@@ -340,13 +340,15 @@ class Rig:
 
 
 def moved_by(coefficients: Tensor, directions: Tensor) -> Tensor:
-    """Return metres (N, 3) that blend shapes (N, 3, K) move points; coefficients are (up to K,).
+    """Return metres (T, N, 3) that blend shapes (N, 3, K) move points; coefficients are (T, up to
+    K).
 
     Example:
-        >>> moved_by(torch.tensor([2.0]), torch.tensor([[[0.0, 1], [0.5, 1], [0, 1]]]))
-        tensor([[0., 1., 0.]])
+        >>> moved_by(torch.tensor([[2.0]]), torch.tensor([[[0.0, 1], [0.5, 1], [0, 1]]]))
+        tensor([[[0., 1., 0.]]])
     """
-    return directions[..., : len(coefficients)] @ coefficients
+    used = directions[..., : coefficients.shape[1]]
+    return (coefficients @ used.flatten(0, 1).T).unflatten(1, (-1, 3))
 
 
 def digest(body: BodyModel) -> str:

@@ -120,11 +120,12 @@ class Proxy:
     def posed(self, pose: Pose) -> Tensor:
         """Return v_t of eq. 4 in a pose of one frame, (V, 3) metres, in the avatar's world."""
         skeleton = self.avatar.posed_skeleton(pose)
-        moved = self.vertices + moved_by(skeleton.coefficients, self.directions)
+        moved = self.vertices + moved_by(skeleton.coefficients, self.directions)[0]
         if self.avatar.options.residual.enabled:
-            rotations = self.avatar.applied_rotations(pose)[0]
-            moved = moved + self.avatar.residual(self.vertices, self.weights, rotations)
-        return skin_points(moved, self.weights, skeleton.T_world_rest.to(moved.dtype))
+            moved = moved + self.avatar.residual(
+                self.vertices, self.weights, skeleton.rotations[0]
+            )
+        return skin_points(moved, self.weights, skeleton.T_world_rest[0].to(moved.dtype))
 
 
 @options_of("render")

@@ -6,13 +6,15 @@ colour, and U where the mask is uncertain; outside the box the background is b:
     1. background = B where U, else b
     2. target     = P where U, else S P + (1 - S) b
     3. image      = C + (1 - A) background          C, A: colour and alpha of a render
-    4. error      = Σ |image - target| / n          over pixels and channels
+    4. error      = Σ |image - target| / 3 a        over pixels and channels; a: a number of pixels
+    5. mask error = Σ |A - S| / a                   over pixels
 
-And the adjoint of 4, which is computed with it:
+And their adjoints, which are computed with them:
 
-    5. grad_C = sign(image - target) / n,    grad_A = -Σ_c grad_C,c background_c
+    6. grad_C = sign(image - target) / 3 a,    grad_A = -Σ_c grad_C,c background_c
+    7. grad_A = sign(A - S) / a
 
-Pixels of an overlay, such as a caption, show nothing of what is behind: their error is 0.
+Pixels of an overlay, such as a caption, show nothing of what is behind: their errors are 0.
 
 A pixel is read as one integer of four bytes: P with S, and B with U. Nothing of eq. 1 to 3 is
 stored, because that takes longer than computing it.
@@ -32,7 +34,7 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.packets import store_rows
-from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
+from gva_mi.jit.rowwise import Lane, flat_array, load_columns
 from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.tiles import capacity
 from gva_mi.subject.crop import Box
@@ -63,13 +65,28 @@ class CompositeTarget(NamedTuple):
 def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
     """Composite a person on a background (eq. 1 and 2) in a part of a picture."""
     count = part.width * part.height
-    target, background, S, shown = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
-    columns = [store_columns(x, count, Float) for x in (target, background)]
-    found = [*columns, S, dr.select(shown, Float(1), 0)]
+    found = _composited(*_arrays(cutout, part), dr.opaque(UInt32, 0, count), size=capacity(count))
+    dr.sync_thread()
+    numbers = [tensor_of(x) for x in found]
+    target, background = (x[: 3 * count].view(part.height, part.width, 3) for x in numbers[:2])
+    return CompositeTarget(
+        target, background, *(x[:count].view(part.height, part.width) for x in numbers[2:])
+    )
+
+
+@Frozen
+def _composited(
+    pixels: list[UInt32], color: list[Float], place: list[Array], zeros: UInt32, *, size: int
+) -> list[Array]:
+    """Return the fields of ``CompositeTarget``, in memory for ``size`` pixels."""
+    lane = dr.arange(UInt32, dr.width(zeros))
+    target, background, S, shown = _composite(pixels, color, place, lane)
+    found = [dr.empty(Float, width * size) for width in (3, 3, 1, 1)]
+    columns = target, background, [S], [dr.select(shown, Float(1), 0)]
+    for memory, numbers in zip(found, columns, strict=True):
+        store_rows(memory, numbers, lane)
     dr.eval(found)
-    shape = part.height, part.width, -1
-    target, background, *single = (x.view(shape) for x in to_tensors(found, count))
-    return CompositeTarget(target, background, *(x[..., 0] for x in single))
+    return found
 
 
 def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:
@@ -83,40 +100,55 @@ def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor
     return torch.addcmul(color, 1 - alpha[..., None], background)
 
 
-def absolute_error(color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float) -> Tensor:
-    """Return the error of a render on a new background (eq. 4), a scalar.
+def absolute_errors(
+    color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, area: float
+) -> tuple[Tensor, Tensor]:
+    """Return the errors of a render on a new background, and of its mask (eq. 4 and 5), scalars.
 
     Args:
         color: (H, W, 3) of a render of this part on black, C.
         alpha: (H, W) of the render, A.
         cutout: the person.
         part: of the picture.
-        count: n.
+        area: a.
 
     Returns:
         Differentiable once in the render.
     """
-    return _AbsoluteError.apply(color, alpha, cutout, part, count)
+    return _AbsoluteErrors.apply(color, alpha, cutout, part, area)
 
 
-class _AbsoluteError(torch.autograd.Function):
+class _AbsoluteErrors(torch.autograd.Function):
     @staticmethod
     @exclusive
     def forward(
-        ctx: FunctionCtx, color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, count: float
-    ) -> Tensor:
+        ctx: FunctionCtx, color: Tensor, alpha: Tensor, cutout: Cutout, part: Box, area: float
+    ) -> tuple[Tensor, Tensor]:
         C, A = flat_array(color), flat_array(alpha)
-        unit, size = dr.opaque(type(A), 1 / count), capacity(alpha.numel())
-        error, *found = _compare(C, A, *_arrays(cutout, part), unit, size=size)
+        unit, size = dr.opaque(type(A), 1 / area), capacity(alpha.numel())
+        *errors, by_color, by_alpha, by_mask = _compare(
+            C, A, *_arrays(cutout, part), unit, size=size
+        )
         dr.sync_thread()
-        pairs = zip(found, (color, alpha), strict=True)
+        pairs = (by_color, color), (by_alpha, alpha), (by_mask, alpha)
         ctx.by = [tensor_of(x, given.numel()).view(given.shape) for x, given in pairs]
-        return tensor_of(error).sum()
+        ctx.set_materialize_grads(False)
+        error, of_mask = (tensor_of(x).sum() for x in errors)
+        return error, of_mask
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: FunctionCtx, grad: Tensor) -> tuple[Tensor | None, ...]:
-        return *(ctx.by if grad == 1 else (grad * x for x in ctx.by)), None, None, None
+    def backward(
+        ctx: FunctionCtx, grad: Tensor | None, of_mask: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        by_color, by_alpha, by_mask = ctx.by
+        if grad is None:
+            by_color, by_alpha = None, torch.zeros_like(by_alpha)
+        elif grad != 1:
+            by_color, by_alpha = grad * by_color, grad * by_alpha
+        if of_mask is not None:
+            by_alpha = torch.add(by_alpha, by_mask, alpha=float(of_mask))
+        return by_color, by_alpha, None, None, None
 
 
 @Frozen
@@ -130,17 +162,21 @@ def _compare(
     *,
     size: int,
 ) -> list[Array]:
-    """Evaluate eq. 4 of each pixel, and eq. 5 in memory for ``size`` pixels."""
+    """Evaluate eq. 4 and 5 of each pixel, and eq. 6 and 7; ``unit`` is 1 / a.
+
+    Gradients by C lie in memory for ``size`` pixels.
+    """
     F, lane = type(A), dr.arange(UInt32, dr.width(A))
-    wanted, background, _, shown = _composite(pixels, color, place, lane)
-    through, C = 1 - A, load_columns(C, 3, lane)
+    wanted, background, S, shown = _composite(pixels, color, place, lane)
+    through, C, third = 1 - A, load_columns(C, 3, lane), unit / 3
+    slope = lambda x, unit: dr.select(x > 0, unit, dr.select(x < 0, -unit, 0))
     off = [dr.fma(through, F(b), c) - F(t) for c, b, t in zip(C, background, wanted, strict=True)]
     off = [dr.select(shown, x, 0) for x in off]
-    grad = [dr.select(x > 0, unit, dr.select(x < 0, -unit, 0)) for x in off]
-    error, by_color = unit * sum(dr.abs(x) for x in off), dr.empty(F, 3 * size)
+    grad, of_mask = [slope(x, third) for x in off], dr.select(shown, A - F(S), 0)
+    error, by_color = third * sum(dr.abs(x) for x in off), dr.empty(F, 3 * size)
     by_alpha = -sum(g * F(b) for g, b in zip(grad, background, strict=True))
     store_rows(by_color, grad, lane)
-    found = [error, by_color, by_alpha]
+    found = [error, unit * dr.abs(of_mask), by_color, by_alpha, slope(of_mask, unit)]
     dr.eval(found)
     return found
 

@@ -39,7 +39,6 @@ dress takes the colour of the outer side.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -51,7 +50,7 @@ from torch.nn.functional import normalize
 from gva_mi.avatar.avatar import AVATAR_SPLATTING, Avatar
 from gva_mi.avatar.held import arm_weights, head_weights
 from gva_mi.body.pose import JOINTS, Pose
-from gva_mi.fit.samples import FrameSampler, Sample
+from gva_mi.fit.samples import FrameSampler, Sample, box_of_gaussians, in_tiles
 from gva_mi.mesh.surface import vertex_normals
 from gva_mi.splat import Camera, Gaussians, render
 from gva_mi.splat.kernels.sh import C0
@@ -85,13 +84,13 @@ _TRUNK = [
 
 
 @torch.no_grad()
-def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Callable[[int], Pose]) -> None:
+def complete_colors(avatar: Avatar, samples: FrameSampler, poses: Pose) -> None:
     """Replace the colours of an avatar by the solution of eq. 3.
 
     Args:
         avatar: whose ``canonical.sh`` (N, K, 3) changes.
         samples: of the training frames.
-        poses: of each frame, by its number.
+        poses: of all frames of the video.
     """
     from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
@@ -115,14 +114,14 @@ def normals_beneath(avatar: Avatar) -> Tensor:
 
 @torch.no_grad()
 def shown_pixels(
-    avatar: Avatar, normals: Tensor, samples: FrameSampler, poses: Callable[[int], Pose]
+    avatar: Avatar, normals: Tensor, samples: FrameSampler, poses: Pose
 ) -> Tensor:
     """Return w (N,) of eq. 1, pixels, as the mean over some frames.
 
-    ``normals`` (N, 3) are those of :func:`normals_beneath`, ``poses`` the pose of each frame.
+    ``normals`` (N, 3) are those of :func:`normals_beneath`, ``poses`` those of all frames.
     """
     seen = [samples[k] for k in range(min(COMPLETION_FRAMES, len(samples)))]
-    return torch.stack([_shown(avatar, normals, s, poses(s.frame)) for s in seen]).mean(0)
+    return torch.stack([_shown(avatar, normals, s, poses[s.frame]) for s in seen]).mean(0)
 
 
 def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tensor:
@@ -136,7 +135,7 @@ def _shown(avatar: Avatar, normals: Tensor, sample: Sample, pose: Pose) -> Tenso
         wanted = target.composite()
         total = (image.color * (wanted.mask * wanted.shown)[..., None]).sum()
         (by_sh,) = torch.autograd.grad(total, sh)
-    T_world_rest = avatar.posed_skeleton(pose).T_world_rest
+    T_world_rest = avatar.posed_skeleton(pose).T_world_rest[0]
     A = G.weights @ T_world_rest[:, :3, :3].flatten(1).to(G.weights)  # blended, as in Eq. 5
     turned = (A.view(-1, 3, 3) * normals[:, None]).sum(2)
     angle = facing(turned, gaussians.means, sample.camera)
@@ -300,6 +299,10 @@ def clearance(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
     """
     from scipy.ndimage import distance_transform_edt
 
+    part = box_of_gaussians(gaussians, camera)
+    if part is None:
+        return torch.full((len(places),), torch.inf)
+    camera = in_tiles(part, camera).cut_camera(camera)
     image = render(replace(gaussians, sh=None, colors=places), camera, AVATAR_SPLATTING)
     alpha = image.alpha.numpy()
     rest = image.color.numpy() / np.maximum(alpha, 0.5)[..., None]
@@ -309,7 +312,8 @@ def clearance(gaussians: Gaussians, places: Tensor, camera: Camera) -> Tensor:
         (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
     ):  # the neighbours on both sides of a pixel, which may itself mix two places
         solid = np.minimum(alpha[one], alpha[other]) > 0.5
-        contact[middle] |= solid & (np.linalg.norm(rest[one] - rest[other], axis=2) > CONTACT_APART)
+        apart = np.linalg.norm(rest[one][solid] - rest[other][solid], axis=1)
+        contact[middle][solid] |= apart > CONTACT_APART
     if not contact.any():
         return torch.full((len(places),), torch.inf)
     pixels = distance_transform_edt(~contact)

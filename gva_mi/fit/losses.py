@@ -85,16 +85,14 @@ def render_losses(
         The terms, each a scalar.
     """
     zero = torch.zeros((), dtype=residual.dtype)
-    perceptual = similarity = alpha = zero
+    perceptual = similarity = zero
     if options.perceptual or options.ssim:
         seen = target.in_window(image)
         perceptual = distance(*seen) if options.perceptual else zero
         similarity = 1 - ssim(*seen) if options.ssim else zero
-    if options.alpha:
-        wanted = target.composite()
-        alpha = ((image.alpha - wanted.mask) * wanted.shown).abs().sum() / target.area
     shift = residual.abs().mean() if options.residual and residual.numel() else zero
-    return Losses(target.error(image), perceptual, shift, alpha, similarity)
+    recon, alpha = target.errors(image)
+    return Losses(recon, perceptual, shift, alpha if options.alpha else zero, similarity)
 
 
 def ssim(image: Tensor, target: Tensor) -> Tensor:

@@ -48,7 +48,7 @@ from gva_mi.fit.backgrounds import (
     OVERLAY,
     CompositeTarget,
     Cutout,
-    absolute_error,
+    absolute_errors,
     composite_render,
     composite_target,
 )
@@ -211,9 +211,11 @@ class SampleTarget:
         """Return the target on its background."""
         return composite_target(self.cutout, self.part)
 
-    def error(self, image: Image) -> Tensor:
-        """Return the mean of ``|C - I|``: its sum over this part by the person's area."""
-        return absolute_error(image.color, image.alpha, self.cutout, self.part, 3 * self.area)
+    def errors(self, image: Image) -> tuple[Tensor, Tensor]:
+        """Return the means of ``|C - I|`` and ``|A - S|``: sums over this part by the person's
+        area.
+        """
+        return absolute_errors(image.color, image.alpha, self.cutout, self.part, self.area)
 
     def in_window(self, image: Image) -> tuple[Tensor, Tensor]:
         """Return a render of this part on its background, and the target, inside the window."""
@@ -292,14 +294,22 @@ class FrameSampler:
 
     def __getitem__(self, step: int) -> Sample:
         """Return the sample of a step; every pass over the frames has a new order."""
-        which, position = divmod(step, len(self))
-        k = int(random_state(self.seed, RandomStream.ORDER, which).permutation(len(self))[position])
+        k = self._drawn(step)
         # A new colour at each step teaches the avatar its alpha.
         color = random_state(self.seed, RandomStream.BACKGROUND, step).random(3, dtype=np.float32)
         box, window = self.boxes[k], self._window(k, step)
         person, area = self._people[k], box.width * box.height
         cutout = Cutout(person.pixels, self._behind[k], person.kept, torch.from_numpy(color))
         return Sample(self.frames[k], cutout, area, self.cameras[k], window)
+
+    def frame(self, step: int) -> int:
+        """Return the frame of a step, its number in the video."""
+        return self.frames[self._drawn(step)]
+
+    def _drawn(self, step: int) -> int:
+        which, position = divmod(step, len(self))
+        order = random_state(self.seed, RandomStream.ORDER, which).permutation(len(self))
+        return int(order[position])
 
     def _window(self, k: int, step: int) -> Box:
         random = random_state(self.seed, RandomStream.WINDOW, step)

@@ -38,6 +38,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,7 @@ from gva_mi.fit.options import FitOptions, Rates
 from gva_mi.fit.perceptual import rand_vgg_loss, vgg16_loss
 from gva_mi.fit.photometric import shrunk_to_tall
 from gva_mi.fit.poses import TrainedPoses
-from gva_mi.fit.samples import FrameSampler, RandomStream, Sample, smallest_pixel, torch_state
+from gva_mi.fit.samples import FrameSampler, RandomStream, smallest_pixel, torch_state
 from gva_mi.fit.training_landmarks import TrainingLandmarks
 from gva_mi.splat import Screen, render
 from gva_mi.subject.video import Video
@@ -185,6 +186,7 @@ class Run:
             video.pose, video.cameras, rig, options.poses, options.steps,
             as_given=video.stage != 1,
             seen=TrainingLandmarks.of(video, body) if options.poses.trained else None,
+            derived=self.avatar.posed_skeleton,
         )  # fmt: skip
         self.lambert = Lambert(self.avatar) if options.avatar.color == "light" else None
         # An alpha shape, as printed, joins the fingers, and arms and trunk.
@@ -202,19 +204,20 @@ class Run:
     def follow(self, samples: FrameSampler, distance: Distance, out: Path) -> dict[str, float]:
         """Take one step with its upkeep by the schedule; return its line of the history."""
         begin = time.perf_counter()
-        figures = self.descend(samples[self.step], distance)
+        figures = self.descend(samples, distance)
         self.add_and_remove_gaussians(out)
         figures["milliseconds"] = 1e3 * (time.perf_counter() - begin)
         for name, value in figures.items():
             self.history.setdefault(name, []).append(value)
         return figures
 
-    def descend(self, sample: Sample, distance: Distance) -> dict[str, float]:
+    def descend(self, samples: FrameSampler, distance: Distance) -> dict[str, float]:
         """Take one step of descent on one frame; return its losses."""
-        options = self.options
+        options, sample = self.options, samples[self.step]
+        self.poses.expect(samples.frame(k) for k in count(self.step))
         done = self.step / max(1, options.steps - 1)
         lower_rate_of_means(self.optimizer, options.rates, done)
-        animated = self.avatar.animate(self.poses(sample.frame), self.colors())
+        animated = self.avatar.skin_to(self.poses(sample.frame), self.colors())
         target, screen = sample.target(animated.gaussians), Screen()
         image = render(animated.gaussians, target.camera, AVATAR_SPLATTING, screen=screen)
         weights = options.loss
@@ -229,7 +232,7 @@ class Run:
         self.clamp_scales()
         self.gradients.add(screen, sample.area)
         self.step += 1
-        self.poses.step(self.step, sample.frame)
+        self.poses.step(self.step)
         figures = {"step": self.step, "loss": float(total.detach())}
         figures |= {f.name: float(getattr(losses, f.name).detach()) for f in fields(losses)}
         if options.loss.perceptual and not weights.perceptual:  # its last value
@@ -276,7 +279,7 @@ class Run:
     def finish(self, samples: FrameSampler) -> None:
         """Give the avatar its colours, and clamp the scales that the last step split."""
         if self.options.complete:
-            complete_colors(self.avatar, samples, self.poses)
+            complete_colors(self.avatar, samples, self.poses.all())
         self.avatar.canonical.sh.copy_(self.colors())
         self.clamp_scales()
 
@@ -351,10 +354,10 @@ class AdamOfVectors(torch.optim.Adam):
         state["step"] += 1
         m, v, k = state["exp_avg"], state["exp_avg_sq"], int(state["step"])
         b1, b2 = group["betas"]
-        square = sum(coordinate.square() for coordinate in g.split(1, -1))
-        m.mul_(b1).add_(g * (1 - b1))
-        v.mul_(b2).add_(square * (1 - b2))
-        x -= group["lr"] * (m / (1 - b1**k)) / (sqrt(v / (1 - b2**k)) + group["eps"])
+        m.lerp_(g, 1 - b1)
+        v.lerp_(g.square().sum(-1, keepdim=True).expand_as(v), 1 - b2)
+        away = sqrt(v / (1 - b2**k)).add_(group["eps"])
+        x.addcdiv_(m, away, value=-group["lr"] / (1 - b1**k))
 
 
 def lower_rate_of_means(adam: torch.optim.Adam, rates: Rates, done: float) -> None:

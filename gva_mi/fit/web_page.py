@@ -127,17 +127,15 @@ def packed(avatar: Avatar, motions: Sequence[NamedMotion], surface: bool) -> byt
         file.exact("faces", rig.faces, "u4")
     described = []
     for k, motion in enumerate(motions):
-        frames = [avatar.posed_skeleton(motion.pose[t]) for t in range(len(motion.pose))]
-        transforms = torch.stack([frame.T_world_rest[:, :3] for frame in frames])
-        coefficients = torch.stack([frame.coefficients for frame in frames])
-        file.exact(f"motion{k}Transforms", transforms, "f4")
-        file.exact(f"motion{k}Coefficients", coefficients, "f4")
+        skeleton = avatar.posed_skeleton(motion.pose)
+        file.exact(f"motion{k}Transforms", skeleton.T_world_rest[:, :, :3], "f4")
+        file.exact(f"motion{k}Coefficients", skeleton.coefficients, "f4")
         around = {
             name: np.asarray(value).tolist()
             for name, value in asdict(cylinder(rig, motion.pose)).items()
         }
         about = {"name": motion.name, "arrays": f"motion{k}", "fps": motion.fps}
-        described.append({**about, "frames": len(frames), **around})
+        described.append({**about, "frames": len(motion.pose), **around})
     lit = avatar.options.color == "light"
     return file.compressed(
         light=light_vector(avatar.light)[0].tolist() if lit else None,

@@ -164,6 +164,10 @@ class Corrections:
 
         ``distance_shown``: whether the evidence shows how far away the person is.
         """
+        return self.poses_with_energy(distance_shown)[1]
+
+    def poses_with_energy(self, distance_shown: bool = False) -> tuple[Pose, Tensor]:
+        """Return :meth:`pose` of all frames and :meth:`energy`, which share much of their work."""
         turns, moves = self._at(range(len(self.moves)))
         joint_turns, prior, stage1 = self._stage1.to_joint_axes(turns), self.prior, self._stage1
         of_pelvis, of_joints, of_place = self._precisions
@@ -180,7 +184,8 @@ class Corrections:
         away = None if distance_shown else moves.mean(0)
         whole = self._whole_person_energy(turns[:, PELVIS].mean((0, 1)), away)
         tilt = prior.tilt.energy(*motion) if prior.tilt else self.constant_turn_energy()
-        return nats / len(moves) + whole + tilt
+        pose = Pose(*motion[:2], stage1.pose.expression)
+        return pose, nats / len(moves) + whole + tilt
 
     def constant_turn_energy(self) -> Tensor:
         """Return the energy of turns that all frames share, in the camera's axes, nats.

@@ -78,9 +78,9 @@ class ShownPose:
     def of(avatar: Avatar, pose: Pose) -> ShownPose:
         """Pose the Gaussians, and the surface and joints of the rig (one frame) as they are."""
         rig, skeleton = avatar.rig, avatar.posed_skeleton(pose)
-        vertices = rig.vertices + moved_by(skeleton.coefficients, rig.directions)
-        T_world_rest = skeleton.T_world_rest.to(vertices.dtype)
-        joints = joint_places(T_world_rest, skeleton.joints).double().numpy()
+        vertices = rig.vertices + moved_by(skeleton.coefficients, rig.directions)[0]
+        T_world_rest = skeleton.T_world_rest[0].to(vertices.dtype)
+        joints = joint_places(T_world_rest, skeleton.joints[0]).double().numpy()
         skinned = skin_points(vertices, rig.weights, T_world_rest)
         return ShownPose(avatar(pose), skinned.float().numpy(), joints)
 

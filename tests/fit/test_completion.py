@@ -50,7 +50,7 @@ def completed(avatar, hidden, turn, camera, folder):
     with torch.no_grad():
         drawn = torch.randn(int(hidden.sum()), 3, generator=generator)
         found.canonical.sh[hidden, 0] = NOISE * drawn
-    complete_colors(found, FrameSampler(video, [0], 0, 16, 0.0), lambda frame: pose)
+    complete_colors(found, FrameSampler(video, [0], 0, 16, 0.0), pose)
     return found.canonical.sh.detach()[:, 0]
 
 
@@ -132,7 +132,7 @@ def test_an_arm_on_the_trunk_keeps_no_colors_of_the_contact(
         with torch.no_grad():
             found.canonical.sh[arm] = 0.0
             found.canonical.sh[inner, 0] = NOISE
-        complete_colors(found, samples, lambda frame: pose)
+        complete_colors(found, samples, pose)
         error.append(float(found.canonical.sh.detach()[inner, 0].abs().mean()))
     assert inner.sum() > 10
     assert error[0] < 0.7 * error[1], error

@@ -50,7 +50,7 @@ def trained_to(truth, given, known, camera, options=OPTIONS, until=STEPS, poses=
             loss = loss + 0.1 * (pose.expression - truth.expression[frame]).abs().mean()
         if loss.requires_grad:
             loss.backward()
-        poses.step(step + 1, frame)
+        poses.step(step + 1)
     return poses
 
 
@@ -60,7 +60,7 @@ def test_hands_turn_at_the_wrist_unless_they_may_not(wrists, truth, known, camer
     poses = TrainedPoses(truth, [camera] * FRAMES, known.rig, options, STEPS, as_given=True)
     for step in range(30):
         (poses(step % FRAMES).rotations[0, [ELBOW, *WRISTS]] - 1).abs().sum().backward()
-        poses.step(step + 1, step % FRAMES)
+        poses.step(step + 1)
     moved = (poses.all().rotations - truth.rotations).norm(dim=2).amax(0)
     assert moved[ELBOW] > 0.01
     assert (moved[WRISTS] > 0.01).all() if wrists else (moved[WRISTS] == 0).all()

@@ -66,7 +66,7 @@ def test_a_perfect_render_costs_nothing_where_masks_are_off(pixels, video, monke
     costs = []
     for error in (0.12, 0.0):
         target = samples(video, mask_error=error)[0].target(everywhere(frame.camera))
-        costs.append(float(target.error(truth)) * target.area / 48**2)
+        costs.append(float(target.errors(truth)[0]) * target.area / 48**2)
     assert costs[0] < 0.002 < 0.01 < costs[1]
 
 
@@ -167,7 +167,7 @@ def test_a_part_of_the_picture_costs_what_the_whole_does(shift, video, known):
 
 
 @pytest.mark.parametrize("shape", [(48, 48), (13, 21)])
-def test_the_error_and_its_gradient_are_those_of_its_equations(shape, video):
+def test_the_errors_and_their_gradients_are_those_of_their_equations(shape, video):
     """Also in a part that is no whole number of tiles, and beyond the cut-out."""
     sample = samples(video, mask_error=0.03)[2]
     part = Box(2, 1, 2 + shape[1], 1 + shape[0]) if shape != (48, 48) else Box(0, 0, 48, 48)
@@ -176,13 +176,23 @@ def test_the_error_and_its_gradient_are_those_of_its_equations(shape, video):
     color, alpha = (
         torch.rand(*shape, *rest, generator=generator).requires_grad_() for rest in ((3,), ())
     )
-    wanted, background, *_ = target.composite()
-    by_hand = (color + (1 - alpha)[..., None] * background - wanted).abs().sum() / (3 * target.area)
-    error = target.error(Image(color, alpha))
-    torch.testing.assert_close(error, by_hand)
-    found, expected = (torch.autograd.grad(2 * x, (color, alpha)) for x in (error, by_hand))
-    for a, b in zip(found, expected, strict=True):
-        torch.testing.assert_close(a, b)
+    wanted, background, mask, _ = target.composite()
+    image = color + (1 - alpha)[..., None] * background
+    by_hand = (image - wanted).abs().sum() / (3 * target.area), (alpha - mask).abs().sum() / target.area
+    errors = target.errors(Image(color, alpha))
+    torch.testing.assert_close(errors, by_hand)
+    for weights in ((2, 0), (1, 0.3), (0, 3)):
+        found, expected = (
+            torch.autograd.grad(
+                sum(w * x for w, x in zip(weights, terms, strict=True) if w),
+                (color, alpha), retain_graph=True, allow_unused=True,
+            )
+            for terms in (errors, by_hand)
+        )  # fmt: skip
+        for a, b in zip(found, expected, strict=True):
+            assert (a is None) == (b is None)
+            if a is not None:
+                torch.testing.assert_close(a, b)
 
 
 def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):

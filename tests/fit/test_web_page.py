@@ -93,8 +93,8 @@ def test_the_pages_numbers_give_the_avatars_gaussians(lit, bends, tmp_path):
 
     surface = Skinned(page, "mesh", "motion0", frame).places
     skeleton = lit.posed_skeleton(bends[frame])
-    rest = lit.rig.vertices + lit.rig.directions @ skeleton.coefficients
-    exact = skin_points(rest, lit.rig.weights, skeleton.T_world_rest.float())
+    rest = lit.rig.vertices + lit.rig.directions @ skeleton.coefficients[0]
+    exact = skin_points(rest, lit.rig.weights, skeleton.T_world_rest[0].float())
     assert np.abs(surface - exact.detach().numpy()).max() < 1e-4
     assert np.array_equal(page["faces"].reshape(-1, 3), lit.rig.faces)
 

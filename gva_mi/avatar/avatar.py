@@ -212,9 +212,7 @@ class Avatar(nn.Module):
     def skin_to(self, skeleton: PosedSkeleton, sh: Tensor | None = None) -> Animated:
         """Return what :meth:`animate` does, from the skeleton in one pose."""
         if len(skeleton.T_world_rest) != 1:
-            raise ValueError(
-                f"Avatar: pose must be of one frame, got {len(skeleton.T_world_rest)}"
-            )
+            raise ValueError(f"Avatar: pose must be of one frame, got {len(skeleton.T_world_rest)}")
         G = self.canonical
         sh = G.sh if sh is None else sh
         means, residual = G.means + G.moved_by(skeleton.coefficients[0]), G.means.new_zeros(0, 3)

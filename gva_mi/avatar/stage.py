@@ -122,9 +122,7 @@ class Proxy:
         skeleton = self.avatar.posed_skeleton(pose)
         moved = self.vertices + moved_by(skeleton.coefficients, self.directions)[0]
         if self.avatar.options.residual.enabled:
-            moved = moved + self.avatar.residual(
-                self.vertices, self.weights, skeleton.rotations[0]
-            )
+            moved = moved + self.avatar.residual(self.vertices, self.weights, skeleton.rotations[0])
         return skin_points(moved, self.weights, skeleton.T_world_rest[0].to(moved.dtype))
 
 

@@ -113,9 +113,7 @@ def normals_beneath(avatar: Avatar) -> Tensor:
 
 
 @torch.no_grad()
-def shown_pixels(
-    avatar: Avatar, normals: Tensor, samples: FrameSampler, poses: Pose
-) -> Tensor:
+def shown_pixels(avatar: Avatar, normals: Tensor, samples: FrameSampler, poses: Pose) -> Tensor:
     """Return w (N,) of eq. 1, pixels, as the mean over some frames.
 
     ``normals`` (N, 3) are those of :func:`normals_beneath`, ``poses`` those of all frames.

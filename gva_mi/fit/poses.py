@@ -356,7 +356,7 @@ class _Clip:
     ) -> None:
         self.frames, self.corrections, self.face = frames, corrections, face
         self._seen, self._arms, self._derived = seen, arms, derived
-        self._shown = [] if seen is None else seen.frames_among(frames)
+        self._shown = set() if seen is None else set(seen.frames_among(frames))
         self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
         self.posed: dict[int, Any] = {}
@@ -391,11 +391,10 @@ class _Clip:
         which = [k for k, _ in found]
         bodies, energy = self.corrections.poses_with_energy()
         energy = energy + self.face.energy()
-        if self._shown:
-            pose = bodies[[k - self.frames.start for k in self._shown]]
-            seen = self._seen.losses(pose, self._shown).sum() / len(self.frames)
-            energy = energy + LANDMARK_WEIGHT * seen
         loss = prior_weight * len(found) * energy
+        if shown := [k for k in which if k + self.frames.start in self._shown]:
+            seen = self._seen.losses(bodies[shown], [k + self.frames.start for k in shown])
+            loss = loss + prior_weight * LANDMARK_WEIGHT * seen.sum()
         derived = self._derived(self.face.corrected(bodies[which], which))
         for name in found[0][1]:
             slopes = torch.cat([gradients[name] for _, gradients in found])

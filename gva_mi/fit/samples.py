@@ -101,10 +101,9 @@ class Person:
         """Where the mask may be wrong (h, w) bool."""
         return backdrop.unsure(self.mask, self.error)
 
-    @property
-    def bare(self) -> np.ndarray:
+    def bare(self, unsure: np.ndarray) -> np.ndarray:
         """Where the person surely is not (h, w) bool."""
-        return (self.mask == 0) & ~self.unsure
+        return (self.pixels[..., 3].numpy() == 0) & ~unsure
 
     def behind(self, plate: Plate | None, place: Box) -> Tensor:
         """Return what is behind the person and where the mask is uncertain (h, w, 4) uint8.
@@ -112,7 +111,8 @@ class Person:
         ``plate`` is what :func:`background_of` found in the part ``place`` of the picture. Without
         it, or where it disagrees with this frame, the nearest background of this frame is taken.
         """
-        image, unsure, bare = self.picture, self.unsure, self.bare
+        image, unsure = self.picture, self.unsure
+        bare = self.bare(unsure)
         if plate is None or not bare.any():
             found = backdrop.behind(image, np.maximum(self.mask, unsure))
         else:
@@ -130,7 +130,7 @@ def background_of(frames: Iterable[tuple[Frame, Person]], place: Box) -> Plate:
     for frame, person in frames:
         pictures.append(in_8_bits(place.cut(frame.image)))
         bare.append(np.ones((place.height, place.width), bool))
-        bare[-1][within(person.kept, place)] = person.bare
+        bare[-1][within(person.kept, place)] = person.bare(person.unsure)
     return Plate.gather(np.stack(pictures), np.stack(bare))
 
 

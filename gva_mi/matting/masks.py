@@ -58,7 +58,7 @@ from gva_mi.matting.odds import (
     count_shadows,
     log_odds,
 )
-from gva_mi.matting.plate import MEAN_SQUARE, Plate, filled_in, moments_around, overlay_of
+from gva_mi.matting.plate import MEAN_SQUARE, Around, Plate, filled_in, overlay_of
 from gva_mi.subject.crop import bounds
 from gva_mi.subject.folder import SubjectWriter
 from gva_mi.subject.landmarks import Landmarks
@@ -429,7 +429,7 @@ def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.nda
         return alpha
     blurred = gaussian_filter(alpha, CUT_BLUR)
     sure, bare = inside & ~open_, ~inside & ~open_
-    F, V = moments_around(image, sure)
+    F, V = Around.of(sure).moments(image)
     B = plate.beside(image, bare)
     span = np.einsum("ijk,ijk->ij", F - B, F - B) + 1e-6
     share = (np.einsum("ijk,ijk->ij", image - B, F - B) / span).clip(0, 1)

@@ -94,7 +94,8 @@ class Plate:
         It is the plate, times the shade that is seen around the nearest bare pixels; where the
         plate is a guess, it is their mean colour.
         """
-        return np.where(self.seen[..., None], self._shaded(image, bare), mean_around(image, bare))
+        shaded = self._shaded(image, Around.of(bare & self.seen))
+        return np.where(self.seen[..., None], shaded, Around.of(bare).mean(image))
 
     def agreeing(self, image: np.ndarray, bare: np.ndarray) -> Plate:
         """Return the plate; where it differs from a picture's nearest bare pixels, it is a guess.
@@ -104,15 +105,15 @@ class Plate:
         known = bare & self.seen
         if not known.any():
             return Plate.unknown(self.seen.shape)
-        off = np.abs(image - self._shaded(image, bare)).mean(-1, keepdims=True)
-        agrees = mean_around(off, known)[..., 0] < AGREEING_DIFFERENCE
-        return replace(self, seen=self.seen & agrees)
+        around = Around.of(known)
+        off = np.abs(image - self._shaded(image, around)).mean(-1, keepdims=True)
+        return replace(self, seen=self.seen & (around.mean(off)[..., 0] < AGREEING_DIFFERENCE))
 
-    def _shaded(self, image: np.ndarray, bare: np.ndarray) -> np.ndarray:
-        """Return the plate in the shade of the nearest bare pixels of a picture."""
+    def _shaded(self, image: np.ndarray, around: Around) -> np.ndarray:
+        """Return the plate in the shade of known pixels of a picture."""
         B = self.color
         shade = np.einsum("ijk,ijk->ij", image, B) / (np.einsum("ijk,ijk->ij", B, B) + 1e-3)
-        return mean_around(shade[..., None].clip(0.2, 1.3), bare & self.seen) * B
+        return around.mean(shade[..., None].clip(0.2, 1.3)) * B
 
     def moved(self, A: np.ndarray) -> Plate:
         """Return the plate at A x (:func:`.camera.moved`); what lies outside it is a guess."""
@@ -147,40 +148,55 @@ def _continued(
     return color, spread.astype(np.float32)
 
 
-def mean_around(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the mean (h, w, C) of known values near each pixel; 0 if none is known.
+@dataclass(frozen=True)
+class Around:
+    """Known pixels around each pixel of a grid (h, w), for means of any values there.
 
-    A pixel without a known value in its square takes the mean of the nearest that has one.
+    A pixel without a known one in its square takes the mean around the nearest that has one.
     """
-    found = _means_around(known, values)
-    return np.zeros_like(values) if found is None else found[0]
+
+    weight: np.ndarray  # (h, w) float32: 1 where known
+    total: np.ndarray  # (h, w) float32, share of known pixels in each square
+    nearest: tuple[np.ndarray, ...] | None  # rows and columns; None: every square has a known one
+
+    @staticmethod
+    def of(known: np.ndarray) -> Around:
+        """Look around each pixel for known ones (h, w) bool."""
+        from scipy.ndimage import distance_transform_edt
+
+        weight = known.astype(np.float32)
+        total = _blurred(weight)
+        near = total > 0.5 / MEAN_SQUARE**2
+        nearest = None
+        if near.any() and not near.all():
+            nearest = distance_transform_edt(~near, return_distances=False, return_indices=True)
+        return Around(weight, total, None if nearest is None else tuple(nearest))
+
+    @property
+    def empty(self) -> bool:
+        """Whether no pixel is known."""
+        return not self.weight.any()
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean (h, w, C) of known values (h, w, C); 0 if none is known."""
+        if self.empty:
+            return np.zeros_like(values)
+        mean = _blurred(values * self.weight[..., None]) / np.maximum(self.total, 1e-6)[..., None]
+        return mean if self.nearest is None else mean[self.nearest]
+
+    def moments(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return :meth:`mean`, and the variance (h, w) of all channels; 1 if none is known."""
+        mean, square = self.mean(values), self.mean((values**2).sum(-1, keepdims=True))
+        if self.empty:
+            return mean, np.ones(self.weight.shape, np.float32)
+        return mean, np.maximum(square[..., 0] - (mean**2).sum(-1), 0)
 
 
-def moments_around(values: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return :func:`mean_around`, and the variance (h, w) of all channels; 1 if none is known."""
-    found = _means_around(known, values, (values**2).sum(-1, keepdims=True))
-    if found is None:
-        return np.zeros_like(values), np.ones(known.shape, np.float32)
-    mean, square = found
-    return mean, np.maximum(square[..., 0] - (mean**2).sum(-1), 0)
+def _blurred(x: np.ndarray) -> np.ndarray:
+    """Return the mean of x (h, w, ...) over the square around each pixel, zero outside."""
+    from scipy.ndimage import uniform_filter
 
-
-def _means_around(known: np.ndarray, *maps: np.ndarray) -> list[np.ndarray] | None:
-    """Return the means of maps (h, w, C) around each pixel; None if no value is known."""
-    from scipy.ndimage import distance_transform_edt, uniform_filter
-
-    blur = lambda x: uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
-    weight = known.astype(np.float32)
-    total = blur(weight)
-    near = total > 0.5 / MEAN_SQUARE**2
-    if not near.any():
-        return None
-    total = np.maximum(total, 1e-6)
-    means = [blur(x * weight[..., None]) / total[..., None] for x in maps]
-    if near.all():
-        return means
-    nearest = tuple(distance_transform_edt(~near, return_distances=False, return_indices=True))
-    return [x[nearest] for x in means]
+    return uniform_filter(x, (MEAN_SQUARE, MEAN_SQUARE, 1)[: x.ndim], mode="constant")
 
 
 # All chosen, by captions over a rendered person. Lengths are shares of the person's height.

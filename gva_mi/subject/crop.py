@@ -231,8 +231,11 @@ def block_means(image: np.ndarray, side: int) -> np.ndarray:
     if side == 1:
         return image
     h, w = image.shape[0] // side, image.shape[1] // side
-    blocks = image[: h * side, : w * side].reshape(h, side, w, side, *image.shape[2:])
-    return blocks.mean((1, 3), dtype=np.float32)
+    total = np.zeros((h, w, *image.shape[2:]), np.float32)
+    for row in range(side):  # numpy's mean over two axes takes three times as long
+        columns = [image[row : h * side : side, k : w * side : side] for k in range(side)]
+        total += sum(columns[1:], columns[0].astype(np.float32))
+    return total / np.float32(side * side)
 
 
 def gather(

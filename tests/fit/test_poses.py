@@ -1,6 +1,7 @@
 """Trained poses come closer to ground truth; poses without evidence stay."""
 
 from dataclasses import replace
+from itertools import count
 
 import pytest
 import torch
@@ -41,6 +42,7 @@ def trained_to(truth, given, known, camera, options=OPTIONS, until=STEPS, poses=
     poses = poses or TrainedPoses(given, [camera] * len(given), known.rig, options, STEPS)
     order = [k for k in range(len(given)) if k not in tests]
     for step in range(since, until):
+        poses.expect(order[k % len(order)] for k in count(step))
         frame = order[step % len(order)]
         pose = poses(frame)
         loss = (pose.transl - truth.transl[frame]).abs().mean()
@@ -64,6 +66,17 @@ def test_hands_turn_at_the_wrist_unless_they_may_not(wrists, truth, known, camer
     moved = (poses.all().rotations - truth.rotations).norm(dim=2).amax(0)
     assert moved[ELBOW] > 0.01
     assert (moved[WRISTS] > 0.01).all() if wrists else (moved[WRISTS] == 0).all()
+
+
+def test_frames_that_are_posed_together_are_posed_as_one_by_one(truth, known, camera):
+    given = TrainedPoses(truth, [camera] * FRAMES, known.rig, replace(OPTIONS, every=5), STEPS)
+    alone = [given(k) for k in range(5)]
+    given.step(5)
+    given.expect(iter(range(5)))
+    together = [given(k) for k in range(5)]
+    for a, b in zip(alone, together, strict=True):
+        torch.testing.assert_close(a.rotations, b.rotations)
+        torch.testing.assert_close(a.transl, b.transl)
 
 
 def away(pose, truth):

@@ -22,6 +22,7 @@ def samples(video, seed=0, window=16, mask_error=0.01, still_camera=False):
 def test_each_pass_shows_every_frame_once_in_another_order(video):
     found = samples(video)
     first, second = ([found[5 * p + k].frame for k in range(5)] for p in range(2))
+    assert [found.frame(k) for k in range(10)] == first + second
     assert sorted(first) == sorted(second) == TRAIN and first != second
 
 
@@ -178,7 +179,8 @@ def test_the_errors_and_their_gradients_are_those_of_their_equations(shape, vide
     )
     wanted, background, mask, _ = target.composite()
     image = color + (1 - alpha)[..., None] * background
-    by_hand = (image - wanted).abs().sum() / (3 * target.area), (alpha - mask).abs().sum() / target.area
+    of_mask = (alpha - mask).abs().sum() / target.area
+    by_hand = (image - wanted).abs().sum() / (3 * target.area), of_mask
     errors = target.errors(Image(color, alpha))
     torch.testing.assert_close(errors, by_hand)
     for weights in ((2, 0), (1, 0.3), (0, 3)):

@@ -176,7 +176,8 @@ def blend_adjoint(
     share = [dr.select(lists.real, s, 0) for s in share]
     packets.store_rows(grad_background, share, dr.arange(U, dr.width(lists.tile)))
     columns = PairGradient.columns(slot_format)
-    slots = [dr.zeros(F, pairs * width) for width in packets.widths(columns)]
+    slots = [dr.empty(F, pairs * width) for width in packets.widths(columns)]
+    _clear_unseen(slots, lists, slot_format)
 
     back = lambda k, j: (k - (j + 1), k > lists.start + j)
     iterator = TileIterator(splats, format, lists.ids, back, UNROLL_ADJOINT)
@@ -338,6 +339,20 @@ class PairGradientSums:
         color = self.grad_f[: self.format.channels]
         depth = self.grad_f[-1] if self.format.depth else None
         return PairGradient(self.m0, self.m1, self.m2, self.absolute, color, depth)
+
+
+def _clear_unseen(slots: packets.Packets, lists: Lists, format: RecordFormat) -> None:
+    """Write zeros to the slots of pairs behind the place where their tile's pixels stopped."""
+    F, U = type(slots[0]), type(lists.end)
+    zero = F(lists.real) * 0
+    nothing = PairGradient.unpack([zero] * PairGradient.columns(format), format)
+
+    def body(k: Array) -> tuple[Array]:
+        packets.store(slots, nothing, k)
+        return (k + 1,)
+
+    behind = (U(lists.end),)
+    dr.while_loop(behind, lambda k: k < lists.whole, body, mode="symbolic", compress=False)
 
 
 def sum_slots(

@@ -98,7 +98,8 @@ class Lists:
     counts: Array  # (N,) tiles each of these touches
     tile: Array  # (lanes,) tile of each lane of the compositing kernel
     start: Array  # (lanes,) its list in ids: first
-    end: Array  # (lanes,) and one past the last
+    end: Array  # (lanes,) and one past the last, or the last that was composited
+    whole: Array  # (lanes,) and one past the last
     real: Array  # (lanes,) False for lanes that only fill up packets: an empty list, tile 0
 
     def places(self) -> Array:
@@ -226,7 +227,7 @@ def _schedule(start: Array, end: Array) -> tuple[Array, ...]:
     tile = dr.select(real, tile, 0)
     start, end = dr.gather(U, start, tile, active=real), dr.gather(U, end, tile, active=real)
     dr.eval(tile, start, end, real)
-    return tile, start, end, real
+    return tile, start, end, end, real
 
 
 def composited(lists: Lists, stop: Array) -> Lists:
@@ -243,10 +244,10 @@ def composited(lists: Lists, stop: Array) -> Lists:
     if dr.width(lists.ids) < RESCHEDULED_PAIRS * lanes:
         return replace(lists, end=stop)
     lane = lists_by_length(stop - lists.start, lanes)
-    of_lanes = lists.tile, lists.start, stop, lists.real
-    tile, start, end, real = (dr.gather(type(x), x, lane) for x in of_lanes)
-    dr.eval(tile, start, end, real)
-    return replace(lists, tile=tile, start=start, end=end, real=real)
+    of_lanes = lists.tile, lists.start, stop, lists.whole, lists.real
+    tile, start, end, whole, real = (dr.gather(type(x), x, lane) for x in of_lanes)
+    dr.eval(tile, start, end, whole, real)
+    return replace(lists, tile=tile, start=start, end=end, whole=whole, real=real)
 
 
 def make_lists(

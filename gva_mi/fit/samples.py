@@ -32,7 +32,6 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 from pathlib import Path
 
 import drjit as dr
@@ -124,11 +123,11 @@ class Person:
         return packed
 
 
-def background_of(frames: Iterable[tuple[Frame, Person]], place: Box) -> Plate:
-    """Return the background that frames of one camera show in a part of the picture."""
+def background_of(frames: Iterable[tuple[np.ndarray, Person]], place: Box) -> Plate:
+    """Return the background that pictures (H, W, 3) 8-bit of one camera show in a part of them."""
     pictures, bare = [], []
-    for frame, person in frames:
-        pictures.append(in_8_bits(place.cut(frame.image)))
+    for picture, person in frames:
+        pictures.append(place.cut(picture))
         bare.append(np.ones((place.height, place.width), bool))
         bare[-1][within(person.kept, place)] = person.bare(person.unsure)
     return Plate.gather(np.stack(pictures), np.stack(bare))
@@ -273,17 +272,22 @@ class FrameSampler:
         self.boxes = []
         folder = Path(tempfile.gettempdir()) if folder is None else folder
         self._people, self._behind = SpillCache[Person](folder), SpillCache[Tensor](folder)
-        cut = partial(Person.of, mask_error=mask_error)
-        kept = []
-        for k, person in enumerate(on_all_cores(cut, video.frames(self.frames))):
+        kept, pictures = [], {}
+        shown = spread(range(len(self)), PLATE_FRAMES) if still_camera else []
+
+        def cut(numbered: tuple[int, Frame]) -> Person:
+            k, frame = numbered
+            if k in shown:
+                pictures[k] = in_8_bits(frame.image)
+            return Person.of(frame, mask_error)
+
+        for k, person in enumerate(on_all_cores(cut, enumerate(video.frames(self.frames)))):
             self.boxes.append(person.box)
             kept.append(person.kept)
             self._people[k] = person
         place, plate = joined(*kept), None
         if still_camera:
-            shown = spread(range(len(self)), PLATE_FRAMES)
-            people = map(self._people.__getitem__, shown)
-            seen = zip(video.frames(self.frames[k] for k in shown), people, strict=True)
+            seen = [(pictures.pop(k), self._people[k]) for k in shown]
             plate = background_of(seen, place)
         behind = lambda person: person.behind(plate, place)
         for k, found in enumerate(on_all_cores(behind, self._people.values())):

@@ -8,10 +8,10 @@ steps of the fit, poses take a step of their own on
     1. L = Σ_k [L_k(pose_k(δ, τ)) + ν E(δ, τ)]       k: the frames of these steps
 
 where ``E`` is the energy of the corrections δ, τ under the prior of the motion, of joint limits and
-of errors, and of landmarks with a weight of their own (:mod:`gva_mi.fit.training_landmarks`).
-After some shares of the fit the prior is fitted again to the corrections. Between two such steps
-poses do not change. So the skeletons of all these frames are posed together, and their gradients
-are pulled back to the corrections together, which takes a quarter of the time.
+of errors. The landmarks of the frames k are added with a weight of their own
+(:mod:`gva_mi.fit.training_landmarks`). After some shares of the fit the prior is fitted again to
+the corrections. Between two such steps poses do not change. So the skeletons of these frames are
+posed together, and their gradients go back to the corrections together, in a quarter of the time.
 
 * Stage-1 poses start at their MAP estimate, which is smoothed. Refined poses start as they are,
   because masks and normals of their frames have been used already.
@@ -219,7 +219,7 @@ class FacePart:
 # Chosen: corrections are sizeable by then, and half of the steps follow.
 PRIOR_UPDATES = (0.3, 0.5)  # shares of all steps after which the prior is fitted again
 STEP_DECAY = 0.1  # what is left of the step sizes at the end; chosen: poses settle
-LANDMARK_WEIGHT = 40.0  # of landmarks in E; chosen: pictures pull so much harder than E
+LANDMARK_WEIGHT = 40.0  # of landmarks beside E; chosen: pictures pull so much harder than E
 
 
 @options_of("fit")

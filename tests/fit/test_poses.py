@@ -79,6 +79,20 @@ def test_frames_that_are_posed_together_are_posed_as_one_by_one(truth, known, ca
         torch.testing.assert_close(a.transl, b.transl)
 
 
+def test_gradients_of_skeletons_train_poses_as_those_of_poses_do(truth, known, camera):
+    trained = []
+    for skeletons in (False, True):
+        derived = {"derived": known.posed_skeleton} if skeletons else {}
+        poses = TrainedPoses(truth, [camera] * FRAMES, known.rig, OPTIONS, STEPS, **derived)
+        for k in range(OPTIONS.every):
+            skeleton = poses(k) if skeletons else known.posed_skeleton(poses(k))
+            (skeleton.T_world_rest[..., :3, 3] - 0.1).square().sum().backward()
+        poses.step(OPTIONS.every)
+        trained.append(poses.all())
+    torch.testing.assert_close(trained[0].rotations, trained[1].rotations)
+    assert (trained[0].rotations - truth.rotations).abs().max() > 1e-3
+
+
 def away(pose, truth):
     """(T,) metres."""
     return (pose.transl - truth.transl).norm(dim=1)

@@ -127,10 +127,9 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
     weights["Eq. 9 and back, without"] = replace(fit.options.loss, perceptual=0.0)
     every = fit.options.poses.every
     for k in range(WARM_UP + repeats):
-        sample = samples[k]
-        if k % every == 0:
-            with clock(f"{every} poses, one step in {every}"):
-                fit.poses.expect(samples.frame(k + j) for j in range(every))
+        sample, frames = samples[k], [samples.frame(k + j) for j in range(every)]
+        with clock(f"{every} poses, one step in {every}"):
+            fit.poses.expect(frames)
         skeleton = fit.poses(sample.frame)
         with clock("avatar, colours by Lambert's law"):
             animated = fit.avatar.skin_to(skeleton, fit.colors())
@@ -156,9 +155,10 @@ def _stages(fit: Run, samples: FrameSampler, repeats: int, clock: Clock) -> None
             fit.avatar.canonical.decay_slopes(fit.options.rates.sh_decay)
             fit.clamp_scales()
             fit.gradients.add(screen, sample.area)
-        if k % every == every - 1:
-            with clock(f"{every} poses, back, one step in {every}"):
-                fit.poses.step(k + 1)
+        for frame in frames[1:]:
+            (0 * fit.poses(frame).T_world_rest).sum().backward()
+        with clock(f"{every} poses, back, one step in {every}"):
+            fit.poses.step((k + 1) * every)
         fit.optimizer.zero_grad(set_to_none=True)
 
 

@@ -7,7 +7,7 @@ colours. All frames together descend (:mod:`gva_mi.refine.optimize`) on
 
 where ``E`` is the energy of the rotations δ of all joints and of the shifts τ under their prior
 (:mod:`gva_mi.refine.corrections`, with the initial poses as its stage 1). Jaw and expression are
-corrected along (:mod:`gva_mi.fit.poses`). ``L_k`` compares the avatar with the picture of a frame:
+corrected along (:mod:`gva_mi.fit.faces`). ``L_k`` compares the avatar with the picture of a frame:
 
     2. P   = C + (1 - A) I
     3. L_k = (|P - I| + λα |A - S| + λs (1 - SSIM(P, I))) · H W / Σ S
@@ -61,8 +61,8 @@ from gva_mi.core.options import Metres, PythonOnly, Weight, Within, options_of
 from gva_mi.core.spill_cache import SpillCache
 from gva_mi.core.stamp import write_record
 from gva_mi.core.tasks import Helpers
+from gva_mi.fit.faces import Face
 from gva_mi.fit.losses import ssim
-from gva_mi.fit.poses import Face
 from gva_mi.prior.anatomy import Anatomy
 from gva_mi.prior.stage1_poses import Stage1Poses
 from gva_mi.refine.clips import cut, join

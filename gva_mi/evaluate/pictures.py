@@ -146,7 +146,7 @@ def seen_map(avatar: Avatar, video: Video, pose: Pose) -> Section:
 
     frames, rig = spread(video.splits.train, SEEN_FRAMES), avatar.rig
     samples = FrameSampler(video, frames, 0, max(video.size), 0.0)
-    w = shown_pixels(avatar, normals_beneath(avatar), samples, lambda k: video.pose[k]).numpy()
+    w = shown_pixels(avatar, normals_beneath(avatar), samples, video.pose).numpy()
     a, b, c = rig.vertices[rig.faces].unbind(1)
     corner = torch.linalg.cross(b - a, c - a).norm(dim=1) / 6  # a third of a face
     area = torch.bincount(rig.faces.T.flatten(), corner.repeat(3), len(rig.vertices)).numpy()

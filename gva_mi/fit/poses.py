@@ -179,8 +179,8 @@ class TrainedPoses:
 class _Clip:
     """Frames that share a prior, and the corrections of their poses and faces.
 
-    ``posed`` is what ``derived`` returns of frames, by their number in the clip, since the last
-    step of the poses.
+    Frames are numbered within the clip. ``posed`` is what ``derived`` returns of those that were
+    posed since the last step of the poses.
     """
 
     def __init__(
@@ -199,7 +199,8 @@ class _Clip:
         self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
         self.posed: dict[int, Any] = {}
-        self._drawn: list[tuple[int, Any]] = []  # frames of steps of the fit, and leaves
+        # A frame and its leaves for each step of the fit since then.
+        self._drawn: list[tuple[int, Any]] = []
 
     def pose(self, which: Sequence[int]) -> Pose:
         """Return poses of frames of the clip, differentiable in the corrections."""
@@ -222,6 +223,7 @@ class _Clip:
         return leaves
 
     def step(self, prior_weight: float, factor: float) -> None:
+        """Take a step on eq. 1, with the gradients that the leaves received."""
         found = [(k, _gradients(leaves)) for k, leaves in self._drawn]
         found = [(k, gradients) for k, gradients in found if gradients]
         self._drawn, self.posed = [], {}
@@ -253,7 +255,7 @@ class _Clip:
             "start": self.corrections.start,
             "face": [part.start for part in self.face.parts],
             "leaves": [leaf.detach() for leaf in leaves],
-            "posed": {k: vars(record) for k, record in self.posed.items()},
+            "posed": list(self.posed),
             "drawn": [(k, _gradients(leaves)) for k, leaves in self._drawn],
             "adam": self._adam.state(),
         }
@@ -267,9 +269,7 @@ class _Clip:
         with torch.no_grad():
             for leaf, value in zip(self._leaves(), state["leaves"], strict=True):
                 leaf.copy_(value)
-        self.derive(list(state["posed"]))
-        for k, fields in state["posed"].items():  # as a larger batch found them, to the bit
-            self.posed[k] = replace(self.posed[k], **fields)
+        self.derive(state["posed"])  # together again: the same bits
         for k, gradients in state["drawn"]:
             leaves = self.drawn(k)
             for name, gradient in gradients.items():

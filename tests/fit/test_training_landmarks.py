@@ -117,6 +117,20 @@ def test_training_follows_the_landmarks(video, wrong, built_in_body):
     assert off(trained(TrainingLandmarks.of(wrong, built_in_body))) < 0.7 * off(wrong.pose)
 
 
+def test_each_clip_of_a_long_video_follows_its_own_landmarks(video, wrong, built_in_body):
+    rig, steps = Rig.of(built_in_body, video.shape), 200
+    options, seen = (
+        PoseOptions(every=1, part=FRAMES // 2),
+        TrainingLandmarks.of(wrong, built_in_body),
+    )
+    poses = TrainedPoses(wrong.pose, wrong.cameras, rig, options, steps, as_given=True, seen=seen)
+    for done in range(1, steps + 1):
+        step(poses, done)
+    late = seen.frames_among(range(FRAMES // 2, FRAMES))
+    before, after = (seen.losses(pose[late], late).mean() for pose in (wrong.pose, poses.all()))
+    assert after < 0.9 * before, (before, after)
+
+
 def test_a_face_that_the_given_pose_contradicts_counts_no_more_than_none(video, built_in_body):
     pixels, wrong = video.landmarks.pixels.copy(), 7
     pixels[wrong, len(BODY_LANDMARKS) :] += (60, 20)  # the face is seen elsewhere

@@ -17,9 +17,9 @@ posed together, and their gradients go back to the corrections together, in a qu
   because masks and normals of their frames have been used already.
 * Frames outside the training split are not used. Their corrections follow from neighbouring
   frames: slow errors are corrected there too, errors that are new in every frame are not.
-* Avatar and poses could drift together, such as all knees and the canonical legs, without changing
-  a picture. So constant corrections are removed: turns in the axes of a joint, and shifts in the
-  axes of the camera, or of the body while it turns.
+* A larger person farther away looks the same. So the shift along the line of sight that all frames
+  share is removed. Pictures show every other constant correction, such as a bend of all elbows,
+  because the avatar's Gaussians are held near the surface of the body (:mod:`gva_mi.avatar.held`).
 
 Jaw and expression are corrected too: :mod:`gva_mi.fit.faces`.
 
@@ -242,7 +242,7 @@ class _Clip:
                 loss = loss + (gradient[0] * getattr(derived, name)[row]).sum()
         loss.backward()
         self._adam.step(factor)
-        self.corrections.centre()
+        self.corrections.keep_distance()
         self.face.centre()
 
     def learn(self, options: PoseOptions) -> None:

@@ -7,22 +7,12 @@
 
 Memory does not grow with the video's length: pictures are read one by one.
 
-The outline of a picture is the smoothest cut. With log odds L of being the person and the price g
-of an outline between two pixels, the set ``{u = 1}`` that minimises
+The outline of a picture is the smoothest cut (:mod:`gva_mi.matting.cut`) by the log odds of its
+pixels (:mod:`gva_mi.matting.odds`). A pixel there mixes the person's colour F and the background's
+B:
 
-1. ``E(u) = sum g |grad u| - sum L u``,   ``0 <= u <= 1``
-
-is the minimum cut: the relaxation to fractions is exact, and any threshold of u gives an optimum
-(Chan, Esedoglu and Nikolova 2006). It is found by the primal-dual iteration of Chambolle and Pock
-(2011), whose dual variable p has ``|p| <= g``:
-
-2. ``p <- project(p + s grad v)``
-3. ``u' = clip(u + t (div p + L), 0, 1)``,   ``v = 2 u' - u``
-
-A pixel there mixes the person's colour F and the background's B:
-
-4. ``I = a F + (1 - a) B``,   so   ``a = <I - B, F - B> / |F - B|^2``
-5. its variance is   ``v = (n^2 + a^2 V) / |F - B|^2``
+1. ``I = a F + (1 - a) B``,   so   ``a = <I - B, F - B> / |F - B|^2``
+2. its variance is   ``v = (n^2 + a^2 V) / |F - B|^2``
 
 with the noise n of a colour and the variance V of the person's colours around. F is their mean just
 inside, and B is the background, in the shade that is seen just outside
@@ -48,6 +38,7 @@ from gva_mi.matting.camera import (
     moved,
     moved_pixels,
 )
+from gva_mi.matting.cut import smoothest_cut
 from gva_mi.matting.hands import Bones
 from gva_mi.matting.odds import (
     BONE_RADIUS,
@@ -78,13 +69,13 @@ POSSIBLE_PERSON, CERTAIN_PERSON = 0.05, 0.95  # probabilities: background below,
 POSSIBLE_MARGINS = 4, 3
 INNER_MARGIN = 1  # pixels inside the outline, which mix two colours: they are not counted
 LOOK_MARGIN = 0.12  # of the person's longer side: a picture is searched so far around the person
-OUTLINE_PRICE, FLAT_OUTLINE_PRICE = 1.5, 4.0  # g of eq. 1: everywhere, and added on flat colours
+OUTLINE_PRICE, FLAT_OUTLINE_PRICE = 1.5, 4.0  # g of the cut: everywhere, and added on flat colours
 # Difference of colours that leaves 1 / e of what is added, in mean differences of neighbours in the
 # picture, as in GrabCut (Rother et al. 2004). Chosen on two rendered persons, by the face's masks.
 EDGE_CONTRAST = 2.0
 HAND_DISCOUNT = 0.5  # share of g that is saved at hands: fingers have much outline, little area
 LEAST_DIFFERENCE = 1 / 255  # of neighbours: a picture of one colour has none
-CUT_STEPS = 50  # iterations of eq. 2 and 3; later ones change few pixels
+CUT_STEPS = 50  # iterations of the cut; later ones change few pixels
 SMALLEST_PIECE = 0.002  # share of the largest piece's area: smaller pieces are dropped
 LEAST_PIECE_PROBABILITY = 0.3  # mean probability of a piece; with less the network denies it
 
@@ -337,7 +328,7 @@ def _looked_at(view: GridPicture) -> tuple[slice, slice]:
 
 
 def _prices(image: np.ndarray, at_hands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return g of eq. 1 between each pixel (h, w, 3) and its right and lower neighbour.
+    """Return g of the cut between each pixel (h, w, 3) and its right and lower neighbour.
 
     ``at_hands`` (h, w) in [0, 1] is 1 at hands.
     """
@@ -367,52 +358,14 @@ def _person_alone(inside: np.ndarray, probability: np.ndarray) -> np.ndarray:
     return np.concatenate([[False], kept])[pieces]
 
 
-CUT_STEP_SIZE = 0.35  # s = t of eq. 2, 3; converges if s t |grad|^2 <= 1, and |grad|^2 <= 8
-
-
-def smoothest_cut(
-    odds: np.ndarray, price: tuple[np.ndarray, np.ndarray], start: np.ndarray, steps: int
-) -> np.ndarray:
-    """Return u (H, W) in [0, 1], nearly binary, that minimises eq. 1.
-
-    Args:
-        odds: L (H, W) float32, log odds of the person.
-        price: g of an outline between a pixel and its right neighbour (H, W - 1), and between
-            a pixel and the one below (H - 1, W), in the odds' unit.
-        start: u to start from (H, W).
-        steps: iterations.
-    """
-    right, below = (x.astype(np.float32) for x in price)
-    u = start.astype(np.float32)
-    v, moved = u.copy(), np.empty_like(u)
-    p, q = np.zeros_like(right), np.zeros_like(below)
-    step_p, step_q, least_p, least_q = np.empty_like(p), np.empty_like(q), -right, -below
-    for _ in range(steps):
-        p += np.multiply(np.subtract(v[:, 1:], v[:, :-1], out=step_p), CUT_STEP_SIZE, out=step_p)
-        q += np.multiply(np.subtract(v[1:], v[:-1], out=step_q), CUT_STEP_SIZE, out=step_q)
-        np.minimum(np.maximum(p, least_p, out=p), right, out=p)  # half of the time of np.clip
-        np.minimum(np.maximum(q, least_q, out=q), below, out=q)
-        moved[:] = odds
-        moved[:, :-1] += p
-        moved[:, 1:] -= p
-        moved[:-1] += q
-        moved[1:] -= q
-        moved *= CUT_STEP_SIZE
-        moved += u
-        np.minimum(np.maximum(moved, 0, out=moved), 1, out=moved)
-        np.subtract(np.multiply(moved, 2, out=v), u, out=v)
-        u, moved = moved, u
-    return u
-
-
 # Chosen: the blur of a phone's picture is a pixel or two wide.
-OPEN_BAND = 3  # pixels on each side of the cut where eq. 4 decides
+OPEN_BAND = 3  # pixels on each side of the cut where eq. 1 decides
 # Pixels around the person that have to be in the picture.
 OUTLINE_BORDER = OPEN_BAND + MEAN_SQUARE + 2
 CUT_BLUR = 0.6  # pixels, standard deviation
 CUT_DEVIATION = 0.2  # square root of w at the cut
 CUT_FADING = 1.2  # pixels, over which this square root falls to 1 / e
-COLOR_NOISE = 0.02  # n of eq. 5, of colours in [0, 1]
+COLOR_NOISE = 0.02  # n of eq. 2, of colours in [0, 1]
 
 
 def outline_alpha(image: np.ndarray, inside: np.ndarray, plate: Plate) -> np.ndarray:

@@ -120,7 +120,7 @@ STUDIES = {
     '"without refinement" "without either" "without hand skeleton" "without re-initialisation"',
     "ladder": "avatar --held-out-set 72 --subjects 7200 7202 7204 --error-models bursts white slow "
     "--frames 40 --size 256 --steps 2000 --no-fitted --rows ladder full",
-    "videos": "avatar --held-out-set 79 --error-models video --frames 48 --steps 2000 --no-fitted "
+    "videos": "avatar --held-out-set 80 --error-models video --frames 48 --steps 2000 --no-fitted "
     "--rows full",
     "relit": "relight --held-out-set 75 --error-models white bursts --steps 1600 "
     "--lights left right above turned usual",

@@ -72,7 +72,7 @@ class PoseOptions:
     every: PythonOnly[Annotated[int, Within(1, 1_000_000)]] = 8
     prior_weight: PythonOnly[PriorWeight] = 1e-5  # ν: weight of the prior beside Eq. 9
     # Metres that a joint moves the skin beyond it, in a first step.
-    step: PythonOnly[Metres] = 0.003
+    step: PythonOnly[Metres] = 0.006
     # Radians in such a step; limits joints with short lever arms.
     largest_turn: PythonOnly[Turn] = 0.03
     translation_lr: PythonOnly[Metres] = 0.002  # metres in a first step

@@ -45,7 +45,7 @@ from gva_mi.core.files import make_room, read_json, write_json
 # Raise the number when the same inputs and options give other results than before: "video" of the
 # masks and poses of stage 1 from a video, and of what stage 2 knows of their errors; "refine" of
 # the poses of stage 2 from the same knowledge; "avatar" of a fit, its evaluation and its pictures.
-RESULTS_VERSIONS = {"video": 19, "refine": 16, "avatar": 17}
+RESULTS_VERSIONS = {"video": 19, "refine": 16, "avatar": 16}
 LIBRARIES = ("torch", "drjit", "mitsuba", "numpy")  # whose versions may change last digits
 STAMP, STAMP_BYTES = "stamp", 32  # its name in a record, and its length as text
 _BLOCK = 1 << 20  # bytes read at once; chosen: a megabyte, little memory and few calls

@@ -34,7 +34,7 @@ from torch.autograd.function import FunctionCtx
 
 from gva_mi.jit.frozen import Frozen, exclusive
 from gva_mi.jit.packets import store_rows
-from gva_mi.jit.rowwise import Lane, flat_array, load_columns
+from gva_mi.jit.rowwise import Lane, flat_array, load_columns, store_columns, to_tensors
 from gva_mi.jit.tensors import tensor_of
 from gva_mi.splat.kernels.tiles import capacity
 from gva_mi.subject.crop import Box
@@ -65,28 +65,13 @@ class CompositeTarget(NamedTuple):
 def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
     """Composite a person on a background (eq. 1 and 2) in a part of a picture."""
     count = part.width * part.height
-    found = _composited(*_arrays(cutout, part), dr.opaque(UInt32, 0, count), size=capacity(count))
-    dr.sync_thread()
-    numbers = [tensor_of(x) for x in found]
-    target, background = (x[: 3 * count].view(part.height, part.width, 3) for x in numbers[:2])
-    return CompositeTarget(
-        target, background, *(x[:count].view(part.height, part.width) for x in numbers[2:])
-    )
-
-
-@Frozen
-def _composited(
-    pixels: list[UInt32], color: list[Float], place: list[Array], zeros: UInt32, *, size: int
-) -> list[Array]:
-    """Return the fields of ``CompositeTarget``, in memory for ``size`` pixels."""
-    lane = dr.arange(UInt32, dr.width(zeros))
-    target, background, S, shown = _composite(pixels, color, place, lane)
-    found = [dr.empty(Float, width * size) for width in (3, 3, 1, 1)]
-    columns = target, background, [S], [dr.select(shown, Float(1), 0)]
-    for memory, numbers in zip(found, columns, strict=True):
-        store_rows(memory, numbers, lane)
+    target, background, S, shown = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
+    columns = [store_columns(x, count, Float) for x in (target, background)]
+    found = [*columns, S, dr.select(shown, Float(1), 0)]
     dr.eval(found)
-    return found
+    shape = part.height, part.width, -1
+    target, background, *single = (x.view(shape) for x in to_tensors(found, count))
+    return CompositeTarget(target, background, *(x[..., 0] for x in single))
 
 
 def composite_render(color: Tensor, alpha: Tensor, background: Tensor) -> Tensor:

@@ -25,6 +25,8 @@ VIDEO_ALPHA = 0.05
 VIDEO_MASK_ERROR = 0.003
 # Share a step; chosen: errors of poses look like changes of the light, and slopes would learn them.
 VIDEO_SH_DECAY = 0.01
+# Metres in a first step of poses. Chosen on rendered videos: twice as much costs novel poses.
+VIDEO_POSE_STEP = 0.006
 
 FallingRate = Annotated[float, Within(0, 1, "low")]
 Every = Annotated[int, Within(0, 1_000_000)]  # steps
@@ -139,10 +141,13 @@ class FitOptions:
         wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
         Hands keep their turn at the wrist, because training makes it worse than the refinement.
+        Other errors of poses are larger, also those that are the same in all frames.
         Many people do not turn all the way around, so unseen colours are completed.
         Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error
+        usual = self.poses.step == PoseOptions.step
+        step = VIDEO_POSE_STEP if usual else self.poses.step
         return replace(
             self,
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,
@@ -150,7 +155,7 @@ class FitOptions:
             still_camera=True,
             complete=True,
             touching=True,
-            poses=replace(self.poses, wrists=False),
+            poses=replace(self.poses, wrists=False, constant=True, step=step),
             rates=replace(self.rates, sh_decay=self.rates.sh_decay or VIDEO_SH_DECAY),
             loss=replace(self.loss, alpha=self.loss.alpha or VIDEO_ALPHA),
         )

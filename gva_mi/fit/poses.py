@@ -17,9 +17,10 @@ posed together, and their gradients go back to the corrections together, in a qu
   because masks and normals of their frames have been used already.
 * Frames outside the training split are not used. Their corrections follow from neighbouring
   frames: slow errors are corrected there too, errors that are new in every frame are not.
-* A larger person farther away looks the same. So the shift along the line of sight that all frames
-  share is removed. Pictures show every other constant correction, such as a bend of all elbows,
-  because the avatar's Gaussians are held near the surface of the body (:mod:`gva_mi.avatar.held`).
+* Avatar and poses could drift together, such as all knees and the canonical legs, without changing
+  a picture. So constant corrections are removed: turns in the axes of a joint, and shifts in the
+  axes of the camera, or of the body while it turns. Poses of a phone video have larger constant
+  errors than that drift (``constant``). There only the person's distance stays as it was.
 
 Jaw and expression are corrected too: :mod:`gva_mi.fit.faces`.
 
@@ -72,7 +73,9 @@ class PoseOptions:
     every: PythonOnly[Annotated[int, Within(1, 1_000_000)]] = 8
     prior_weight: PythonOnly[PriorWeight] = 1e-5  # ν: weight of the prior beside Eq. 9
     # Metres that a joint moves the skin beyond it, in a first step.
-    step: PythonOnly[Metres] = 0.006
+    step: PythonOnly[Metres] = 0.003
+    # True: corrections that are the same in all frames are kept, but for the distance.
+    constant: PythonOnly[bool] = False
     # Radians in such a step; limits joints with short lever arms.
     largest_turn: PythonOnly[Turn] = 0.03
     translation_lr: PythonOnly[Metres] = 0.002  # metres in a first step
@@ -195,6 +198,7 @@ class _Clip:
     ) -> None:
         self.frames, self.corrections, self.face = frames, corrections, face
         self._seen, self._arms, self._derived = seen, arms, derived
+        self._constant = options.constant
         self._shown = set() if seen is None else set(seen.frames_among(frames))
         self._learned: list[tuple[Tensor, Tensor, list[Tensor]]] = []  # corrections of each update
         self._adam = self._optimiser(options)
@@ -242,7 +246,10 @@ class _Clip:
                 loss = loss + (gradient[0] * getattr(derived, name)[row]).sum()
         loss.backward()
         self._adam.step(factor)
-        self.corrections.keep_distance()
+        if self._constant:
+            self.corrections.keep_distance()
+        else:
+            self.corrections.centre()
         self.face.centre()
 
     def learn(self, options: PoseOptions) -> None:

@@ -113,6 +113,20 @@ class Corrections:
         return self._at(range(len(self.moves)))
 
     @torch.no_grad()
+    def centre(self) -> None:
+        """Remove corrections that another body shape would explain equally well.
+
+        These are turns of a joint that are constant in its own axes, and shifts that are constant
+        in the camera's axes or in the pelvis's: a body a centimetre behind its pelvis looks the
+        same if all pelvises are a centimetre nearer.
+        """
+        turns, moves = self.found()
+        mean = self._stage1.to_joint_axes(turns).mean(0).expand_as(turns)
+        turns0, moves0 = self.start
+        constant = constant_shifts(moves, self._stage1.R_joint_camera[:, 0])
+        self.start = turns0 - self._stage1.to_camera_axes(mean), moves0 - constant
+
+    @torch.no_grad()
     def keep_distance(self) -> None:
         """Remove the shift along the line of sight that all frames share.
 
@@ -218,3 +232,17 @@ class Corrections:
         moves = self._preconditioner_of_moves.product(self.moves.transpose(0, 1), which)[..., 0].T
         turns0, moves0 = self.start
         return turns0[which] + turns, moves0[which] + moves
+
+
+def constant_shifts(shifts: Tensor, R_body_camera: Tensor) -> Tensor:
+    """Return the constant part (n, 3) of shifts: ``a + R_kᵀ b``, by least squares.
+
+    The shifts (n, 3) are in the axes of the camera; ``R_k`` (n, 3, 3) rotates a vector from there
+    to the axes of the body.
+    """
+    R = R_body_camera.double()
+    basis = torch.cat([torch.eye(3, dtype=R.dtype).expand_as(R), R.mT], dim=2).reshape(-1, 6)
+    # If the person does not turn, both halves are the same three columns.
+    inverse = torch.linalg.pinv(basis.T @ basis, rtol=1e-6, hermitian=True)
+    found = inverse @ (basis.T @ shifts.double().reshape(-1))
+    return (basis @ found).reshape(shifts.shape).to(shifts)

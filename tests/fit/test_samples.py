@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gva_mi.fit.backgrounds import Cutout, composite_target
 from gva_mi.fit.losses import LossOptions, render_losses
 from gva_mi.fit.samples import FrameSampler, box_of_gaussians
 from gva_mi.splat import Gaussians, Image, render
@@ -213,3 +214,17 @@ def test_the_part_that_is_drawn_holds_every_pixel_that_is(known, video):
     assert box_of_gaussians(ball(torch.full((1, 3), torch.nan), 0.01), camera) is None
     wide = ball(known.canonical.means[:1], float("inf"))
     assert box_of_gaussians(wide, camera) == Box(0, 0, 48, 48)
+
+
+def test_a_part_is_composited_alike_after_parts_of_other_sizes():
+    shape, generator = (40, 50, 4), torch.Generator().manual_seed(0)
+    person, behind = (
+        torch.randint(0, 256, shape, generator=generator).to(torch.uint8) for _ in range(2)
+    )
+    cutout = Cutout(person, behind, Box(0, 0, 50, 40), torch.tensor([0.2, 0.4, 0.6]))
+    whole = composite_target(cutout, Box(0, 0, 50, 40))
+    for seed in range(20):
+        left, top = np.random.default_rng(seed).integers(0, 30, 2).tolist()
+        part = composite_target(cutout, Box(left, top, 50, 40))
+        for found, expected in zip(part, whole, strict=True):
+            torch.testing.assert_close(found, expected[top:, left:], rtol=0, atol=0)

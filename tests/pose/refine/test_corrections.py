@@ -141,6 +141,32 @@ def test_the_video_solvers_errors_last_as_many_seconds_at_any_frame_rate():
         assert (slower[name].slow, slower[name].bias) == (noise.slow, noise.bias)
 
 
+def turning(frames=12):
+    """A person who turns by 30 degrees a frame, tilted."""
+    pose = Pose.rest(frames)
+    around = torch.zeros(frames, 3)
+    around[:, 1] = torch.arange(frames) * np.pi / 6
+    tilt = torch.tensor([0.2, 0.0, 0.1]).expand(frames, 3)
+    pose.rotations[:, 0] = roma.rotvec_composition([around, tilt])
+    return pose
+
+
+@pytest.mark.parametrize("axes", ["camera", "body"])
+def test_centring_removes_what_another_shape_would_show(make, axes):
+    corrections = make(turning())
+    stage1, before = corrections._stage1, corrections.pose(range(12))
+    turns = torch.tensor([0.1, -0.2, 0.05]).expand(corrections.start[0].shape)
+    shift = torch.tensor([0.01, 0.02, -0.03])
+    R_camera_body = stage1.R_joint_camera[:, 0].mT
+    moves = shift.expand(12, 3) if axes == "camera" else R_camera_body @ shift
+    turns0, moves0 = corrections.start
+    corrections.start = turns0 + stage1.to_camera_axes(turns), moves0 + moves
+    corrections.centre()
+    after = corrections.pose(range(12))
+    torch.testing.assert_close(after.transl, before.transl, atol=1e-6, rtol=0)
+    torch.testing.assert_close(matrices(after), matrices(before), atol=1e-5, rtol=0)
+
+
 def test_the_distance_that_all_frames_share_is_kept(make, true_pose):
     corrections = make(true_pose)
     with torch.no_grad():

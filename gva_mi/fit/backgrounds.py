@@ -65,6 +65,7 @@ class CompositeTarget(NamedTuple):
 def composite_target(cutout: Cutout, part: Box) -> CompositeTarget:
     """Composite a person on a background (eq. 1 and 2) in a part of a picture."""
     count = part.width * part.height
+    # Not frozen: a replay could not know the size, because no array of this size is read.
     target, background, S, shown = _composite(*_arrays(cutout, part), dr.arange(UInt32, count))
     columns = [store_columns(x, count, Float) for x in (target, background)]
     found = [*columns, S, dr.select(shown, Float(1), 0)]

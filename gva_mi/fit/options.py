@@ -141,13 +141,13 @@ class FitOptions:
         wants it.
         Beyond Lambert's law, colours depend on the light only as far as all frames agree on it.
         Hands keep their turn at the wrist, because training makes it worse than the refinement.
-        Other errors of poses are larger, also those that are the same in all frames.
+        Other joints take larger steps, and keep corrections that are the same in all frames.
         Many people do not turn all the way around, so unseen colours are completed.
         Options that differ from the usual ones stay.
         """
         chosen = self.mask_error != FitOptions.mask_error
-        usual = self.poses.step == PoseOptions.step
-        step = VIDEO_POSE_STEP if usual else self.poses.step
+        step_chosen = self.poses.step != PoseOptions.step
+        step = self.poses.step if step_chosen else VIDEO_POSE_STEP
         return replace(
             self,
             first_steps=self.first_steps or self.steps // 2 * self.poses.trained,

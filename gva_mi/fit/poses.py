@@ -19,8 +19,9 @@ posed together, and their gradients go back to the corrections together, in a qu
   frames: slow errors are corrected there too, errors that are new in every frame are not.
 * Avatar and poses could drift together, such as all knees and the canonical legs, without changing
   a picture. So constant corrections are removed: turns in the axes of a joint, and shifts in the
-  axes of the camera, or of the body while it turns. Poses of a phone video have larger constant
-  errors than that drift (``constant``). There only the person's distance stays as it was.
+  axes of the camera, or of the body while it turns. With ``constant`` they are kept, but for the
+  person's distance. Poses of a phone video have large constant errors, and pictures show them,
+  because its Gaussians are held near the body (:mod:`gva_mi.avatar.held`).
 
 Jaw and expression are corrected too: :mod:`gva_mi.fit.faces`.
 

@@ -7,6 +7,10 @@ an earlier one of the same call. So ``f(x, False, True, True)`` and ``f(x, False
 share a recording, and the second call returns the first one's result. Therefore constants are
 keyword arguments here, and every set of constants has a frozen function of its own.
 
+A replay infers the number of lanes from the arrays that its kernels read: one that is read lane by
+lane, or whose size is a fixed multiple of the lanes. An array of which only the width is used does
+not count. If no array tells, a replay of another size is silently wrong.
+
 ``dr.freeze`` holds Dr.Jit's lock while it traverses arguments and results. For a dataclass it runs
 Python code, during which another thread may run. If that thread frees an array, it waits for
 Dr.Jit's lock while this one waits for Python's: a deadlock. Lists are traversed without Python

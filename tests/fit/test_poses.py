@@ -114,6 +114,19 @@ def test_poses_come_to_ground_truth_and_unseen_frames_follow(truth, known, camer
     assert torch.equal(found.expression, truth.expression)
 
 
+@pytest.mark.parametrize("constant", [True, False])
+def test_a_bend_in_all_frames_is_mended_only_if_constant_corrections_are_kept(
+    constant, truth, known, camera
+):
+    bend = torch.zeros_like(truth.rotations)
+    bend[:, ELBOW, 1] = 0.2
+    given = Pose(truth.rotations + bend, truth.transl, truth.expression)
+    options = replace(OPTIONS, constant=constant)
+    found = trained_to(truth, given, known, camera, options).all()
+    left = turns_between(found.rotations, truth.rotations)[:, ELBOW].norm(dim=1)
+    assert left.mean() < 0.12 if constant else left.mean() > 0.19
+
+
 def test_refined_poses_start_as_given_and_stage_1_poses_smoothed(turning, known, camera):
     frames = 20
     truth, _ = turning(frames)

@@ -21,11 +21,8 @@ def least_energy(odds, price):
     pixels = np.arange(H * W).reshape(H, W)
     person, background = H * W, H * W + 1
     flat = odds.ravel().astype(int)
-    ends = [
-        (pixels[:, :-1], pixels[:, 1:], price[0]),
-        (pixels[:-1], pixels[1:], price[1]),
-    ]
-    a, b, c = (np.concatenate([x[k].ravel() for x in ends]) for k in range(3))
+    edges = (pixels[:, :-1], pixels[:, 1:], price[0]), (pixels[:-1], pixels[1:], price[1])
+    a, b, c = (np.concatenate([x.ravel() for x in column]) for column in zip(*edges, strict=True))
     to_all, every = np.full(H * W, person), np.full(H * W, background)
     rows = np.concatenate([a, b, to_all, pixels.ravel()])
     columns = np.concatenate([b, a, pixels.ravel(), every])
